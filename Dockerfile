@@ -1,7 +1,7 @@
 # soil_env with the CPU build of torch and the pinned versions: every command of the package, as a user without rights.
 #   docker build -t soil_env .
-#   docker run --rm soil_env soil_env_agents.train --help
-#   docker run --rm -v "$PWD":/work --user "$(id -u)" soil_env soil_env.discrepancy rig.csv --setup rig.setup.yaml --out result
+#   docker run --rm soil_env train --help
+#   docker run --rm -v "$PWD":/work --user "$(id -u)" soil_env discover rig.csv --setup rig.setup.yaml --out result
 
 FROM python:3.11-slim AS build
 WORKDIR /src
@@ -29,11 +29,11 @@ RUN pip install --no-cache-dir -c /tmp/constraints.txt "$(ls /tmp/dist/soil_env-
 # The kernels are compiled here once. Whoever runs the image (--user) may add to the caches.
 RUN useradd --no-create-home --home-dir /work soil \
     && mkdir -p /work "$NUMBA_CACHE_DIR" "$MPLCONFIGDIR" \
-    && soil-env-warmup \
+    && soil-env warmup \
     && chmod -R a+rwX /var/cache/soil_env \
     && chown soil /work
 
 USER soil
 WORKDIR /work
-ENTRYPOINT ["python", "-m"]
-CMD ["soil_env_agents.train", "--help"]
+ENTRYPOINT ["soil-env"]
+CMD ["--help"]

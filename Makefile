@@ -31,7 +31,7 @@ TEST_READY := $(VENV)/.installed-test
 DOCS_READY := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help train test checks lint types format environment kernels docs dist bench clients clean
+.PHONY: help train test checks lint types format environment kernels docs dist bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(firstword $(MAKEFILE_LIST))
@@ -75,12 +75,9 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
-bench: $(TRAIN_READY)  ## run the studies of fits to tables and throughput, renew their pages
-	$(PY) benchmarks/table_fits.py $(ARGS)
-	$(PY) benchmarks/throughput.py $(ARGS)
-
-clients: $(TRAIN_READY)  ## smoke runs in rl-zoo3, RLlib, Minari, Ray, TorchRL and others, each in an environment of its own
-	$(PY) -m benchmarks.clients $(ARGS)
+bench: $(TRAIN_READY)  ## measure speed and calibration of the identifier, renew docs/results
+	$(PY) -m benchmarks.throughput $(ARGS)
+	$(PY) -m benchmarks.identification $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis

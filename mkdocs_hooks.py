@@ -1,35 +1,128 @@
-"""Hooks of `mkdocs build` that make the site readable from the disk, without a server and without the network.
+"""Hooks of `mkdocs build`: API pages, links to code, and formulas that need neither a server nor the network.
 
-Formulas are MathML, which browsers draw by themselves. Material's plugin `offline` puts the search index into a script;
-the worker that searches it needs `iframe-worker`, which is in docs/vendor and not fetched.
+* `docs/api/` is generated: one page a package, one section a module.
+* A line of a page that begins with "Code:" names functions and classes; each name becomes a link to its API entry.
+* Formulas become MathML. The worker that searches the index is in docs/vendor.
 
-A build fails where a module was imported that building the site must not need.
+The pages are made from the sources, none of which is imported. The build fails if a heavy module was imported.
 """
 
+import ast
 import html
 import re
 import sys
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
 
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
 
-#: Pages are made from the sources, none of which is imported: the extra `docs` alone is enough.
+#: Modules that a build must not import: the extra `docs` alone is enough.
 UNNEEDED = ("soil_env", "agents", "torch", "stable_baselines3", "gymnasium", "numba", "numpy")
+ROOT = Path(__file__).resolve().parent
+PACKAGES = ("soil_env", "agents")
 
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 _TAG = re.compile(r"\\tag\{(.*?)\}")
+_CODE_LINE = re.compile(r"^Code: .*$", re.MULTILINE)
+_NO_LINK = re.compile(r'<autoref (?![^>]*optional)[^>]*identifier="([^".]*)"[^>]*>(.*?)</autoref>')
+_NAME = re.compile(r"`([\w.]+)`")
+
+
+def on_config(config: dict, **_: object) -> None:
+    """Add the generated API pages to the navigation."""
+    config["nav"].append({"API": [{title: path} for path, (title, _) in api_pages().items()]})
+
+
+def on_files(files, *, config: dict, **_: object):
+    """Add the generated API pages to the files of the site."""
+    for path, (_, text) in api_pages().items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def on_page_markdown(markdown: str, page, **_: object) -> str:
+    """Markdown with links in its "Code:" lines."""
+    return _CODE_LINE.sub(lambda line: _NAME.sub(lambda name: _link(name[1], page.file.src_uri), line[0]), markdown)
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """The HTML of a page, its formulas as MathML."""
-    return _FORMULA.sub(_mathml, content)
+    """HTML of a page with formulas as MathML; a shape after a unit, [m] [n, 3], is no link."""
+    return _NO_LINK.sub(r"[\2] [\1]", _FORMULA.sub(_mathml, content))
 
 
 def on_env(env: object, **_: object) -> None:
-    """PluginError, before pages are written, where making them has imported what it must not need."""
+    """Raise PluginError if the build has imported a module that it must not need."""
     imported = [name for name in UNNEEDED if name in sys.modules]
     if imported:
         raise PluginError(f"the build imported {', '.join(imported)}: expected pages made from the sources alone")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Public modules by dotted name, in the order of the pages."""
+    found = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            parts = parts[:-1] if parts[-1] == "__init__" else parts
+            if not any(part.startswith("_") for part in parts):
+                found[".".join(parts)] = path
+    return dict(sorted(found.items()))
+
+
+@cache
+def api_pages() -> dict[str, tuple[str, str]]:
+    """(title, Markdown) of each API page by its path: one page a package of soil_env, one for agents."""
+    sections = defaultdict(list)
+    for module, path in modules().items():
+        parts = module.split(".")
+        is_package = path.name == "__init__.py"
+        own_page = parts[0] == "soil_env" and len(parts) > 1 and (is_package or len(parts) > 2)
+        page = "agents" if parts[0] == "agents" else parts[1] if own_page else "soil_env"
+        sections[page].append(module)
+    pages = {}
+    for page, names in sorted(
+        sections.items(), key=lambda entry: (entry[0] != "soil_env", entry[0] == "agents", entry)
+    ):
+        title = page if page in PACKAGES else f"soil_env.{page}"
+        blocks = [
+            f"## {name}\n\n::: {name}\n    options: {{show_root_heading: false, show_root_toc_entry: false}}\n"
+            for name in names
+        ]
+        pages[f"api/{page}.md"] = title, f"# {title}\n\n" + "\n".join(blocks)
+    return pages
+
+
+@cache
+def definitions() -> dict[str, list[str]]:
+    """Modules of soil_env and agents that define a function or class of each name."""
+    found = defaultdict(list)
+    for module, path in modules().items():
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+                found[node.name].append(module)
+    return found
+
+
+def resolve(name: str) -> str:
+    """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one module defines it."""
+    *tail, last = name.split(".")
+    homes = [
+        home for home in definitions().get(last, []) if home.split(".")[len(home.split(".")) - len(tail) :] == tail
+    ]
+    if len(homes) != 1:
+        raise LookupError(f"{name}: expected one module that defines it, found {homes or 'none'}")
+    return f"{homes[0]}.{last}"
+
+
+def _link(name: str, page: str) -> str:
+    try:
+        return f"[`{name}`][{resolve(name)}]"
+    except LookupError as error:
+        raise PluginError(f"{page}: {error}") from None
 
 
 def _mathml(found: re.Match) -> str:

@@ -1,18 +1,19 @@
-"""Train a PPO agent and compare it with slip controllers: `python train.py --help`.
+"""Train a PPO agent and compare it with slip controllers: `python train.py --help`, the same as `soil-env train`."""
 
-The command is that of agents/train.py; `python train.py --config configs/smoke.yaml` does everything in seconds.
-"""
+from collections.abc import Sequence
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run with the given command line, sys.argv's by default; returns the exit status."""
-    from agents.train import main as run
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run with these arguments, by default those of the process; return the exit status."""
+    from soil_env.cli.running import ending_at_once, run
 
-    return run(arguments)
+    with ending_at_once("train.py"):
+        from agents.train import command
+    return run(command, arguments, "train.py")
 
 
 if __name__ == "__main__":
     status = main()
-    from soil_env._io.commands import leave
+    from soil_env.cli.running import leave
 
     leave(status)

@@ -1,8 +1,8 @@
 """A policy whose value network sees more than its action network (asymmetric actor-critic, Pinto et al. 2018, RSS).
 
-The last `privileged` entries of an observation, such as the true soil of a simulated world, reach the value network
-alone. Values are needed to learn and not to drive, so that the agent acts without those entries. Works with any
-on-policy algorithm of Stable-Baselines3:
+The last `privileged` entries of an observation, such as the true soil, are input of the value network alone. The value
+is needed in training only, so the agent acts without these entries. Works with any on-policy algorithm of
+Stable-Baselines3:
 
     envs = SoilWheelVecEnv(64, observation="blind", critic="true_soil")
     PPO(AsymmetricPolicy, envs, policy_kwargs={"privileged": envs.privileged})
@@ -17,7 +17,7 @@ from torch import nn
 
 
 class AsymmetricExtractor(MlpExtractor):
-    """Hidden layers of both networks; those of the policy read the first entries only."""
+    """Hidden layers of both networks; the policy reads the first entries only."""
 
     def __init__(self, feature_dim: int, privileged: int, net_arch, activation_fn, device):
         super().__init__(feature_dim, net_arch, activation_fn, device)

@@ -1,46 +1,43 @@
-"""Command-line options shared by the commands: config keys as --KEY VALUE, YAML files, help texts."""
+"""Options that several commands share: config keys as --KEY VALUE, YAML files, engines, optional packages."""
 
 from __future__ import annotations
 
-import argparse
-import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import click
 import yaml
 
-from soil_env._io.commands import command, command_parser
-from soil_env._io.loading import ParameterError, config_dir, merge, parse_yaml, read_yaml
+from soil_env._io.loading import FieldError, ParameterError, config_dir, merge, parse_yaml, read_yaml
+from soil_env.cli.running import WholeNumber
+
+#: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
+WITH_KEYS = {"ignore_unknown_options": True}
+_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is always text
+_PACKAGES = ("stable_baselines3", "tensorboard", "torch", "tqdm")  # of the extra `train`
 
 
-def manual(text: str) -> str:
-    """The text of --help, with this package under the name that it has here."""
-    return text.replace("python -m agents.", f"python -m {__package__}.")
+def keys_argument(command: Callable) -> Callable:
+    """Add the argument `keys`: all options that the command does not have."""
+    return click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")(command)
 
 
-def manual_parser(prog: str, description: str, epilog: str = "", **options) -> argparse.ArgumentParser:
-    """`command_parser` whose texts name this package as it is named here; options are not abbreviated."""
-    return command_parser(prog, manual(description), manual(epilog), allow_abbrev=False, **options)
+def engine_options(command: Callable) -> Callable:
+    """Add --engine, --workers and --address."""
+    for option in (
+        click.option("--address", metavar="ADDRESS", help="Ray cluster (default: RAY_ADDRESS, else this machine)."),
+        click.option("--workers", metavar="N", type=WholeNumber(), help="Processes (default: this one; Ray: all)."),
+        click.option("--engine", metavar="ENGINE", default="local", help="local or ray, with the same results."),
+    ):
+        command = option(command)
+    return command
 
 
-@contextmanager
-def go_on_with(module: str, folder: Path | None) -> Iterator[None]:
-    """Around the work of a command: an interrupt says how to go on, once `folder` holds a study."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        known = folder is not None and (folder / "study.yaml").is_file()
-        raise KeyboardInterrupt(f"go on with: {command(module)} --resume {folder}" if known else "") from None
-
-
-_TEXT = ("scenario", "name", "runs", "observation", "model")  # keys whose value is text, whatever YAML makes of it
-
-
-def overrides(arguments: list[str], file_option: str = "") -> dict:
+def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> dict:
     """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as YAML.
 
-    ParameterError for a key given twice and for what is no key; `file_option`, if any, is the option of a YAML file.
+    ParameterError for a key given twice and for anything else; `file_option`, if any, is the option of a YAML file.
     """
     out: dict = {}
     rest = list(arguments)
@@ -72,23 +69,41 @@ def overrides(arguments: list[str], file_option: str = "") -> dict:
 
 
 @contextmanager
-def as_options(**names: str) -> Iterator[None]:
-    """Errors of a dataclass made from options name the option: "Study.courses = 0" becomes "--courses = 0".
-
-    `names`: {field: option} where they differ.
-    """
+def as_options() -> Iterator[None]:
+    """Inside the block a wrong field of a dataclass is an error of the option of that name."""
     try:
         yield
-    except ParameterError as error:
-        own = re.match(r"[A-Z]\w*\.(\w+)(?= = )", str(error))
-        if own is None:
+    except FieldError as error:
+        raise ParameterError(f"--{error.name.replace('_', '-')}{error.problem}") from None
+
+
+@contextmanager
+def continued_by(command: str) -> Iterator[None]:
+    """Add the command that continues the work to the message of an interrupt."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"continue with: {command}") from None
+
+
+def lacks_training(error: ImportError) -> bool:
+    """True if an import failed because a package of the extra `train` is missing."""
+    return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _PACKAGES
+
+
+@contextmanager
+def needing_training() -> Iterator[None]:
+    """Around imports of the training: ParameterError with the installation line if its packages are missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if not lacks_training(error):
             raise
-        option = names.get(own[1], own[1]).replace("_", "-")
-        raise ParameterError(f"--{option}{str(error)[own.end() :]}") from None
+        raise ParameterError("needs Stable-Baselines3: pip install 'soil_env[train]'") from None
 
 
 def config_mapping(name: str | Path) -> dict:
-    """The keys in the file of --config; ParameterError where it has none, which would be a long run of the defaults."""
+    """The keys in the file of --config; ParameterError if it has none, because the defaults are a long run."""
     path = config_file(name)
     mapping = read_yaml(path)
     if not mapping:
@@ -97,7 +112,7 @@ def config_mapping(name: str | Path) -> dict:
 
 
 def config_file(name: str | Path) -> Path:
-    """The file of --config; a bare name that is no file here is one of the configs that come with the package."""
+    """The file of --config; a bare name of no local file is a config that comes with the package."""
     path = Path(name)
     shipped = config_dir() / path.name
     return shipped if not path.exists() and path.name == str(path) and shipped.is_file() else path

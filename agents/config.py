@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -29,30 +29,30 @@ class PPOConfig(Checked):
     n_steps: int = quantity("", 8, 65536, default=64, doc="steps of each wheel per update")
     batch_size: int = quantity("", 8, 1_000_000, default=4096, doc="transitions per gradient step")
     n_epochs: int = quantity("", 1, 100, default=4, doc="passes over a rollout")
-    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="step of Adam at the start")
+    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="learning rate of Adam at the start")
     gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount an action")
     gae_lambda: float = quantity("", 0.0, 1.0, default=0.95, doc="bias against variance of the advantages")
-    clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="how far an update may move a probability ratio")
+    clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="largest change of a probability ratio in an update")
     ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
-    activation: Literal["relu", "tanh"] = _text("relu", "what follows a hidden layer: relu or tanh")
+    activation: Literal["relu", "tanh"] = _text("relu", "activation of the hidden layers: relu or tanh")
     log_std_init: float = quantity("", -5.0, 2.0, default=-0.5, doc="log of the initial standard deviation")
     initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
     history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
-    critic: Literal["", "true_soil"] = _text("", "what only the value network sees: nothing or true_soil")
-    threads: int = quantity("", 1, 256, default=2, doc="threads of environment and update; the result is the same")
+    critic: Literal["", "true_soil"] = _text("", "input of the value network alone: nothing or true_soil")
+    threads: int = quantity("", 1, 256, default=2, doc="threads of the environment; the result is the same")
 
     def __post_init__(self):
         super().__post_init__()
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
-            raise ParameterError(
-                f"PPOConfig.batch_size = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            raise FieldError(
+                self, "batch_size", f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
             )
 
 
 class OfWorld(Checked):
-    """Base of what has `model`, the content of the model.yaml of its world's effects; empty = none."""
+    """Base of a configuration with `model`, the content of the model.yaml of its world's effects; empty = none."""
 
     model: dict
 
@@ -64,34 +64,30 @@ class OfWorld(Checked):
 
 @dataclass(frozen=True)
 class TrainConfig(OfWorld):
-    """A training run: what `train.py` takes from YAML and from its command line."""
+    """A training run: the keys of its YAML file and of the command line."""
 
-    scenario: str = _text(
-        "", f"name of a scenario in configs/scenarios, or a YAML file; empty: {DEFAULT_SCENARIO}, or none for a rover"
-    )
-    rover: str = _text("", "name of a rover in configs/rovers, or a YAML file: in place of a scenario")
+    scenario: str = _text("", f"a scenario of configs/scenarios, or a YAML file; empty: {DEFAULT_SCENARIO}")
+    rover: str = _text("", "a rover of configs/rovers, or a YAML file, in place of a scenario")
     changes: dict = field(default_factory=dict)  # merged over the scenario
-    model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in this world"})
-    observation: Literal["blind", "identified", "true_soil"] = _text(
-        "identified", "what the agent knows: blind, identified or true_soil"
-    )
-    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo: with a memory, of sb3-contrib")
+    model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in the world"})
+    observation: Literal["blind", "identified", "true_soil"] = _text("identified", "blind, identified or true_soil")
+    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo of sb3-contrib")
     hidden_worlds: int = quantity(
         "",
         0,
         1000,
         default=0,
-        doc="worlds with a hidden effect mixed into the training (agents.worlds)",
+        doc="worlds with a hidden effect, mixed into the training",
     )
-    name: str = _text("", "of the run folder; empty: observation, scenario and time")
+    name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
-    seed: int = quantity("", 0, 2**31 - 1, default=0, doc="of the training")
+    seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
     timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
     oracle_courses: int | None = quantity(
-        "", 0, 10**6, default=None, doc="of the comparison, that the oracle drives too; empty: 50, or none for a rover"
+        "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, or none for a rover"
     )
     ppo: PPOConfig = PPOConfig()
 
@@ -103,20 +99,19 @@ class TrainConfig(OfWorld):
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
         if self.hidden_worlds >= self.ppo.num_envs:
-            raise ParameterError(f"hidden_worlds = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+            raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
     def _resolve(self) -> None:
-        """Set what was left out and depends on whether a rover is trained; ParameterError for what only a wheel has."""
-        for name, of_a_wheel, of_a_rover, reason in (
-            ("scenario", DEFAULT_SCENARIO, "", "the rover's file has its own"),
-            ("oracle_courses", 50, 0, "the oracle drives a wheel"),
-        ):
-            value = getattr(self, name)
-            if value in ("", None):
-                object.__setattr__(self, name, of_a_rover if self.rover else of_a_wheel)
-            elif self.rover and value:
-                beside = f"expected none beside rover = {self.rover!r}: {reason}"
-                raise ParameterError(f"TrainConfig.{name} = {value!r}: {beside}")
+        """Fill in the scenario and the oracle's courses, of which a rover has none."""
+        beside = f"expected none beside rover = {self.rover!r}"
+        if self.rover and self.scenario:
+            raise FieldError(self, "scenario", f" = {self.scenario!r}: {beside}: the rover's file has its own")
+        if self.rover and self.oracle_courses:
+            raise FieldError(self, "oracle_courses", f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel")
+        if not self.rover and not self.scenario:
+            object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
+        if self.oracle_courses is None:
+            object.__setattr__(self, "oracle_courses", 0 if self.rover else 50)
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -1,9 +1,8 @@
 """Past sensor readings beside the observation: a memory of fixed length for a feed-forward network.
 
-The readings of the last `steps` steps, those that say how the wheel answered the ground, follow the present observation
-(as stacked frames follow a picture, Mnih et al. 2015, Nature 518:529; here only of the readings that matter). Where a
-camera tells terrain classes apart, averages of the readings on each class are kept, and those of the classes that are
-seen ahead follow: what such ground felt like when it was met.
+The readings of the last `steps` steps follow the present observation, as with stacked frames (Mnih et al. 2015, Nature
+518:529). Where a camera distinguishes terrain classes, moving averages of the readings on each class are kept too, and
+those of the classes seen ahead follow.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from soil_env.simulation.task import AXLES, LINES
 
-#: Entries of the observation that are kept. The pitch and what was commanded follow from them or from the observation.
+#: Entries of the observation that are kept.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
 
-SHARE = 0.1  # of a step in the averages on the ground of a terrain class
+SHARE = 0.1  # weight of a step in the averages on a terrain class
 
 
 def _all_of(name: str) -> set[str]:
@@ -28,11 +27,10 @@ def _all_of(name: str) -> set[str]:
 
 
 class History:
-    """Which entries of an observation are kept, and for how many steps; keeps nothing itself.
+    """Layout of the history, for `steps` steps of an observation with the entries `names`; holds no readings itself.
 
-    `names`: entries of the layout. With terrain classes (`here_class_1`, ...) the history has, for the class of each
-    line ahead, the moving average of the readings on its ground as well, and how much of it is known: 0 for a class not
-    met or no line in sight, towards 1.
+    With terrain classes (`here_class_1`, ...) the history has two more parts for the class of each line ahead: the
+    moving average of the readings on it, and the weight of this average, from 0 (class not met) towards 1.
     """
 
     def __init__(self, names: Sequence[str], steps: int):
@@ -51,7 +49,7 @@ class History:
             if f"{line}_class_1" in names
         ]
         self.past = steps * len(self.columns)
-        self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers that come to the observation
+        self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers added to the observation
 
     @property
     def kept(self) -> int:
@@ -59,7 +57,7 @@ class History:
         return len(self.columns) + self.past + len(self.classes) * (len(self.columns) + 1)
 
     def observe(self, seen, kept, fresh, others: int = 0):
-        """(observation with its history, what to keep for the next step) for observations [n, D + others].
+        """(observation with its history, readings kept for the next step) for observations [n, D + others].
 
         The history comes after the D entries of the layout and before the others, newest step first. On a new course,
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept] holds. All are
@@ -85,7 +83,7 @@ class History:
         return np.concatenate([seen[:, _range(0, self.entries)], *history, *rest], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
-        """Observation space with the history in the place where `observe` puts it."""
+        """Observation space with the history, in the order of `observe`."""
         bounds = []
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
@@ -95,7 +93,7 @@ class History:
 
 
 def _range(start: int, stop: int) -> list[int]:
-    """Columns as a list: what a graph can gather."""
+    """Columns as a list, which an ONNX graph can gather."""
     return list(range(start, stop))
 
 

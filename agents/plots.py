@@ -11,40 +11,29 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from soil_env._io.files import save_figure
+from soil_env._io.files import replace_file, save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
 
-from .evaluate import METRICS, RATES, drive, limit
-from .evaluate.tables import draw_intervals
+from .evaluate import drive, limit
+from .evaluate.tables import draw_metrics, png
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
 
 
 def comparison_figure(result: dict, path: Path) -> None:
-    """Metrics of all controllers as points with their 95 % intervals."""
-    entries = result["controllers"] | limit.rows(result)
-    names = list(entries)[::-1]
-    figure, axes = plt.subplots(1, len(_PANELS), figsize=(2.4 * len(_PANELS), 0.45 * len(names) + 1.4), sharey=True)
-    colours = [
-        "#d55e00"
-        if n.startswith("ppo")
-        else "#777777"
-        if n.endswith("true") or n.startswith(limit.ORACLE)
-        else "#0072b2"
-        for n in names
-    ]
-    for axis, metric in zip(axes, _PANELS, strict=True):
-        rate = metric in RATES
-        draw_intervals(axis, [entries[n][metric] for n in names], 100.0 if rate else 1.0, colours)
-        axis.set_xlabel(f"{metric.replace('_', ' ')} [{'% of courses' if rate else METRICS[metric][0]}]")
-    axes[0].set_yticks(range(len(names)), names)
-    figure.suptitle(f"{result['courses']} held-out courses, scenario {result['scenario']!r}; bars: 95 % intervals")
-    figure.tight_layout()
-    save_figure(figure, path, dpi=130)
-    plt.close(figure)
+    """Draw the metrics of all controllers as points with their 95 % intervals."""
+    title = f"{result['courses']} held-out courses of {result['scenario']!r}; bars: 95 % intervals"
+    figure = draw_metrics({title: result["controllers"] | limit.rows(result)}, _PANELS, _colour)
+    replace_file(path, png(figure))
+
+
+def _colour(name: str) -> str:
+    if name.startswith("ppo"):
+        return "#d55e00"
+    return "#777777" if name.endswith("true") or name.startswith(limit.ORACLE) else "#0072b2"
 
 
 def trace(
@@ -52,7 +41,7 @@ def trace(
 ) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
     rows = []
-    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model):
+    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model, warnings=True):
         s = {name: float(w.state[name][0]) for name in ("x", "slip", "sinkage", "bearing_sinkage")}
         soil, grade, _ = ground_at(w.courses, 0, s["x"], 0, scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])

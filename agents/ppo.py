@@ -1,16 +1,11 @@
-"""PPO agents (Stable-Baselines3): build, save and resume, with their observation normalisation; `trained` loads them.
-
-A saved agent is one zip in SB3's own format with a further member, soil_env.json, which holds the
-running mean and variance of the observations, the names of the observation layout and the resolved scenario. It is
-loaded without unpickling anything (`agents.zips`); SB3's own `PPO.load` would unpickle parts of it.
-"""
+"""PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in training."""
 
 from __future__ import annotations
 
 import io
 import json
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +13,6 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
-from torch import nn
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
@@ -26,26 +20,19 @@ from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from . import checkpoint, recurrent, zips
-from .asymmetric import AsymmetricPolicy
-from .config import NAMES, PPOConfig, TrainConfig, load_config
+from .agent import INFO, OPTIMIZER, WEIGHTS, Info, contrib, load_weights, network, read_info
+from .config import PPOConfig
 from .history import History, HistoryVecEnv
-from .learner import Learner, Tanh
-from .sb3 import CourseVecEnv, SoilRoverVecEnv, SoilWheelVecEnv, privileged
-from .trained import META, Agent, agent_of, agent_spaces, check_layout, load_agent, read_meta
+from .sb3 import CourseVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 from .worlds import SeveralWorlds
-
-__all__ = [
-    "NAMES", "Agent", "PPOConfig", "TrainConfig", "agent_of", "agent_spaces", "build", "check_layout",
-    "hyperparameters", "load_agent", "load_config", "normalised", "read_meta", "reopened", "resume", "save", "schedule",
-]  # fmt: skip
 
 #: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
 World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
+_SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")  # named as in SB3
 
 
 def build(
-    scenario: Scenario,
+    scenario: Scenario | RoverScenario,
     observation: str,
     config: PPOConfig,
     seed: int,
@@ -53,54 +40,27 @@ def build(
     world: World = None,
     algorithm: str = "ppo",
 ) -> PPO:
-    """A fresh agent with its normalised vector environment.
-
-    `world`: the model whose effects are on there, or several, on equal shares of the wheels. `algorithm`: as in
-    `TrainConfig`.
-    """
-    cls, policy, network = _algorithm(algorithm, config, scenario)
-    model = cls(
+    """A fresh agent with its normalised vector environment; `algorithm` as in `TrainConfig`."""
+    torch.set_num_threads(1)  # the tensors are too small to be shared out
+    policy, arguments = network(algorithm, config, scenario)
+    model = (contrib() if algorithm == "recurrent_ppo" else PPO)(
         policy,
         normalised(scenario, observation, config, seed, world),
-        **hyperparameters(config),
-        policy_kwargs=network | {"log_std_init": config.log_std_init},
+        learning_rate=schedule(config),
+        **{name: getattr(config, name) for name in _SAME},
+        policy_kwargs=arguments,
         tensorboard_log=None if tensorboard is None else str(tensorboard),
         seed=seed,
         device="cpu",
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
-    model.update_threads = config.threads
+    model.origin = {"algorithm": algorithm, "observation": observation, "ppo": to_dict(config)}
     return model
 
 
-def _algorithm(name: str, config: PPOConfig, scenario: Scenario) -> tuple[type, str, dict]:
-    """(class, name of its policy, arguments of its network)."""
-    torch.set_num_threads(1)  # its tensors are too small to be shared out; `Learner` shares out whole minibatches
-    if name == "recurrent_ppo":
-        return recurrent.algorithm(), "MlpLstmPolicy", recurrent.network(config)
-    network = {
-        "net_arch": [config.layer, config.layer],
-        "activation_fn": {"relu": nn.ReLU, "tanh": Tanh}[config.activation],
-        "optimizer_kwargs": {"fused": True},
-    }
-    if config.critic:
-        return Learner, AsymmetricPolicy, network | {"privileged": len(privileged(config.critic, scenario.course))}
-    return Learner, "MlpPolicy", network
-
-
-def hyperparameters(config: PPOConfig) -> dict:
-    """Keyword arguments common to PPO and RecurrentPPO."""
-    same = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
-    return {"learning_rate": schedule(config)} | {name: getattr(config, name) for name in same}
-
-
 def normalised(
-    scenario: Scenario,
-    observation: str,
-    config: PPOConfig,
-    seed: int,
-    world: World = None,
+    scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, world: World = None
 ) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
     worlds = list(world) if isinstance(world, Sequence) else [world]
@@ -114,7 +74,7 @@ def normalised(
     return env
 
 
-def _courses(count: int, scenario: Scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
+def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
     """The vector environment of `count` wheels or rovers."""
     if isinstance(scenario, RoverScenario):
         if config.critic:
@@ -123,96 +83,65 @@ def _courses(count: int, scenario: Scenario, observation: str, config: PPOConfig
     return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world, critic=config.critic)
 
 
-def schedule(config: PPOConfig):
+def schedule(config: PPOConfig) -> Callable[[float], float]:
     """Learning rate as a function of the share of the training that is left."""
     rate = config.learning_rate
-
-    def learning_rate(left: float) -> float:
-        return rate * max(left, 0.05)
-
-    return learning_rate
+    return lambda left: rate * max(left, 0.05)
 
 
-_STATE = "training.npz"  # member of the zip of a training that goes on
-
-
-def save(model: PPO, path: Path, between_rollouts: bool = False) -> None:
-    """Save the agent to `path` (.zip) by an atomic write.
-
-    `between_rollouts`: keep the state of the training too (`agents.checkpoint`), from which it goes on as if it had
-    not been interrupted.
-    """
+def save(model: PPO, path: Path) -> None:
+    """Save the agent to `path` (.zip) by an atomic write, with what `resume` needs."""
     env = model.get_vec_normalize_env()
-    meta = {
-        "timesteps": int(model.num_timesteps),
-        "observation": env.get_attr("observation_variant")[0],
-        "observation_names": list(env.get_attr("observation_names")[0]),
-        "mean": env.obs_rms.mean.tolist(),
-        "var": env.obs_rms.var.tolist(),
-        "count": float(env.obs_rms.count),
-        "return_mean": float(env.ret_rms.mean),
-        "return_var": float(env.ret_rms.var),
-        "return_count": float(env.ret_rms.count),
-        "clip": float(env.clip_obs),
-        "scenario": to_dict(env.get_attr("scenario")[0]),
-        "history": env.venv.history.steps if isinstance(env.venv, HistoryVecEnv) else 0,
-        "critic": env.get_attr("critic")[0],
-        "scaled": True,
-    }
     world = env.get_attr("model")[0]
-    if world is not None:
-        meta["model"] = world.content()
+    info = Info(
+        **{**model.origin, "ppo": PPOConfig(**model.origin["ppo"])},
+        observation_names=tuple(env.get_attr("observation_names")[0]),
+        timesteps=int(model.num_timesteps),
+        mean=tuple(env.obs_rms.mean.tolist()),
+        var=tuple(env.obs_rms.var.tolist()),
+        count=float(env.obs_rms.count),
+        return_mean=float(env.ret_rms.mean),
+        return_var=float(env.ret_rms.var),
+        return_count=float(env.ret_rms.count),
+        clip=float(env.clip_obs),
+        scenario=to_dict(env.get_attr("scenario")[0]),
+        model={} if world is None else world.content(),
+    )
     stream = io.BytesIO()
     model.save(stream)
     with zipfile.ZipFile(stream, "a", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(META, json.dumps(meta, indent=1))
-        if between_rollouts and isinstance(model, Learner):
-            archive.writestr(_STATE, checkpoint.content(model))
+        archive.writestr(INFO, json.dumps(to_dict(info), indent=1))
     replace_file(path, stream.getvalue())
 
 
 def resume(
     path: Path,
-    scenario: Scenario,
+    scenario: Scenario | RoverScenario,
     observation: str,
     config: PPOConfig,
     seed: int,
-    log: Path | None,
+    tensorboard: Path | None,
     world: World = None,
     algorithm: str = "ppo",
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning; arguments as of `build`.
-
-    Where the checkpoint has the state of the training, it goes on as the run would have; else, as with
-    recurrent_ppo, its worlds start new courses.
-    """
-    cls, _, _ = _algorithm(algorithm, config, scenario)
-    meta, env = reopened(path, scenario, observation, config, seed, world)
-    rate = schedule(config)
-    known = {"learning_rate": rate, "lr_schedule": rate, "clip_range": config.clip_range}
-    objects = zips.without_pickles(path, *agent_spaces(meta), **known)
-    model = zips.load(cls, path, objects, env=env, tensorboard_log=None if log is None else str(log))
-    model.update_threads = config.threads
-    model.set_random_seed((seed + meta["timesteps"]) % 2**31)  # loading has set the seed of the start of the run
-    state = zips.read_bytes(path, _STATE)
-    if state is not None:
-        checkpoint.restore(model, state, path)
+    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
+    info = read_info(path)
+    for key, stored, asked in (
+        ("observation", info.observation, observation),
+        ("algorithm", info.algorithm, algorithm),
+        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "critic", "layer", "activation")),
+    ):
+        if stored != asked:
+            raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
+    seed = (seed + info.timesteps) % 2**31  # other courses and other noise than at the start of the run
+    model = build(scenario, observation, config, seed, tensorboard, world, algorithm)
+    load_weights(path, WEIGHTS, model.policy)
+    load_weights(path, OPTIMIZER, model.policy.optimizer)
+    model.num_timesteps = info.timesteps
+    env = model.get_vec_normalize_env()
+    env.obs_rms = _running(info.mean, info.var, info.count)
+    env.ret_rms = _running(info.return_mean, info.return_var, info.return_count)
     return model
-
-
-def reopened(path: Path, scenario, observation: str, config: PPOConfig, seed: int, world: World):
-    """(metadata of a checkpoint, the vector environment with its normalisation)."""
-    meta = read_meta(path)
-    if meta["observation"] != observation:
-        raise ParameterError(f"{path}: trained with observation {meta['observation']!r}, not {observation!r}")
-    check_layout(meta, path)
-    for key in ("history", "critic"):
-        if meta[key] != getattr(config, key):
-            raise ParameterError(f"{path}: trained with {key} {meta[key]!r}, not {getattr(config, key)!r}")
-    env = normalised(scenario, observation, config, seed, world)
-    env.obs_rms = _running(meta["mean"], meta["var"], meta["count"])
-    env.ret_rms = _running(meta["return_mean"], meta["return_var"], meta["return_count"])
-    return meta, env
 
 
 def _running(mean, var, count) -> RunningMeanStd:

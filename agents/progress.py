@@ -8,7 +8,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from soil_env._io.document import Table
 
-console = Console()  # that the commands of this package print on
+console = Console()  # output of all commands of this package
 
 
 class Bar:
@@ -40,7 +40,7 @@ class Bar:
             self.live.stop()
 
     def update(self, done: int | None = None, advance: int = 0, note: str = "") -> None:
-        """Set or advance what is done; `note` says what is going on."""
+        """Set or advance the amount done; `note` is shown beside it."""
         self.done = self.done + advance if done is None else done
         if self.live:
             self.live.update(self.task, completed=self.done, note=note)

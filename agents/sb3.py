@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from .extras import advice, lacks
+from .cli import lacks_training
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    if lacks(error, "train"):
-        raise ModuleNotFoundError(f"{__name__} needs {advice('train')}", name=error.name) from None
+    if lacks_training(error):
+        raise ModuleNotFoundError(
+            f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'", name=error.name
+        ) from None
     raise
 
 from soil_env._io.loading import unknown_value
@@ -44,20 +46,15 @@ def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
     return truth(course) if critic else ()
 
 
-def scaling_of(observation: str, course: CourseSpec, critic: str = "", scaled: bool = True) -> Scaling:
-    """What `SoilWheelVecEnv` observes: its entries, their space, and how they are brought to order one."""
-    return Scaling((*layout(observation, course), *privileged(critic, course)), scaled)
-
-
 class CourseVecEnv(VecEnv):
     """Base: many courses for SB3, a finished one reset within the same step, as SB3 expects.
 
     Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
     ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
-    not be written to. A subclass makes `simulation` in `_begin`.
+    not be written to. A subclass makes `simulation`.
     """
 
-    critic, privileged = "", 0  # what only the value network sees, and its entries
+    critic, privileged = "", 0  # entries for the value network alone: their kind, and their number
 
     def __init__(self, num_envs, threads, scenario, observation, scaling, actions, model):
         check_count("num_envs", num_envs)
@@ -76,7 +73,6 @@ class CourseVecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, dtype=np.int64)
         self._start = time.time()
-        self.seconds = 0.0  # spent in `step_wait`
         self._unseeded = True
 
     def reset(self) -> np.ndarray:
@@ -103,7 +99,7 @@ class CourseVecEnv(VecEnv):
 
     def step_wait(self):
         """One action; (observations, rewards, dones, infos)."""
-        worlds, start = self.simulation.worlds, time.perf_counter()
+        worlds = self.simulation.worlds
         self._step(self._commands)
         self._returns += worlds.reward
         self._lengths += 1
@@ -121,7 +117,6 @@ class CourseVecEnv(VecEnv):
             self.simulation.restart_where(done)
             self._returns[done] = 0.0
             self._lengths[done] = 0
-        self.seconds += time.perf_counter() - start
         return self._seen(), rewards, done, infos
 
     def _seen(self) -> np.ndarray:
@@ -169,10 +164,11 @@ class SoilWheelVecEnv(CourseVecEnv):
         **changes,
     ):
         scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        scaling = scaling_of(observation, scenario.course, critic, scaled)
+        own, extra = layout(observation, scenario.course), privileged(critic, scenario.course)
+        scaling = Scaling((*own, *extra), scaled)
         super().__init__(num_envs, threads, scenario, observation, scaling, action_space(), model)
-        self.critic, self.privileged = critic, len(privileged(critic, scenario.course))
-        self.observation_names = tuple(e.name for e in layout(observation, scenario.course))
+        self.critic, self.privileged = critic, len(extra)
+        self.observation_names = tuple(e.name for e in own)
         self.simulation = Simulation(self.num_envs, scenario, observation, threads=threads, model=self.model)
 
     def _step(self, commands: np.ndarray) -> None:

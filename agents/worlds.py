@@ -9,7 +9,8 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.catalogue import CATALOGUE, Effect, EffectParameter
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 #: Effects that act in the simulated world on a course driven once; the others need a measuring rig or a second pass.
@@ -53,11 +54,6 @@ class SeveralWorlds(VecEnv):
         self.render_mode = None
         super().__init__(sum(p.num_envs for p in self.parts), first.observation_space, first.action_space)
         self._ends = np.cumsum([p.num_envs for p in self.parts])
-
-    @property
-    def seconds(self) -> float:
-        """Spent in `step_wait`."""
-        return sum(p.seconds for p in self.parts)
 
     def reset(self) -> np.ndarray:
         """New courses for all wheels."""

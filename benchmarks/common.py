@@ -1,23 +1,24 @@
-"""What several benchmarks share: the machine, rounds of a measurement, intervals, options, pages with marked parts."""
+"""Shared by the benchmarks: rounds of a measurement, the machine, options, results as JSON with a page of tables."""
 
 from __future__ import annotations
 
 import argparse
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from soil_env._io.commands import command_parser, folder
-from soil_env._io.document import renewed
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.document import Table
+from soil_env._io.files import check_outputs, make_folder, plain, replace_files
 
 ROOT = Path(__file__).resolve().parent.parent
-#: Changes of a scenario for drives by torque, one action a control period.
-TORQUE = {"control": {"action": "torque"}}
+RESULTS = ROOT / "docs" / "results"
 
 
 def spread(values) -> dict[str, float]:
@@ -25,32 +26,31 @@ def spread(values) -> dict[str, float]:
     return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
 
 
-def ratio_of_sums(top: np.ndarray, bottom: np.ndarray, picks: np.ndarray, root: bool = False) -> dict:
-    """Value and 95 % bootstrap interval over courses of sum(top)/sum(bottom), per column of [courses, ...].
-
-    Of its square root with `root`; `picks` [draws, courses] are the courses of each draw.
-    """
-
-    def value(t, b):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            q = t / b
-        return np.sqrt(q) if root else q
-
-    counts = np.stack([np.bincount(p, minlength=len(top)) for p in picks]).astype(float)  # [draws, courses]
-    drawn = value(np.tensordot(counts, top, 1), np.tensordot(counts, bottom, 1))
-    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
-    whole = value(top.sum(0), bottom.sum(0))
-    return {"value": np.asarray(whole).tolist(), "low": np.asarray(low).tolist(), "high": np.asarray(high).tolist()}
-
-
 def range_text(value: dict, digits: int = 2, scale: float = 1.0) -> str:
-    """A `spread` as text: the median with the lowest and the highest round."""
+    """Text of a `spread`: the median with the lowest and the highest round."""
     median, low, high = (f"{value[k] * scale:,.{digits}f}" for k in ("median", "low", "high"))
     return f"{median} ({low}-{high})"
 
 
-def machine() -> dict:
-    """What the figures were measured on."""
+def share(values: Iterable[bool]) -> dict | None:
+    """{count, of, value, low, high} with the 95 % interval of Wilson (1927); None of nothing."""
+    values = [bool(v) for v in values]
+    if not values:
+        return None
+    interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
+    value = sum(values) / len(values)
+    return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
+
+
+def percent(value: dict | None) -> str:
+    """Text of a share with its interval [%] and the number of cases."""
+    if value is None:
+        return "-"
+    return f"{100 * value['value']:.1f} [{100 * value['low']:.1f}, {100 * value['high']:.1f}] of {value['of']}"
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, load and versions that figures are measured with."""
     name = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -60,36 +60,50 @@ def machine() -> dict:
     return {
         "processor": name,
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "python": platform.python_version(),
-    } | {name: version(name) for name in ("numpy", "numba", "llvmlite")}
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None, "python": platform.python_version(),
+    } | {name: version(name) for name in ("numpy", "numba")}  # fmt: skip
 
 
-def machine_text(machine: dict, *packages: str, also: str = "") -> str:
-    """`machine` as text, with the versions of `packages`."""
+def machine_text(machine: dict[str, Any]) -> str:
+    """Text of `machine`."""
     load = "" if machine["load"] is None else f", load average {machine['load']:.1f} at the start"
-    versions = "".join(f", {name} {machine[name]}" for name in packages)
-    return f"{machine['processor']}, {machine['cores']} cores{also}{load}; Python {machine['python']}{versions}"
+    versions = f"Python {machine['python']}, numpy {machine['numpy']}, numba {machine['numba']}"
+    return f"{machine['processor']}, {machine['cores']} cores{load}; {versions}"
 
 
-def study_parser(name: str, description: str, files: str, out: Path | None = ROOT / "docs") -> argparse.ArgumentParser:
-    """Parser with --smoke, and --out for the folder of `files`, which are not written where `out` is None and none is
-    given."""
-    p = command_parser(name, description)
+def study_parser(name: str, description: str | None) -> argparse.ArgumentParser:
+    """Parser of `python -m benchmarks.NAME` with --smoke and --out."""
+    p = command_parser(f"python -m benchmarks.{name}", description)
     p.add_argument("--smoke", action="store_true", help="every part in seconds, numbers without meaning")
-    p.add_argument(
-        "--out", metavar="OUT", type=folder, default=out,
-        help=f"folder of {files} (default: {out or 'none, only printed'})",
-    )  # fmt: skip
+    p.add_argument("--out", metavar="OUT", type=folder, default=RESULTS,
+                   help=f"folder of {name}.json and {name}.md (default docs/results)")  # fmt: skip
     return p
 
 
-def check_page(page: Path, *names: str) -> None:
-    """Before the work: ParameterError or OSError if these parts of a page could not be renewed."""
-    make_folder(page.parent)
-    renewed(page.read_text(encoding="utf-8"), dict.fromkeys(names, ""), page)
+def ready(out: Path, name: str) -> Path:
+    """Make the folder of the results and return the JSON file. Raises OSError before the work if it is no use."""
+    check_outputs(out, (f"{name}.json", f"{name}.md"))
+    make_folder(out)
+    return out / f"{name}.json"
 
 
-def renew_page(page: Path, parts: Mapping[str, str], out: Path | None = None) -> None:
-    """Put text between the markers of a page; written to `out`, by default the page itself."""
-    replace_file(out or page, renewed(page.read_text(encoding="utf-8"), parts, page))
+def page(title: str, text: str, tables: Mapping[str, Table]) -> str:
+    """Page of Markdown: a title, a paragraph and tables under their headings."""
+    parts = [f"## {heading}\n\n{table.markdown()}" for heading, table in tables.items()]
+    return "\n\n".join([f"# {title}", text, *parts]) + "\n"
+
+
+def write(out: Path, name: str, text: str) -> None:
+    """Write the page NAME.md, print it and say where it is."""
+    replace_files(out, {f"{name}.md": text})
+    print(f"{text}\nWritten: {out / name}.json and .md", flush=True)
+
+
+def short(result: Any, digits: int = 5) -> Any:
+    """Plain values of a result with so many significant digits."""
+    result = plain(result)
+    if isinstance(result, dict):
+        return {key: short(value, digits) for key, value in result.items()}
+    if isinstance(result, list):
+        return [short(value, digits) for value in result]
+    return float(f"{result:.{digits}g}") if isinstance(result, float) else result

@@ -1,4 +1,4 @@
-"""Drives with everything that was true along them, for judging what is identified: `record`, and where it is driven."""
+"""Drives of wheels and rovers with the true soil along them, for judging what is identified."""
 
 from __future__ import annotations
 
@@ -11,17 +11,35 @@ from agents.controllers import CONTROLLERS, ConstantSpeed, SoftStart, make_contr
 from agents.evaluate import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import IDLE, STEP
 from soil_env.parameters import Scenario
+from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
+from soil_env.vehicle import RoverScenario, load_rover
 
-#: What is judged, with its unit; the first five in the order of `Identifiers.estimate`.
+#: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
+SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
 _STATE = ("x", "slip", "sinkage", "mass", "load", "grade", "wheel_speed", "bearing_sinkage", "halt_left", "last_action")
 _READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
+
+
+@compiled_root
+def _grounds(x, patch, course, courses, border, out):
+    """Soil [7] under each wheel, number of its patch, distance behind its beginning [m]."""
+    for k in range(x.size):
+        soil, _, here = ground_at(courses, course[k], x[k], patch[k], border)
+        for j in range(7):
+            out[k, j] = soil[j]
+        out[k, 7], out[k, 8] = here, x[k] - courses.edges[course[k], here]
+
+
+# --- a wheel ----------------------------------------------------------------------------------------------------------
 
 
 class SwingingSpeed(ConstantSpeed):
@@ -30,41 +48,26 @@ class SwingingSpeed(ConstantSpeed):
     name = "swinging_speed"
 
     def rim_speed(self, observation, state):
-        """The speed of this period [m/s], [n]."""
+        """Rim speed of this period [m/s], [n]."""
         t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
         return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
-def ramp(scenario: Scenario) -> SoftStart:
-    """A rim speed that rises slowly all the time, in 15 s to the highest."""
-    controller = SoftStart(scenario)
-    top = controller.top_speed
-    return make_controller("soft_start", scenario, acceleration=top / 15.0, speed=top)
-
-
 def controller_of(name: str, scenario: Scenario) -> Any:
-    """A controller by the name that a row has: one of `CONTROLLERS` as it ships, "swinging_speed" or "ramp"."""
+    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s to the highest."""
     if name == "swinging_speed":
         return SwingingSpeed(scenario)
     if name == "ramp":
-        return ramp(scenario)
+        top = SoftStart(scenario).top_speed
+        return make_controller("soft_start", scenario, acceleration=top / 15.0, speed=top)
     assert name in CONTROLLERS
     return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
-
-
-@compiled_root
-def _grounds(state, counts, courses, border, out):
-    for k in range(len(out)):
-        soil, _, patch = ground_at(courses, k, state.x[k], counts.patch[k], border)
-        for j in range(7):
-            out[k, j] = soil[j]
-        out[k, 7] = state.x[k] - courses.edges[k, patch]
 
 
 def record(
     controller: Any, scenario: Scenario, courses: int, seed: int, model: WheelSoilModel | None = None
 ) -> list[dict[str, np.ndarray]]:
-    """Drive courses of a seed: of each a log of T control periods.
+    """Drive courses of a seed; return of each a log of T control periods.
 
     `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
     them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
@@ -74,9 +77,10 @@ def record(
     r, top = wheel.radius, wheel.radius * wheel.no_load_speed
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
-    rows, readings, known, running, ground = [], [], [], [], np.empty((courses, 8))
+    rows, readings, known, running, ground = [], [], [], [], np.empty((courses, 9))
     for w, alive in drive(controller, scenario, seed, 0, courses, model=model):
-        _grounds(w.state, w.counts, w.courses, scenario.course.border, ground)
+        x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
+        _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
         rows.append(np.column_stack([ground, *(np.array(w.state[name]) for name in _STATE)]))
         readings.append(w.observation[:, _READ] * scale)
         known.append(np.column_stack([w.ids.estimate, w.ids.best_pull[:, 0], w.ids.sd, w.ids.best_pull[:, 1]]))
@@ -85,8 +89,8 @@ def record(
     logs = []
     for k in range(courses):
         T, patches = int(running[:, k].sum()), int(w.courses.patches[k])
-        log = dict(zip(_STATE, rows[:T, k, 8:].T.copy(), strict=True))
-        log["soil"], log["since"] = rows[:T, k, :7].copy(), rows[:T, k, 7].copy()
+        log = dict(zip(_STATE, rows[:T, k, 9:].T.copy(), strict=True))
+        log["soil"], log["since"] = rows[:T, k, :7].copy(), rows[:T, k, 8].copy()
         log["readings"] = np.ascontiguousarray(readings[:T, k])
         log["estimate"], log["sd"] = known[:T, k, :6].copy(), known[:T, k, 6:].copy()
         log["edges"], log["soils"] = w.courses.edges[k, 1:patches].copy(), w.courses.soils[k, :patches].copy()
@@ -108,3 +112,74 @@ def truth(soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Sce
     return np.column_stack(
         [np.arctan(soil[:, 0]), np.log(soil[:, 2]), ln_s, soil[:, 1], gain, np.maximum(pull / load, -1.0)]
     )
+
+
+# --- a rover ----------------------------------------------------------------------------------------------------------
+
+
+def rover_scenario(rover: str) -> RoverScenario:
+    """Scenario of a rover, driven by rim speeds."""
+    return load_rover(rover, {"control": {"action": "wheel_speed", "repeat": 1}})
+
+
+class SwingingSlip:
+    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of its own.
+
+    The speeds change as slowly as the rim's, and are at least 30 % of the highest at no slip.
+    """
+
+    def __init__(self, scenario: RoverScenario) -> None:
+        top = scenario.wheel.radius * scenario.wheel.no_load_speed
+        self.period: float = scenario.control.period
+        self.step: float = scenario.control.rim_acceleration * self.period / top
+        self.phase = 2.0 * math.pi * np.arange(scenario.axles) / scenario.axles
+        self.time, self.speed, self.last = 0.0, None, None
+
+    def __call__(self, speed: np.ndarray) -> np.ndarray:
+        """Rim speeds from the measured speeds of the bodies [rovers], of the highest rim speed."""
+        self.speed = speed if self.speed is None else self.speed + 0.05 * (speed - self.speed)
+        slip = 0.2 + 0.18 * np.sin(2.0 * math.pi * self.time / SWING_PERIOD + self.phase)
+        rim = np.clip(np.maximum(self.speed, 0.3)[:, None] / (1.0 - slip), 0.0, 0.8)
+        if self.last is not None:
+            rim = self.last + np.clip(rim - self.last, -self.step, self.step)
+        self.time, self.last = self.time + self.period, rim
+        return rim
+
+
+class ConstantSpeeds:
+    """Rim speeds [rovers, axles] of half the highest."""
+
+    def __init__(self, scenario: RoverScenario) -> None:
+        self.axles: int = scenario.axles
+
+    def __call__(self, speed: np.ndarray) -> np.ndarray:
+        """Rim speeds, whatever the measured speeds [rovers]."""
+        return np.full((len(speed), self.axles), 0.5)
+
+
+def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any) -> dict[str, np.ndarray]:
+    """Drive courses of a seed; return arrays [T, courses, axles, ...].
+
+    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
+    "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own filter, and of all wheels.
+    """
+    simulation = RoverSimulation(courses, scenario, "blind", 2)
+    for j in range(courses):
+        simulation.seed(j, np.random.default_rng([seed, j]))
+    simulation.restart_where(np.ones(courses, dtype=bool))
+    w, rows = simulation.worlds, simulation.wheels
+    going, log = np.ones(courses, dtype=bool), []
+    course, ground = np.repeat(np.arange(courses), rows.shape[1]), np.empty((rows.size, 9))
+    while going.any():
+        simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
+        x, patch = np.array(w.rovers.wheels["x"])[rows.ravel()], np.array(w.rovers.counts["patch"])[rows.ravel()]
+        _grounds(x, patch, course, w.courses, scenario.course.border, ground)
+        soil = np.column_stack([np.arctan(ground[:, 0]), np.log(ground[:, 2]), ground[:, 1], ground[:, 7:]])
+        driven = going & (np.array(w.rovers.body["halt_left"]) == 0.0)
+        log.append({
+            "soil": soil.reshape(*rows.shape, 5), "driven": np.repeat(driven[:, None], rows.shape[1], 1),
+            "alone": w.ids.estimate[rows], "alone_sd": w.ids.sd[rows],
+            "pooled": w.known.estimate[rows], "pooled_sd": w.known.sd[rows],
+        })  # fmt: skip
+        going &= w.cause == Cause.RUNNING.value
+    return {name: np.array([row[name] for row in log]) for name in log[0]}

@@ -1,35 +1,31 @@
 """Train PPO of Ray RLlib on the vector environment.
 
-    pip install "soil_env[rllib]"                          in an environment of its own: RLlib pins gymnasium 1.2.2
-    python examples/rllib_ppo.py                           a minute: mean return from -9.9 to 1.3, docs/clients.md
+    pip install soil_env "ray[rllib]>=2.60,<2.61" torch    in an environment of its own: RLlib pins gymnasium 1.2.2
+    python examples/rllib_ppo.py                           some minutes
     python examples/rllib_ppo.py --runners 2 --iterations 400
 
-RLlib makes the environment by its name in every env runner, many wheels in one call. Its connectors then handle wheel
-by wheel in Python, which takes most of the time, about ten times what Stable-Baselines3 takes for a step.
+RLlib makes the environment by its name in every env runner, many wheels in one call. Its connectors then handle each
+wheel in Python, which takes most of the time.
 """
 
 import argparse
 from collections import deque
 
 import numpy as np
-
-from soil_env_agents.extras import needing
-
-with needing("rllib", "rllib_ppo.py"):
-    import ray
-    import torch
-    from ray.rllib.algorithms.ppo import PPOConfig
-    from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
-    from ray.rllib.connectors.env_to_module import MeanStdFilter
-    from ray.rllib.core.rl_module import RLModuleSpec
-    from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+import ray
+import torch
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
+from ray.rllib.connectors.env_to_module import MeanStdFilter
+from ray.rllib.core.rl_module import RLModuleSpec
+from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
 
 class Driving(DefaultPPOTorchRLModule):
     """RLlib's policy and value, with a policy that drives at first: exploring around full stop would teach to stall."""
 
     def setup(self):
-        """Mean action 0.3, standard deviation 0.2 whatever is seen."""
+        """Begin with the mean action 0.3 and the standard deviation 0.2."""
         super().setup()
         last = [layer for layer in self.pi.modules() if isinstance(layer, torch.nn.Linear)][-1]
         with torch.no_grad():

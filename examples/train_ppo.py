@@ -24,10 +24,11 @@ with needing("train", "train_ppo.py"):
     from stable_baselines3.common.callbacks import BaseCallback
 
     from soil_env_agents import ppo
+    from soil_env_agents.agent import load_agent
 
 
 class Returns(BaseCallback):
-    """Keeps the return of every finished course."""
+    """Record the return of every finished course."""
 
     def __init__(self):
         super().__init__()
@@ -46,7 +47,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--steps", type=int, default=1_000_000)
     p.add_argument("--courses", type=int, default=200, help="held-out courses of the comparison")
-    p.add_argument("--save", type=Path, default=Path("agent.zip"), help="the agent, for agents.evaluate")
+    p.add_argument("--save", type=Path, default=Path("agent.zip"), help="the agent, for soil-env evaluate")
     p.add_argument("--out", default="training.png", help="the picture")
     options = p.parse_args()
 
@@ -55,7 +56,7 @@ def main() -> None:
     model.learn(options.steps, callback=seen)
     ppo.save(model, options.save)
     for name, who in (
-        ("ppo", ppo.load_agent(options.save)),
+        ("ppo", load_agent(options.save)),
         ("full throttle", make_controller("full_throttle", scenario)),
     ):
         runs = run_courses(who, scenario, HELD_OUT_SET, options.courses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, FieldError, quantity
 
 MOST_CLASSES = 6  # terrain classes of a course
 
@@ -53,20 +53,22 @@ class CourseSpec(Checked):
         if self.lines > 1:
             self._check_lines()
         if self.border > self.patch_length[0]:
-            raise ParameterError(
-                f"CourseSpec.border = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
+            raise FieldError(
+                self, "border", f" = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
             )
 
     def _check_lines(self) -> None:
         if self.classes < 2:
-            raise ParameterError(f"CourseSpec.classes = {self.classes}: expected at least 2 where lines = 2")
+            raise FieldError(self, "classes", f" = {self.classes}: expected at least 2 where lines = 2")
         if self.halt_time == 0.0:
-            raise ParameterError("CourseSpec.halt_time = 0: expected halts where lines = 2, to choose a line in")
+            raise FieldError(self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in")
         low, high = self.halt_before
         if low < self.border or high > self.patch_length[0] - self.border:
-            raise ParameterError(
-                f"CourseSpec.halt_before = {self.halt_before}: expected between the border, {self.border} m, and the "
-                f"shortest patch less the border, {self.patch_length[0] - self.border:g} m"
+            raise FieldError(
+                self,
+                "halt_before",
+                f" = {self.halt_before}: expected between the border, {self.border} m, and the "
+                f"shortest patch less the border, {self.patch_length[0] - self.border:g} m",
             )
 
 

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from soil_env._io.loading import (
     Checked,
+    FieldError,
     ParameterError,
     config_dir as config_dir,  # a public name here
     load,
@@ -37,6 +38,7 @@ from soil_env.soil_parameters import (
 )
 
 _HEAVIEST = 1e9  # weight of a soil
+LARGEST_WHEEL = 3.0  # [m]
 
 # --- wheel ------------------------------------------------------------------------------------------------------------
 
@@ -50,8 +52,8 @@ class Wheel(Checked):
     of body_mass radius^2 is refused: no geared drive is that light, and the wheel would spin up within a step.
     """
 
-    radius: float = quantity("m", 0.01, 3.0)
-    width: float = quantity("m", 0.005, 3.0)
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
     inertia: float = quantity("kg m2", 1e-6, 1e5, doc="at least 2 % of body_mass radius^2")
     stall_torque: float = quantity("N m", 1e-3, 1e6)
     no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
@@ -62,9 +64,15 @@ class Wheel(Checked):
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
-            raise ParameterError(
-                f"Wheel.inertia = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
+            raise FieldError(
+                self, "inertia", f" = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
             )
+
+
+def check_lugs(height: float, radius: float) -> None:
+    """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
+    if height >= radius:
+        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
 
 
 # --- sensors, belief, task --------------------------------------------------------------------------------------------
@@ -182,7 +190,7 @@ class Control(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.repeat is not None and self.repeat != int(self.repeat):
-            raise ParameterError(f"Control.repeat = {self.repeat!r}: expected a whole number")
+            raise FieldError(self, "repeat", f" = {self.repeat!r}: expected a whole number")
 
     @property
     def held(self) -> int:

@@ -59,7 +59,7 @@ class Soil(Checked):
         super().__post_init__()
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair != (2 if self.sinkage_coefficient is None else 0):
-            raise ParameterError("Soil: expected either sinkage_coefficient, or both k_c and k_phi")
+            raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi")
 
     @property
     def tan_phi(self) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, FieldError, ParameterError, quantity
 from soil_env.parameters import Scenario, load_scenario_as, shipped
 
 MOST_AXLES = 3
@@ -32,28 +32,32 @@ class Vehicle(Checked):
     source: str = ""
 
     def __post_init__(self) -> None:
-        count, place = len(self.axles), f"Vehicle.axles = {self.axles!r}"
+        count, given = len(self.axles), f" = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
-            raise ParameterError(f"{place}: expected 2 or 3 axles")
+            raise FieldError(self, "axles", f"{given}: expected 2 or 3 axles")
         if self.axles[0] != 0.0 or any(b <= a for a, b in zip(self.axles, self.axles[1:], strict=False)):
-            raise ParameterError(
-                f"{place}: expected metres behind the front axle, front to rear: 0 first, each larger than the last"
+            raise FieldError(
+                self,
+                "axles",
+                f"{given}: expected metres behind the front axle, front to rear: 0 first, each larger than the last",
             )
         super().__post_init__()
         if (self.bogie == "none") != (count == 2):
             known = "'none' with two axles" if count == 2 else "'front' or 'rear' with three axles"
-            raise ParameterError(f"Vehicle.bogie = {self.bogie!r}: expected {known}")
+            raise FieldError(self, "bogie", f" = {self.bogie!r}: expected {known}")
         if self.bogie != "none":
             first = self.first_on_bogie
             low, high = self.axles[first], self.axles[first + 1]
             if not low < self.pivot < high:
-                raise ParameterError(
-                    f"Vehicle.pivot = {self.pivot}: expected between the axles of the bogie, {low} and {high}"
+                raise FieldError(
+                    self, "pivot", f" = {self.pivot}: expected between the axles of the bogie, {low} and {high}"
                 )
         if min(self.shares) < 0.02:
-            raise ParameterError(
-                f"Vehicle.centre = {self.centre}: expected between the axles, so that each bears at least 2 % of the "
-                f"weight; they bear {', '.join(f'{s:.3g}' for s in self.shares)}"
+            raise FieldError(
+                self,
+                "centre",
+                f" = {self.centre}: expected between the axles, so that each bears at least 2 % of the "
+                f"weight; they bear {', '.join(f'{s:.3g}' for s in self.shares)}",
             )
 
     @property
@@ -89,19 +93,23 @@ class RoverScenario(Scenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.course.classes:
-            raise ParameterError(f"RoverScenario.course.classes = {self.course.classes}: expected 0 for a rover")
+            raise FieldError(self, "course.classes", f" = {self.course.classes}: expected 0 for a rover")
         places, least = self.vehicle.axles, 2.0 * self.wheel.radius
         nearest = min(b - a for a, b in zip(places, places[1:], strict=False))
         if nearest < least:
-            raise ParameterError(
-                f"RoverScenario.vehicle.axles = {places!r}: expected wheels of {self.wheel.radius:g} m radius apart, "
-                f"axles at least {least:g} m behind each other"
+            raise FieldError(
+                self,
+                "vehicle.axles",
+                f" = {places!r}: expected wheels of {self.wheel.radius:g} m radius apart, "
+                f"axles at least {least:g} m behind each other",
             )
         share = mass_of_wheel(self.vehicle)
         if abs(self.wheel.body_mass - share) > 1e-6 * share:
-            raise ParameterError(
-                f"RoverScenario.wheel.body_mass = {self.wheel.body_mass:g}: expected none, or the vehicle's mass over "
-                f"its number of wheels, {share:g} kg"
+            raise FieldError(
+                self,
+                "wheel.body_mass",
+                f" = {self.wheel.body_mass:g}: expected none, or the vehicle's mass over "
+                f"its number of wheels, {share:g} kg",
             )
 
     @property

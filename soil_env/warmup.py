@@ -1,18 +1,14 @@
-"""Compile what environments, online identifier, commands and examples need, once: `python -m soil_env.warmup`.
+"""Compilation of everything that environments, online identifier, commands and examples use (`soil-env warmup`).
 
-For an image, a machine without a display of messages, or before many processes start at once.
+For an image, or before many processes start at once.
 """
 
 from __future__ import annotations
-
-import time
 
 import gymnasium
 import numpy as np
 
 import soil_env  # noqa: F401  (registers the environments)
-from soil_env._io.commands import command_line, command_parser, leave
-from soil_env._numba.cache import place
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.effects import excavation_rate, sliding_speed
@@ -60,17 +56,3 @@ def _warm_up_the_paper() -> None:
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)
-
-
-@command_line("soil_env.warmup", "soil-env-warmup")
-def main(arguments: list[str] | None = None) -> int:
-    """Compile, and say how long it took and where the code is kept; returns the exit status."""
-    command_parser("python -m soil_env.warmup", __doc__).parse_args(arguments)
-    start = time.perf_counter()
-    warm_up()
-    print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
-    return 0
-
-
-if __name__ == "__main__":
-    leave(main())

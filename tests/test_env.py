@@ -421,11 +421,11 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
 
 def test_extreme_estimates_do_not_stop_the_episode():
     """The box of the identifier's unknowns is wider than anything drawn: each corner must still give a warning."""
-    from soil_env.paper.safeguarded import LOWER, UPPER
-
+    lower = math.radians(1.0), math.log(2e-4), math.log(1e3)
+    upper = math.radians(89.5), math.log(0.3), math.log(1e13)
     env = SoilWheelEnv()
     env.reset(seed=0)
-    for corner in np.array(np.meshgrid(*zip(LOWER, UPPER, strict=True))).T.reshape(-1, 3):
+    for corner in np.array(np.meshgrid(*zip(lower, upper, strict=True))).T.reshape(-1, 3):
         env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
         env.infos.renew(np.ones(1, dtype=bool))
         assert all(

@@ -1,8 +1,8 @@
 """Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
 
-They work on batches of observations [n, D] in the layout of `soil_env.simulation.task` and know the scenario's wheel (radius,
-motor, weight), as an engineer would; the soil they know only where the name says so. All but `full_throttle` and
-`constant_torque` set a rim speed, which the drive follows whatever the action of the scenario is.
+They work on batches of observations [n, D] in their units and know the wheel of the scenario (radius, motor, weight).
+The true soil is an input of `best_slip_true` alone. All but `full_throttle` and `constant_torque` set a rim speed; the
+drive follows it with any action of the scenario.
 
 | name | rim speed | observation |
 |------|-----------|-------------|
@@ -63,8 +63,11 @@ CONTROLLERS: dict[str, type[Controller]] = {
 
 
 def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:
-    """Settings of the controller `name` as numbers; ParameterError with one line that begins with `where` for an
-    unknown one, no number, or one that the controller or the motor cannot hold."""
+    """Settings of the controller `name` as numbers.
+
+    ParameterError, in one line that begins with `where`, for an unknown key, a value that is no number, or a value that
+    the controller or the motor cannot hold.
+    """
     if name not in CONTROLLERS:
         raise unknown_value(name, CONTROLLERS, "controller")
     known, out = CONTROLLERS[name].bounds, {}

@@ -1,4 +1,4 @@
-"""What all classical controllers share: settings that are checked, and the loop that makes an action of a rim speed."""
+"""Base of the classical controllers: checked settings, and the control loop from a rim speed to an action."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import layout
 
-_CHOICE = 0.01  # least action that chooses a line; the drive is held meanwhile
+_CHOICE = 0.01  # smallest action that chooses a line; the drive is held meanwhile
 
 
 class Setting(NamedTuple):
-    """A number that a controller can be set to. A speed of the rim is bounded by the top rim speed."""
+    """A setting of a controller. A rim speed is bounded by the top rim speed."""
 
     default: float  # in its unit; of a rim speed: share of the top rim speed
     unit: str
     meaning: str
     high: float = math.inf
-    zero: bool = False  # whether 0 is allowed
+    zero: bool = False  # 0 is allowed
     rim_speed: bool = False
 
 
@@ -32,14 +32,14 @@ ACCELERATION = Setting(0.1, "m/s2", "of the rim, from rest and after halts", hig
 class Controller:
     """Base: a rim speed that the drive follows.
 
-    With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance follows it; with
-    `wheel_speed` and `rim_acceleration` the drive's own loop does, whose droop is made up for.
+    With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance follows it. With
+    `wheel_speed` and `rim_acceleration` the drive's own loop follows it, and its droop is compensated.
     """
 
     name = "controller"
-    variant = "blind"  # the observation it reads
-    bounds: dict[str, Setting] = {}  # what can be set
-    #: What `state` holds between calls: columns of each entry, 0: one number a row.
+    variant = "blind"  # observation that the controller reads
+    bounds: dict[str, Setting] = {}  # by name
+    #: Entries of `state` between calls: {name: columns}, 0 for one number a row.
     memory: dict[str, int] = {"integral": 0}
     rolling = 0.12  # feed-forward of the motion resistance, as a share of the load
 
@@ -53,7 +53,7 @@ class Controller:
         self.change = scenario.control.rim_acceleration * self.period / self.top_speed  # of command by an action of 1
         self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
-        #: What can be set, as it is.
+        #: Values of the settings.
         self.settings = {
             name: settings.get(name, setting.default * (self.top_speed if setting.rim_speed else 1.0))
             for name, setting in self.bounds.items()
@@ -73,9 +73,9 @@ class Controller:
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def beside(self, batch: np.ndarray) -> np.ndarray:
-        """Where a line over the next patch is to be chosen: whether the one beside is the better one, [n] bool.
+        """Mask [n] of the rows where the line beside is better than the one ahead.
 
-        It is where its margin is higher, as far as the observation tells it, else where it is less steep.
+        The better line has the higher margin, or is less steep if the observation has no margin.
         """
         if "choice" not in self.column:
             return np.zeros(len(batch), dtype=bool)
@@ -84,7 +84,7 @@ class Controller:
         return batch[:, self.column["beside_grade"]] < batch[:, self.column["ahead_grade"]]
 
     def chosen(self, batch: np.ndarray, action: np.ndarray, beside: np.ndarray) -> np.ndarray:
-        """Actions [n, 1] whose sign chooses a line at the halts where one is to be chosen."""
+        """Actions [n, 1]; their sign chooses a line at the halts before a fork."""
         if "choice" not in self.column:
             return action
         sign = np.where(beside, np.float32(-_CHOICE), np.maximum(action[:, 0], np.float32(_CHOICE)))
@@ -102,7 +102,7 @@ class Controller:
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
     def begin(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
-        """A state of its own for a call with observations [n, D]; rows that are `fresh` [n] begin a course."""
+        """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a course."""
         if state is None or len(state["integral"]) != len(batch):
             state = {name: np.zeros((len(batch), n) if n else len(batch)) for name, n in self.memory.items()}
             fresh = np.ones(len(batch), dtype=bool)
@@ -118,7 +118,7 @@ class Controller:
         return state
 
     def halted(self, batch):
-        """Which wheels are at a commanded halt [n] bool."""
+        """Mask [n] of the wheels at a commanded halt."""
         return batch[:, self.column["halted"]] > 0.5
 
     def _feed_forward(self, batch):
@@ -142,7 +142,7 @@ class Controller:
 
 
 class Ramped(Controller):
-    """Base: from rest, and after every halt, the rim speed rises by no more than an acceleration."""
+    """Base: the rim speed rises by at most an acceleration, from rest and after every halt."""
 
     bounds = {"acceleration": ACCELERATION, "speed": SPEED}
     memory = {**Controller.memory, "ramp": 0}

@@ -1,4 +1,4 @@
-"""Controllers that do not look at the ground: a constant command, a constant rim speed, a soft start."""
+"""Controllers without knowledge of the ground: a constant command, a constant rim speed, a soft start."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class FullThrottle(Controller):
 
 
 class ConstantTorque(FullThrottle):
-    """A constant command: a share of the stall torque, or of whatever else the action is."""
+    """A constant command, as a share of the largest action."""
 
     name = "constant_torque"
     bounds = {"share": Setting(0.4, "of the highest action", "the command", high=1.0)}

@@ -1,14 +1,13 @@
-"""A planner that tries out what will happen, on clones of the true world: the limit of the task, not a rival.
+"""Oracle: a planner on clones of the true world, as the limit of the task (model predictive control by sampling).
 
-Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times, and every clone drives
-by a plan of its own to a horizon of many seconds, halts and ruts included: back away, then ramp the rim speed up to a
-top speed, after a while by another ramp to another speed. The wheel goes on by the plan whose clone has come furthest,
-less what sitting deep costs. Plans are the one it follows, variations of that, soft starts of fixed settings, and plans
-drawn at random: random shooting with a warm start, replanned every time (model predictive control by sampling).
+Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times. Every clone drives a plan
+of its own to a horizon of several seconds, halts and ruts included: back away, ramp the rim speed up to a top speed,
+and later ramp to another speed. The wheel follows the plan with the best score: distance, less a penalty for sinkage.
+Plans are the present one, variations of it, soft starts with fixed settings, and random ones.
 
-The planner knows the true state and all of the ground to come, and where it will be halted next. What the sensors will
-read, and where the halts after that will be, it does not: its clones have random streams of their own. It tries few
-plans of one kind, so that what it finishes is a lower bound of what can be finished by one who knows the ground.
+The planner knows the true state, the ground ahead and the next halt. It does not know the sensor noise and the later
+halts, because its clones have random streams of their own. It tries few plans of one kind, so its rate of finished
+courses is a lower bound of the rate that is possible with a known ground.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from .base import Ramped
 
 EVERY = 0.5  # [s] between two plans
 HORIZON = 11.0  # [s]
-ACCELERATIONS = (0.03, 1.0)  # [m/s2] that plans are drawn from, evenly in the logarithm
+ACCELERATIONS = (0.03, 1.0)  # [m/s2] range of the plans, drawn evenly in the logarithm
 SPEEDS = (0.05, 1.0)  # [of the top rim speed]
 BACKING, BACKING_SHARE = (0.5, 4.0), 0.25  # [s] of going back, and the share of drawn plans that begin so
 BACK = -0.1  # [of the top rim speed]
-FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))  # soft starts that are always tried
-DEEP = 3.0  # [m] that a wheel at the limit of sinkage is worth less than one at none
+FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))  # soft starts, tried every time
+DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
 VARIED, DRAWN = 10, 14  # plans
 COUNT = 1 + VARIED + len(FIXED) + DRAWN
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
@@ -41,7 +40,7 @@ _RUNNING, _FINISHED = Cause.RUNNING.value, Cause.FINISHED.value
 
 
 class Plans(NamedTuple):
-    """What wheels do; arrays of one shape."""
+    """Plans of wheels; arrays of one shape."""
 
     back: np.ndarray  # [s] left of going back
     left: np.ndarray  # [s] left of the first ramp
@@ -52,7 +51,7 @@ class Plans(NamedTuple):
     beside: np.ndarray  # bool: at the next fork, the line beside
 
     def at(self, where) -> Plans:
-        """Some of them."""
+        """The plans at some rows."""
         return Plans(*(x[where] for x in self))
 
     def after(self, time: float) -> Plans:
@@ -62,7 +61,7 @@ class Plans(NamedTuple):
 
 
 class _Driver(Ramped):
-    """Follows a plan of its own for each row."""
+    """Controller that follows a plan of its own for each row."""
 
     plans: Plans
 
@@ -71,7 +70,7 @@ class _Driver(Ramped):
         super().__init__(scenario)
 
     def rim_speed(self, observation, state):
-        """Backwards as long as the plan says, then the ramps."""
+        """Backwards for the planned time, then the ramps."""
         p = self.plans
         second = p.left <= 1e-9
         acceleration, speed = np.where(second, p.second, p.first), np.where(second, p.later_speed, p.speed)
@@ -81,7 +80,7 @@ class _Driver(Ramped):
         return np.where(back, BACK * self.top_speed, state["ramp"])
 
     def beside(self, batch):
-        """As planned."""
+        """Line of the plan, [n] bool."""
         return self.plans.beside
 
     def act(self, batch, state) -> np.ndarray:
@@ -90,7 +89,7 @@ class _Driver(Ramped):
 
 
 class Oracle:
-    """The planner as a contestant; it is shown the simulation that it drives in by `attach`."""
+    """The planner with `predict`; `attach` gives it the simulation in which it plans."""
 
     name = "oracle"
 
@@ -102,14 +101,14 @@ class Oracle:
         self.simulation: Simulation | None = None
 
     def attach(self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None) -> None:
-        """Show the simulation whose observations come next; `threads` and `model` are those it was made with."""
+        """Set the simulation whose observations come next, which was made with `threads` and `model`."""
         self.simulation, wheels = simulation, simulation.worlds.cause.size
         self.clones = Simulation(wheels * COUNT, self.scenario, self.variant, threads=threads, model=model)
         self.rng = np.random.default_rng(0)
         self.driver.plans = self._soft_starts((wheels,), 0.09, 0.6)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for all wheels of the simulation; plans anew where it is time."""
+        """Actions [n, 1] for all wheels of the simulation; plans anew every `every` steps."""
         if self.simulation is None or self.simulation.worlds.cause.size != len(observation):
             raise ParameterError("oracle: predict before attach: it plans in the simulation that it drives in")
         batch = np.asarray(observation, dtype=np.float64)
@@ -184,7 +183,7 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Metres come, less what failing, standing or sitting deep costs, more for an early finish."""
+        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time saved by a finish."""
         w, s = self.clones.worlds, self.clones.worlds.state
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
         spare = (self.steps - done) * self.driver.period * self.driver.top_speed

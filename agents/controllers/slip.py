@@ -1,4 +1,4 @@
-"""Controllers of slip that know nothing of the soil: a held slip, a limited slip, extremum seeking."""
+"""Slip controllers without knowledge of the soil: a held slip, a limited slip, extremum seeking."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from soil_env.slip import rim_speeds, travel_speeds
 
 from .base import SPEED, START, Controller, Ramped, Setting
 
-MOST_SLIP = 0.95  # that a controller can hold: the rim speed for it is V/(1 - i)
+MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", high=MOST_SLIP, zero=True)
 
 
 def travel_speed(controller: Controller, observation):
-    """V [m/s], [n], from the sensors of slip and rim speed: less noisy at low speeds than the sensor of speed."""
+    """V [m/s], [n], from slip and rim speed: less noisy at low speeds than the speed sensor."""
     slip = observation[:, controller.column["slip"]]
     rim = np.maximum(observation[:, controller.column["rim_speed"]], 0.0) * controller.top_speed
     return travel_speeds(rim, np.maximum(slip, -0.9))
 
 
 class SlipFollower(Ramped):
-    """Base: the rim speed at which the wheel has a target slip, V/(1 - i), or that of the ramp where it is lower."""
+    """Base: the rim speed V/(1 - i) of a target slip i, or that of the ramp where it is lower."""
 
     bounds = {"start": START, **Ramped.bounds}
 
@@ -42,20 +42,20 @@ class SlipFollower(Ramped):
 
 
 class FixedSlip(Controller):
-    """A rim speed that holds a slip by its acceleration, from a creeping start up to a top speed.
+    """A rim speed whose acceleration holds a slip, from a creeping start up to a top speed.
 
-    A wheel that gains speed needs more pull than the slope asks for, and so has more slip: the acceleration of the rim
-    is what the slip can be controlled by, for as long as the rim speed is between start and top.
+    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The acceleration of the rim
+    therefore controls the slip while the rim speed is between start and top.
     """
 
     name = "fixed_slip"
     bounds = {"slip": _SLIP, "start": START._replace(default=0.04), "speed": SPEED}
     memory = {**Controller.memory, "rim": 0, "gain": 0}
-    step = 1.5  # [m/s2] that the acceleration changes by in an action, for a unit of slip
+    step = 1.5  # [m/s2] change of the acceleration per action and unit of slip
     most = 1.0  # [m/s2]
 
     def rim_speed(self, observation, state):
-        """The rim speed before and what it gains in an action."""
+        """The last rim speed plus its change in an action."""
         start, top = self.settings["start"], self.settings["speed"]
         error = self.settings["slip"] - observation[:, self.column["slip"]]
         rest = self.halted(observation)
@@ -81,8 +81,8 @@ class SlipLimiter(SlipFollower):
 class ExtremumSeeking(SlipFollower):
     """A limit of the slip that seeks the highest drawbar pull.
 
-    The limit swings about an estimate of the best slip. How the measured pull goes with the measured slip over the last
-    seconds (the slope of its regression) is the gradient that the estimate climbs.
+    The limit swings about an estimate of the best slip. The estimate climbs the slope of the measured pull over the
+    measured slip, a regression over the last seconds.
     """
 
     name = "extremum_seeking"

@@ -1,4 +1,4 @@
-"""Controllers that limit the slip to that of the best drawbar pull, on the soil that they believe in."""
+"""Controllers that limit the slip to that of the best drawbar pull, on the identified or the true soil."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from soil_env.terramechanics.traversability import best_points
 
 from .slip import SlipFollower
 
-CHANGE = np.array([0.01] * 7 + [0.1])  # of soil and load, at which the best slip is computed again
+CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
 
 
 class BestSlipIdentified(SlipFollower):

@@ -1,6 +1,6 @@
 """Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
 
-from .comparing import comparison, paired_difference, save, summary
+from .comparing import comparison, save
 from .driving import HELD_OUT_SET, METRICS, RATES, TUNING_SET, ControllerError, Runs, course_rng, drive, run_courses
 from .statistics import wilson
 from .tuning import tuned_settings
@@ -15,10 +15,8 @@ __all__ = [
     "comparison",
     "course_rng",
     "drive",
-    "paired_difference",
     "run_courses",
     "save",
-    "summary",
     "tuned_settings",
     "wilson",
 ]

@@ -1,85 +1,154 @@
-"""Comparison that train.py writes: rates and means of each controller with 95 % intervals, paired differences."""
+"""Comparison of controllers on the same courses: rates and means with 95 % intervals, paired differences."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
 
-from ..studies import save_csv
-from .driving import METRICS, RATES, Runs
-from .limit import limit, rows as limit_rows
-from .statistics import wilson
+from ..controllers import CONTROLLERS, make_controller
+from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from . import statistics as st
+from .driving import MEANINGS, RATES, Runs, run_courses
+from .limit import ORACLE, limit, rows as limit_rows
+from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
 
 RESAMPLES = 2000  # of the bootstraps
+#: Differences on the same courses; the last three of rovers.
+PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
+BY_SEED = ("immobilised", "finished", "return")
 
 
-def summary(runs: Runs, seed: int = 0, resamples: int = RESAMPLES) -> dict[str, dict[str, float]]:
-    """{metric: {"value", "low", "high"}} of one controller, 95 % intervals."""
-    rng = np.random.default_rng(seed)
-    n = runs.cause.size
-    out = {}
-    for name in METRICS:
-        x = runs.metric(name)
-        value = float(x.mean())
-        if name in RATES:
-            low, high = wilson(x.sum(), n)
-        else:
-            low, high = _interval(x, rng, resamples)
-        out[name] = {"value": value, "low": min(low, value), "high": max(high, value)}
-    return out
+def controllers(scenario: Scenario, settings: Mapping[str, Mapping[str, float]]) -> dict:
+    """All classical controllers of a wheel or of a rover by name, with these settings."""
+    known, make = (
+        (ROVER_CONTROLLERS, make_rover_controller)
+        if isinstance(scenario, RoverScenario)
+        else (CONTROLLERS, make_controller)
+    )
+    return {name: make(name, scenario, **settings.get(name, {})) for name in known}
 
 
-def _interval(x: np.ndarray, rng: np.random.Generator, resamples: int) -> list[float]:
-    """95 % bootstrap interval of the mean of x [n]."""
-    means = x[rng.integers(0, x.size, (resamples, x.size))].mean(axis=1)
-    return np.percentile(means, [2.5, 97.5]).tolist()
+def driven(
+    drivers: Mapping[str, Sequence],
+    scenario: Scenario,
+    seed: int,
+    courses: int,
+    progress: Callable[[int, str], None],
+    model: WheelSoilModel | None = None,
+) -> dict[str, list[Runs]]:
+    """{name: the courses of the set `seed` as each member drives them}, of {name: members}."""
+
+    def drive(driver, name: str) -> Runs:
+        return run_courses(driver, scenario, seed, courses, progress=lambda count: progress(count, name), model=model)
+
+    return {name: [drive(driver, name) for driver in members] for name, members in drivers.items()}
 
 
 def comparison(
-    scenario: Scenario, seed: int, runs: dict[str, Runs], settings: dict | None = None, oracle: Runs | None = None
+    scenario: Scenario,
+    seed: int,
+    runs: Mapping[str, Runs | Sequence[Runs]],
+    settings: Mapping | None = None,
+    oracle: Runs | None = None,
+    resamples: int = RESAMPLES,
 ) -> dict:
-    """The content of comparison.json: {"scenario", "courses", "seed", "settings", "controllers": {name: summary},
-    "paired"}, with "limit" (`agents.evaluate.limit`) where the `oracle` has driven the first courses.
+    """The content of comparison.json; `runs`: for each controller its runs, or those of each training seed.
 
-    "paired": {agent: {other: {"immobilised", "finished", "return"}}}, the agent's mean difference to each other
-    controller on the same courses, with its interval.
+    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
+    "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
+    training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
+    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (`agents.evaluate.limit`) where the
+    `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
-    paired = {
-        a: {
-            b: {m: paired_difference(runs[a], runs[b], m) for m in ("immobilised", "finished", "return")}
-            for b in runs
-            if b != a
-        }
-        for a in runs
-        if a.startswith("ppo")
-    }
+    rows = {name: [own] if isinstance(own, Runs) else list(own) for name, own in runs.items()}
+    first = next(iter(rows.values()))[0]
+    names, courses = first.names, first.cause.size
+    drawn = st.draws(seed, courses, resamples)
+    members = {name: drawn.members(name, len(own)) for name, own in rows.items()}
+    scores = {name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in rows.items()}
+    paired = [m for m in PAIRED if m in names]
+    samples = {n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names} for n in rows}
+
+    def difference(a: str, b: str, m: str) -> dict:
+        return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
+
+    def improvement(a: str, b: str) -> dict:
+        x, y = scores[a]["return"], scores[b]["return"]
+        drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
+        return st.bounds(st.probability_of_improvement(x, y), drawn_ones)
+
+    others = {a: [b for b in rows if b != a] for a in rows}
     return {
         "scenario": scenario.name,
-        "courses": int(next(iter(runs.values())).cause.size),
+        "courses": int(courses),
         "seed": seed,
-        "settings": settings or {},
-        "controllers": {name: summary(r) for name, r in runs.items()},
-        "paired": paired,
-        **({"limit": limit(oracle, {n: [r] for n, r in runs.items()}, summary(oracle))} if oracle else {}),
+        "settings": dict(settings or {}),
+        "members": {name: len(own) for name, own in rows.items()},
+        "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
+        "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in rows},
+        "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in rows},
+        "iqm": {n: _iqm(scores[n]["return"], members[n], drawn) for n in rows},
+        "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
+        "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
+        **({"limit": limit(oracle, rows, _alone(oracle, seed, resamples))} if oracle else {}),
     }
 
 
-def paired_difference(a: Runs, b: Runs, metric: str) -> dict[str, float]:
-    """Mean of a - b over the courses both have driven, with a 95 % bootstrap interval over courses."""
-    d = a.metric(metric) - b.metric(metric)
-    low, high = _interval(d, np.random.default_rng(0), RESAMPLES)
-    return {"value": float(d.mean()), "low": low, "high": high}
+def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
+    known = int(np.isfinite(scores).sum())
+    if known == 0:
+        return {"value": None, "low": None, "high": None}
+    if name in RATES:
+        return st.rate_bounds(st.mean(scores), samples, known / len(scores), len(scores))
+    return st.bounds(st.mean(scores), samples)
 
 
-def save(result: dict, folder: Path) -> None:
-    """Write comparison.json and comparison.csv into `folder`; the oracle's row, where there is one, is the last."""
-    folder = Path(folder)
-    write_json(folder / "comparison.json", result)
-    rows = [["controller", *(f"{m}{part}" for m in METRICS for part in ("", "_low", "_high"))]]
-    for name, row in (result["controllers"] | limit_rows(result)).items():
-        rows.append([name, *(f"{row[m][key]:.6g}" for m in METRICS for key in ("value", "low", "high"))])
-    save_csv(folder / "comparison.csv", rows)
+def _iqm(scores: np.ndarray, members: np.ndarray, drawn: st.Draws) -> dict:
+    out: dict = st.bounds(st.iqm(scores), st.iqm_samples(scores, members, drawn.courses))
+    if len(scores) > 1:
+        out["stratified"] = dict(
+            zip(("low", "high"), st.stratified(scores, drawn.seed, len(drawn.courses)), strict=True)
+        )
+    return out
+
+
+def _alone(oracle: Runs, seed: int, resamples: int) -> dict:
+    """Metrics of the oracle over its own courses."""
+    drawn = st.draws(seed, oracle.cause.size, resamples)
+    members, out = drawn.members(ORACLE, 1), {}
+    for m in oracle.names:
+        scores = oracle.metric(m)[None]
+        out[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
+    return out
+
+
+def table(result: Mapping) -> tuple[Table, str]:
+    """The main metrics of all controllers, and a line with the meaning of the columns."""
+    columns = OF_ROVERS if "fighting" in result["metrics"] else COLUMNS
+    title = f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
+    entries = {label(result, name): row for name, row in result["controllers"].items()} | limit_rows(result)
+    return metric_table(entries, columns, title), legend(columns, MEANINGS)
+
+
+def label(result: Mapping, name: str) -> str:
+    """Name of a controller, with the number of its training seeds where there are several."""
+    count = result["members"][name]
+    return f"{name} ({count} seeds)" if count > 1 else name
+
+
+def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
+    """Write NAME.json and NAME.csv into `folder`; the row of the oracle, where there is one, is the last."""
+    write_json(Path(folder) / f"{name}.json", result)
+    rows = [["controller", *(m + part for m in result["metrics"] for part in ("", "_low", "_high"))]]
+    for key, row in (result["controllers"] | limit_rows(result)).items():
+        values = [row[m][part] for m in result["metrics"] for part in ("value", "low", "high")]
+        rows.append([key, *("" if v is None else f"{v:.6g}" for v in values)])
+    save_csv(Path(folder) / f"{name}.csv", rows)

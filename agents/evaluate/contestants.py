@@ -1,12 +1,4 @@
-"""Contestants of an evaluation, parsed from `--controllers`.
-
-| written | is |
-|---|---|
-| `fixed_slip` | a classical controller (`agents.controllers`) |
-| `path/to/model.zip`, `runs/NAME` | a model of Stable-Baselines3 or sb3-contrib; one of ours has soil_env.json inside |
-| `path/to/policy.onnx`, its folder | an agent as `agents.export` has written it |
-| `my.module:Thing` | a class or function, called with the scenario if it takes an argument; or an object |
-| `NAME=...` | any of these under another name; the same NAME again, or a glob of models, makes one algorithm of them |
+"""Contestants of an evaluation, parsed from `--controllers`; the help of the command lists the forms.
 
 Models that train.py did not write are unpickled in part, and modules are imported: both run code. Name only what you
 trust.
@@ -49,7 +41,7 @@ class Contestant:
         return f"{self.name} ({self.source})" if self.source != self.name else self.name
 
 
-VECNORMALIZE = "vecnormalize.pkl"  # what rl-baselines3-zoo lays beside a model
+VECNORMALIZE = "vecnormalize.pkl"  # that rl-baselines3-zoo writes beside a model
 _NAME = re.compile(r"[\w.+-]+")
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
@@ -72,7 +64,7 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
         named = bool(equals) and _NAME.fullmatch(head) is not None
         name, spec = (head, rest.strip()) if named else ("", item)
         if ORACLE in (name, spec):
-            raise ParameterError(f"controllers: {ORACLE!r}: is driven by --oracle-courses N; expected another name")
+            raise ParameterError(f"controllers: {ORACLE!r}: --oracle-courses N drives it; expected another name")
         if not spec:
             raise ParameterError(f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH")
         kind, sources = _sources(spec)
@@ -141,7 +133,7 @@ def _default_name(kind: str, source: str) -> str:
 
 
 def model_files(path: str) -> dict[str, bytes]:
-    """{name: content} of a model and of what lies beside it and belongs to it; ParameterError if it cannot be read."""
+    """{name: content} of a model and of its normalisation beside it; ParameterError if it cannot be read."""
     beside, exported = Path(path).with_name(VECNORMALIZE), Path(path).suffix == ".onnx"
     try:
         files = {POLICY if exported else "model.zip": Path(path).read_bytes()}
@@ -155,5 +147,5 @@ def model_files(path: str) -> dict[str, bytes]:
 
 
 def digest(path: str) -> str:
-    """SHA-256 of a model with what belongs to it."""
+    """SHA-256 of the files of a model."""
     return hashlib.sha256(b"".join(model_files(path).values())).hexdigest()

@@ -1,29 +1,34 @@
-"""Drives of a controller over courses that are the same for every controller."""
+"""Drives of a controller over courses that are the same for every controller, and the metrics of each course."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
+from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP, Simulation, Worlds
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
+
+from .warning import Alarm, Foresight, Warnings
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
-_RUNNING = Cause.RUNNING.value
+_RUNNING, _STUCK = Cause.RUNNING.value, [cause.value for cause in IMMOBILISED]
 
 
 class ControllerError(ParameterError):
     """A controller returned an action of the wrong shape, or one that is not finite."""
 
 
-#: Metric -> (unit, what it is). Rates carry Wilson intervals, means bootstrap intervals over courses.
+#: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
     "immobilised": ("share of courses", "entrapped, stalled or bogged"),
     "entrapped": ("share of courses", "no progress, though the wheel turned"),
@@ -34,30 +39,60 @@ METRICS = {
     "distance": ("m", "furthest point reached"),
     "time": ("s", "episode length"),
     "speed": ("m/s", "distance over time"),
-    "energy_per_metre": ("J/m", "motor work over distance, at least 0.1 m"),
+    "energy_per_metre": ("J/m", "work of all motors over distance, at least 0.1 m"),
     "slip": ("-", "mean slip over time, halts left out"),
-    "sinkage": ("mm", "mean sinkage over time"),
+    "sinkage": ("mm", "mean sinkage over time, of the deepest wheel"),
     "return": ("-", "sum of rewards, not discounted"),
 }
-RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished")
+#: Further metrics of a detailed drive of a wheel, NaN on courses on which they are not defined.
+DETAILED = {
+    "warned": ("share of immobilised courses", "a warning was on at complete immobilisation"),
+    "warning_distance": ("m", "from the warning to complete immobilisation, where warned"),
+    "warning_time": ("s", "from the warning to complete immobilisation, where warned"),
+    "false_warning": ("share of driving time", "under warning on courses without immobilisation"),
+    "foreseen": ("share of immobilised courses", "the probability of immobilisation gave warning then"),
+    "foreseen_distance": ("m", "from that warning to complete immobilisation, where foreseen"),
+    "foreseen_time": ("s", "from that warning to complete immobilisation, where foreseen"),
+    "false_foresight": ("share of driving time", "under that warning on courses without immobilisation"),
+    "tractive_efficiency": ("-", "drawbar work over motor work while driving with a drawbar pull > 0"),
+    "slip_p50": ("-", "median slip over time, halts left out"),
+    "slip_p95": ("-", "95th percentile of slip over time, halts left out"),
+    "sinkage_p50": ("mm", "median sinkage over time, halts left out"),
+    "sinkage_p95": ("mm", "95th percentile of sinkage over time, halts left out"),
+}
+#: Further metrics of a rover: how the wheels share the work.
+OF_ROVERS = {
+    "fighting": ("% of weight", "pull of wheels that others pull against: half of sum |DP| - |sum DP|, mean over time"),
+    "wheel_force": ("% of share", "largest |torque|/radius of a wheel over its share of the weight, mean over time"),
+}
+MEANINGS = METRICS | DETAILED | OF_ROVERS
+RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "warned", "foreseen")
 
 
 @dataclass(frozen=True)
 class Runs:
     """One controller on many courses; arrays [courses]."""
 
-    cause: np.ndarray
+    cause: np.ndarray  # of the end, `Cause`
     distance: np.ndarray  # [m]
     time: np.ndarray  # [s]
     energy: np.ndarray  # [J]
     slip: np.ndarray  # mean
     sinkage: np.ndarray  # mean [m]
     returns: np.ndarray
+    more: dict[str, np.ndarray] = field(default_factory=dict)  # further metrics in their units, NaN where not defined
+
+    @property
+    def names(self) -> list[str]:
+        """All metrics."""
+        return [*METRICS, *self.more]
 
     def metric(self, name: str) -> np.ndarray:
         """Value of a metric for each course [courses]."""
+        if name in self.more:
+            return self.more[name]
         if name == "immobilised":
-            return np.isin(self.cause, [c.value for c in IMMOBILISED]).astype(float)
+            return np.isin(self.cause, _STUCK).astype(float)
         if name in RATES:
             return (self.cause == Cause[name.upper()].value).astype(float)
         return {
@@ -73,7 +108,26 @@ class Runs:
     @classmethod
     def join(cls, parts: Sequence[Runs]) -> Runs:
         """The courses of all parts, in their order."""
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+        more = {name: np.concatenate([p.more[name] for p in parts]) for name in parts[0].more}
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS), more)
+
+    def columns(self) -> dict[str, list]:
+        """{name: values} for JSON, None where not defined."""
+        arrays = {name: getattr(self, name) for name in _FIELDS} | self.more
+        return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
+
+    @classmethod
+    def from_columns(cls, columns: dict[str, list]) -> Runs:
+        """Rebuild runs from `columns`."""
+        arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
+        for name, array in arrays.items():
+            if len(array) != len(arrays["cause"]):
+                raise ValueError(f"{name}: {len(array)} values, expected {len(arrays['cause'])}")
+        own = [arrays.pop(name) for name in _FIELDS]
+        return cls(own[0].astype(np.int64), *own[1:], arrays)
+
+
+_FIELDS = tuple(f.name for f in fields(Runs) if f.name != "more")
 
 
 def course_rng(seed: int, course: int) -> np.random.Generator:
@@ -90,54 +144,29 @@ def run_courses(
     progress: Callable[[int], None] | None = None,
     batch: int = 500,
     model: WheelSoilModel | None = None,
+    threads: int | None = None,
+    detailed: bool = False,
 ) -> Runs:
-    """Drive `controller` over courses `first` ... `first + courses - 1` of the set named by `seed`.
+    """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
-    `controller` has `predict` and `variant` (the observation it reads). Course k of a set is the same for every
-    controller. `progress` is called with the number of courses done since its last call. `model` brings the effects
-    that are on in the world.
+    `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
+    the scenario's. Course k of a set is the same for every controller. `progress` receives the number of courses done
+    since its last call. `model` has the effects of the world. `detailed`: with the metrics `DETAILED` of a wheel.
+
+    The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
+    bits may depend on how many courses are driven side by side.
     """
     parts = []
     for start in range(first, first + courses, batch):
-        totals = Totals(min(batch, first + courses - start))
-        for worlds, alive in drive(controller, scenario, seed, start, totals.count, model=model):
-            totals.add(worlds, alive)
-        parts.append(Runs(**totals.runs(worlds, scenario)))
+        count = min(batch, first + courses - start)
+        sim, taken = _start(controller, scenario, seed, start, count, threads, model, detailed)
+        totals = _totals(sim, taken, count, detailed)
+        for alive in _periods(sim, taken, controller, start, threads, model):
+            totals.add(alive)
+        parts.append(totals.runs())
         if progress is not None:
-            progress(totals.count)
+            progress(count)
     return Runs.join(parts)
-
-
-class Totals:
-    """Sums over the time of `count` courses side by side."""
-
-    def __init__(self, count: int):
-        self.count = count
-        self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros((6, count))
-
-    def add(self, worlds: Worlds, alive: np.ndarray) -> np.ndarray:
-        """Take in one control period; which of the `alive` courses were driving, that is not at a halt [count]."""
-        s = worlds.state
-        driving = alive & (s["halt_left"] == 0.0)
-        self.energy += np.where(alive, np.maximum(s["motor_work"], 0.0), 0.0)
-        self.slip += np.where(driving, s["slip"], 0.0)
-        self.driving += driving
-        self.sinkage += np.where(alive, s["sinkage"], 0.0)
-        self.returns += np.where(alive, worlds.reward, 0.0)
-        self.steps += alive
-        return driving
-
-    def runs(self, worlds: Worlds, scenario: Scenario) -> dict[str, np.ndarray]:
-        """The fields of `Runs`, at the end."""
-        return {
-            "cause": worlds.cause.copy(),
-            "distance": worlds.state["best_x"].copy(),
-            "time": self.steps * scenario.control.period,
-            "energy": self.energy,
-            "slip": self.slip / np.maximum(self.driving, 1.0),
-            "sinkage": self.sinkage / self.steps,
-            "returns": self.returns,
-        }
 
 
 def drive(
@@ -152,49 +181,208 @@ def drive(
 ) -> Iterator[tuple[Worlds, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
-    Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and which
-    courses were still under way in that period [count] bool. The controller is asked as often as the scenario says
-    (`control.repeat`); between, its action is held. Rows of ended courses stay as they ended. Raises
-    `ControllerError` where an action is not of shape [count, 1] or not finite. The reward has no term `information`,
-    whatever the scenario says: it helps to learn, and is no merit of a drive. `warnings`: whether the last seconds of
-    the sensors are kept in `worlds.recent`.
+    Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and the courses
+    still under way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`);
+    between, its action is held. Rows of ended courses stay as they ended. Raises `ControllerError` for an action of
+    another shape than [count, 1], or [count, axles], and for one that is not finite. The reward has no term
+    `information`: it helps to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
+    `worlds.recent`.
     """
-    held, longest = scenario.control.held, scenario.periods
-    scenario = replace(
+    sim, taken = _start(controller, scenario, seed, first, count, threads, model, warnings)
+    for alive in _periods(sim, taken, controller, first, threads, model):
+        yield sim.worlds, alive
+
+
+def simulate(
+    count: int, scenario: Scenario, variant: str, threads: int | None = None, model=None, warnings: bool = False
+) -> Simulation | RoverSimulation:
+    """The simulation of `count` wheels, or rovers, of a scenario."""
+    if isinstance(scenario, RoverScenario):
+        return RoverSimulation(count, scenario, variant, threads, model)
+    return Simulation(count, scenario, variant, threads, model, warnings)
+
+
+def _start(controller, scenario, seed, first, count, threads, model, warnings):
+    """A simulation at the start of the courses, and the scenario as the controller drives it."""
+    taken = replace(
         scenario,
         reward=replace(scenario.reward, information=0.0),
-        control=replace(scenario.control, repeat=1),
+        control=replace(scenario.control, **getattr(controller, "drives", {})),
     )
-    sim = Simulation(count, scenario, controller.variant, threads=threads, model=model, warnings=warnings)
+    stepped = replace(taken, control=replace(taken.control, repeat=1))
+    sim = simulate(count, stepped, controller.variant, threads, model, warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
-    alive = np.ones(count, dtype=bool)
-    sim.restart_where(alive)
-    if hasattr(controller, "attach"):  # a planner, that tries out what the world would do
+    sim.restart_where(np.ones(count, dtype=bool))
+    return sim, taken
+
+
+def _periods(sim, scenario, controller, first: int, threads, model) -> Iterator[np.ndarray]:
+    """Drive to the end of all courses; the courses under way [count] bool in each control period."""
+    if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
-    w = sim.worlds
-    what = np.full(count, STEP)
-    memory, fresh = None, np.ones(count, dtype=bool)
-    for period in range(longest):
+    worlds, held = sim.worlds, scenario.control.held
+    count = worlds.cause.size
+    alive, what, memory = np.ones(count, dtype=bool), np.full(count, STEP), None
+    for period in range(scenario.periods):
         if period % held == 0:
-            action, memory = controller.predict(w.observation, state=memory, episode_start=fresh, deterministic=True)
-            fresh = np.zeros(count, dtype=bool)
-            commands = _commands(action, alive, f"in step {period // held} of course", first)
+            action, memory = controller.predict(
+                worlds.observation, state=memory, episode_start=np.full(count, period == 0), deterministic=True
+            )
+            commands = _commands(action, alive, scenario, f"in step {period // held} of course", first)
         sim.step_all(commands, what)
-        yield w, alive
-        ended = alive & (w.cause != _RUNNING)
+        yield alive
+        ended = alive & (worlds.cause != _RUNNING)
         alive = alive & ~ended
         what[ended] = IDLE
         if not alive.any():
             return
 
 
-def _commands(action, alive: np.ndarray, when: str, first: int) -> np.ndarray:
-    """The `action` of a controller as commands [count]; ControllerError where that of an `alive` course is none."""
-    action, count = np.asarray(action, dtype=np.float64), len(alive)
-    if action.shape != (count, 1):
-        raise ControllerError(f"action of shape {action.shape}: expected {(count, 1)}")
-    if not np.isfinite(action[alive]).all():
-        bad = int(np.flatnonzero(alive & ~np.isfinite(action[:, 0]))[0])
-        raise ControllerError(f"action {action[bad, 0]} {when} {first + bad}: expected a number")
-    return np.clip(np.nan_to_num(action[:, 0]), -1.0, 1.0)
+def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: int) -> np.ndarray:
+    """The `action` of a controller as commands [count] or [count, axles]; ControllerError for an unsuitable one."""
+    action = np.asarray(action, dtype=np.float64)
+    axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
+    if action.shape != (len(alive), axles):
+        raise ControllerError(f"action of shape {action.shape}: expected {(len(alive), axles)}")
+    bad = np.flatnonzero(alive & ~np.isfinite(action).all(axis=1))
+    if bad.size:
+        value = action[bad[0]].tolist()
+        said = value[0] if axles == 1 else value
+        raise ControllerError(f"action {said} {when} {first + bad[0]}: expected a finite number")
+    commands = np.clip(np.nan_to_num(action), -1.0, 1.0)
+    return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
+
+
+# --- what is kept of the control periods ------------------------------------------------------------------------------
+
+
+def _totals(sim, scenario: Scenario, count: int, detailed: bool) -> _Totals:
+    kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
+    return kind(sim, scenario, count)
+
+
+class _Totals:
+    """Sums over the time of `count` courses side by side."""
+
+    def __init__(self, sim, scenario: Scenario, count: int):
+        self.sim, self.worlds, self.scenario, self.count = sim, sim.worlds, scenario, count
+        self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros((6, count))
+
+    @property
+    def body(self):
+        """State of the wheels, or of the bodies of rovers, by name."""
+        return self.worlds.state
+
+    def work(self) -> np.ndarray:
+        """Work of the motors in this control period [J]."""
+        return np.maximum(self.body["motor_work"], 0.0)
+
+    def add(self, alive: np.ndarray) -> np.ndarray:
+        """Take in one control period; returns the `alive` courses that are not at a halt [count] bool."""
+        s = self.body
+        driving = alive & (s["halt_left"] == 0.0)
+        self.energy += np.where(alive, self.work(), 0.0)
+        self.slip += np.where(driving, s["slip"], 0.0)
+        self.driving += driving
+        self.sinkage += np.where(alive, s["sinkage"], 0.0)
+        self.returns += np.where(alive, self.worlds.reward, 0.0)
+        self.steps += alive
+        return driving
+
+    def more(self) -> dict[str, np.ndarray]:
+        """Further metrics, at the end."""
+        return {}
+
+    def runs(self) -> Runs:
+        """The runs, at the end."""
+        return Runs(
+            cause=self.worlds.cause.copy(),
+            distance=self.body["best_x"].copy(),
+            time=self.steps * self.scenario.control.period,
+            energy=self.energy,
+            slip=self.slip / np.maximum(self.driving, 1.0),
+            sinkage=self.sinkage / self.steps,
+            returns=self.returns,
+            more=self.more(),
+        )
+
+
+class _OfRovers(_Totals):
+    """The same of rovers, with the metrics `OF_ROVERS`."""
+
+    def __init__(self, sim, scenario: RoverScenario, count: int):
+        super().__init__(sim, scenario, count)
+        self.fighting, self.force = np.zeros((2, count))
+
+    @property
+    def body(self):
+        return self.worlds.rovers.body
+
+    def work(self) -> np.ndarray:
+        return 2.0 * self.body["motor_work"]  # of both sides
+
+    def add(self, alive: np.ndarray) -> np.ndarray:
+        driving, wheels, rows = super().add(alive), self.worlds.rovers.wheels, self.sim.wheels
+        pull, weight = wheels["drawbar_pull"][rows], self.body["mass"] * self.scenario.gravity
+        force = np.abs(wheels["torque"][rows]).max(axis=1) / self.scenario.wheel.radius
+        against = 0.5 * (np.abs(pull).sum(axis=1) - np.abs(pull.sum(axis=1)))
+        self.fighting += np.where(driving, against / weight, 0.0)
+        self.force += np.where(driving, force * self.scenario.axles / weight, 0.0)
+        return driving
+
+    def more(self) -> dict[str, np.ndarray]:
+        driving = np.maximum(self.driving, 1.0)
+        return {"fighting": 100.0 * self.fighting / driving, "wheel_force": 100.0 * self.force / driving}
+
+
+class _Detailed(_Totals):
+    """The same of wheels, with the metrics `DETAILED`."""
+
+    def __init__(self, sim, scenario: Scenario, count: int):
+        super().__init__(sim, scenario, count)
+        self.alarms: dict[str, Alarm] = {"warning": Warnings(scenario, count), "foresight": Foresight(scenario, count)}
+        self.drawbar_work, self.drive_work = np.zeros((2, count))
+        self.slips, self.depths, self.drove = [], [], []
+
+    def add(self, alive: np.ndarray) -> np.ndarray:
+        on, s = super().add(alive), self.body
+        pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
+        self.drawbar_work += np.where(pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0)
+        self.drive_work += np.where(pulling, s["motor_work"], 0.0)
+        self.slips.append(s["slip"].copy())
+        self.depths.append(1000.0 * s["sinkage"])
+        self.drove.append(on)
+        for alarm in self.alarms.values():
+            alarm.step(self.worlds, alive)
+        return on
+
+    def more(self) -> dict[str, np.ndarray]:
+        stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
+        out = {}
+        for (kind, alarm), name, lead_name in zip(
+            self.alarms.items(), ("warned", "foreseen"), ("warning", "foreseen"), strict=True
+        ):
+            lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
+            out[name] = np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)
+            out[f"{lead_name}_distance"], out[f"{lead_name}_time"] = lead.T
+            out[f"false_{kind}"] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
+        out["tractive_efficiency"] = _ratio(self.drawbar_work, self.drive_work)
+        drove = np.array(self.drove)
+        for name, series in (("slip", self.slips), ("sinkage", self.depths)):
+            out[f"{name}_p50"], out[f"{name}_p95"] = _percentiles(np.array(series), drove)
+        return out
+
+
+def _percentiles(series, mask):
+    """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where `mask`."""
+    out = np.full((2, series.shape[1]), math.nan)
+    for k in range(series.shape[1]):
+        x = series[mask[:, k], k]
+        if x.size:
+            out[:, k] = np.percentile(x, [50, 95])
+    return out
+
+
+def _ratio(a, b):
+    return np.divide(a, b, out=np.full(len(a), math.nan), where=b > 0.0)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import sys
 import tempfile
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
-from soil_env.driving.wheels import Simulation
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import checked_settings, make_controller
 from .contestants import Contestant
+from .driving import simulate
 
 
 def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
@@ -40,9 +42,11 @@ def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | N
 
 def _from_class(spec: str, scenario: Scenario):
     module_name, _, attribute = spec.partition(":")
+    if "" not in sys.path:
+        sys.path.append("")  # an installed command finds modules in the current folder too
     try:
         thing = importlib.import_module(module_name)
-    except Exception as error:  # whatever the module does when it is imported
+    except Exception as error:  # the module may raise anything
         raise ParameterError(f"controllers: {spec}: cannot be imported ({describe(error)})") from None
     for part in attribute.split("."):
         if not hasattr(thing, part):
@@ -72,7 +76,7 @@ def _takes_one(thing) -> bool:
 
 @dataclass
 class _Wrapped:
-    """An object from elsewhere, whose failures are told in one line."""
+    """A controller from elsewhere; an exception in it is an error of one line."""
 
     thing: object
     variant: str
@@ -90,14 +94,9 @@ class _Wrapped:
 
 def describe(error: BaseException) -> str:
     """An exception in one line: its class, its message, and where it was raised."""
-    where, trace = "", error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if file not in (__file__, importlib.__file__) and not file.startswith(
-            "<frozen"
-        ):  # theirs, not how it was called
-            where = f", {Path(file).name} line {trace.tb_lineno}"
-        trace = trace.tb_next
+    ours = __file__, importlib.__file__
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((*ours, "<frozen"))]
+    where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"
 
@@ -105,7 +104,7 @@ def describe(error: BaseException) -> str:
 def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | None = None) -> None:
     """Load a contestant and have it act once on three wheels; ParameterError if it cannot."""
     controller = load(contestant, scenario)
-    sim = Simulation(3, scenario, controller.variant, threads=1, model=model)
+    sim = simulate(3, scenario, controller.variant, 1, model)
     for k in range(3):
         sim.seed(k, np.random.default_rng(k))
     fresh = np.ones(3, dtype=bool)

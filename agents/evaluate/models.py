@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import pickle
-import zipfile
+import sys
+import warnings
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, load
+from soil_env._io.loading import ParameterError
 from soil_env.env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
@@ -21,9 +24,9 @@ from .contestants import VECNORMALIZE
 try:
     import torch
 
-    from .. import ppo, zips
+    from .. import agent as saved
 except ImportError:  # reported in one line where a model is loaded
-    torch = ppo = zips = None
+    torch = saved = None
 
 #: (module of the policy starts with, keys the zip must hold, module and class of the algorithm); the first that fits.
 _ALGORITHMS = (
@@ -43,32 +46,30 @@ _ALGORITHMS = (
 def load_model(path: Path, scenario: Scenario):
     """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
 
-    A policy.onnx of `agents.export` is run by onnxruntime. A zip of ours (soil_env.json inside) brings its
-    normalisation. A plain zip of SB3 is told by its observation space, scaled or not; a file vecnormalize.pkl
-    beside it, as rl-baselines3-zoo writes, is used for its observations.
+    A policy.onnx of `agents.export` is run by onnxruntime. A zip of train.py (soil_env.json inside) has its
+    normalisation and is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its observation
+    space gives the variant, and a file vecnormalize.pkl beside it, as rl-baselines3-zoo writes, the normalisation.
     """
-    if Path(path).suffix == ".onnx":
+    path = Path(path)
+    if path.suffix == ".onnx":
         return _exported(path, scenario)
-    if ppo is None:
+    if saved is None:
         raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
-    names, data = _contents(path)
     torch.set_num_threads(1)  # so that results do not depend on the number of cores
-    meta = None
-    if ppo.META in names:
-        meta = ppo.read_meta(path)
-        ppo.check_layout(meta, path, scenario)
-        _check_action(path, meta.get("scenario", {}).get("control", {}), scenario)
-    model = _load(path, data, meta)
-    if meta is not None:
-        return ppo.agent_of(model, meta)
-    return _Plain(model, *_variant(model, path, scenario.course), _normalisation(path))
+    try:
+        if saved.read_member(path, saved.INFO) is None:
+            return _foreign(path, scenario)
+        agent = saved.load_agent(path)
+        saved.check_layout(agent.info, path, scenario)
+    except ParameterError as error:
+        raise ParameterError(f"controllers: {str(error).removeprefix('controllers: ')}") from None
+    _check_action(path, agent.info.task.control, scenario)
+    return agent
 
 
-def _check_action(path: Path, trained: dict, scenario: Scenario) -> None:
-    """ParameterError where a model was `trained` (a `Control` as a mapping) to act otherwise than the scenario asks."""
-    if "action" not in trained:
-        return
-    control, own = scenario.control, load(Control, trained, f"controllers: {path}: scenario.control")
+def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
+    """ParameterError where the actions of a training were other ones than those of the scenario."""
+    control = scenario.control
     if own.action != control.action:
         raise ParameterError(
             f"controllers: {path}: trained with action {own.action!r}, scenario {scenario.name!r} takes "
@@ -93,35 +94,41 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     return agent
 
 
-def _contents(path: Path) -> tuple[list[str], dict]:
-    try:
-        data = zips.read_member(path, "data")
-        with zipfile.ZipFile(path) as archive:
-            return archive.namelist(), data
-    except KeyError:
-        raise ParameterError(f"controllers: {path}: not a model of Stable-Baselines3 (it has no data)") from None
-    except ParameterError as error:
-        raise ParameterError(f"controllers: {error}") from None
-
-
-def _load(path: Path, data: dict, meta: dict | None):
+def _foreign(path: Path, scenario: Scenario) -> _Plain:
+    """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs code."""
+    data = saved.read_mapping(path, "data")
+    if data is None:
+        raise ParameterError(f"{path}: not a model of Stable-Baselines3 (it has no data)")
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
     fitting = [made_by for prefix, keys, made_by in _ALGORITHMS if module.startswith(prefix) and keys <= set(data)]
     if not fitting:
-        raise ParameterError(f"controllers: {path}: policy of {module!r}: give a module:Class that loads it instead")
+        raise ParameterError(f"{path}: policy of {module!r}: give a module:Class that loads it instead")
     package, algorithm = fitting[0]
     try:
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
-        raise ParameterError(f"controllers: {path}: a {algorithm} model needs {package.replace('_', '-')}") from None
-    if meta is None:
-        zips.warn(str(path))
-    objects = None if meta is None else zips.without_pickles(path, *ppo.agent_spaces(meta))
+        raise ParameterError(f"{path}: a {algorithm} model needs {package.replace('_', '-')}") from None
+    _warn(str(path))
     try:
-        return zips.load(cls, path, objects)
-    except ParameterError as error:
-        raise ParameterError(f"controllers: {error}") from None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            model = cls.load(path, device="cpu")
+    except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
+        said = f"{type(error).__name__}: {saved.one_line(error)}"
+        raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
+    return _Plain(model, *_variant(model, path, scenario.course), _normalisation(path))
+
+
+@cache
+def _warn(path: str) -> None:
+    """Warn once for each file, on stderr and not in worker processes, that loading it runs what is pickled in it."""
+    if multiprocessing.parent_process() is None:
+        print(
+            f"warning: {path}: not written by train.py, so parts of it are unpickled, which runs code that is in the "
+            "file; load only what you trust",
+            file=sys.stderr,
+        )
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
@@ -142,7 +149,7 @@ def _normalisation(path: Path):
     file = path.with_name(VECNORMALIZE)
     if not file.is_file():
         return None
-    zips.warn(str(file))
+    _warn(str(file))
     try:
         with open(file, "rb") as stream:
             normalisation = pickle.load(stream)
@@ -160,6 +167,11 @@ class _Plain:
     variant: str
     scaling: Scaling
     normalisation: object | None
+
+    @property
+    def policy(self):
+        """The networks."""
+        return self.model.policy
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""

@@ -1,19 +1,15 @@
 """Statistics over training seeds and courses.
 
-Scores of one algorithm are an array [members, courses]: one row a training seed (a controller that is not trained has
-one row), one column a course. All algorithms meet the same courses.
+Scores of one controller are an array [members, courses]: one row a training seed (a controller that is not trained has
+one row), one column a course. All controllers drive the same courses. NaN: not defined on that course.
 
-Two bootstraps:
+Intervals draw whole training seeds and whole courses with replacement, the courses once for all controllers (the
+pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). They hold for another training and other courses. With one
+training seed only the courses are drawn. They are computed from weights: how often a member and a course were drawn.
 
-- `two_way`: whole training seeds and whole courses are drawn with replacement, the courses once for all algorithms
-  (the pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). It answers for another training and other courses,
-  and is what tables and plots show. With one training seed only the courses are drawn.
-- `stratified`: training seeds are drawn anew within each course, the courses stay (Agarwal et al. 2021, "Deep
-  reinforcement learning at the edge of the statistical precipice", Sec. 4, with courses as tasks). It takes the luck of
-  a training seed on different courses for independent, which it is not, so it is narrower; given for comparison with
-  papers that use it.
-
-All are computed from weights: how often a member and a course were drawn.
+The *stratified* interval draws the training seeds anew within each course, and the courses stay (Agarwal et al. 2021,
+"Deep reinforcement learning at the edge of the statistical precipice", Sec. 4, with courses as tasks). It takes the
+luck of a training seed on different courses for independent, so it is narrower; it is for comparison with papers.
 """
 
 from __future__ import annotations
@@ -22,21 +18,22 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 LEVEL = 0.95
-_NORMAL = 1.959963985  # standard normal deviate of a two-sided interval at `LEVEL`
+_NORMAL = float(stats.norm.ppf(0.5 + LEVEL / 2))
 _CHUNK = 100  # bootstrap draws whose weights are in memory at once
 
 
 @dataclass(frozen=True)
 class Draws:
-    """`resamples` bootstrap draws: how often each course [resamples, courses] was drawn, and a seed for the members."""
+    """Bootstrap draws: how often each course [resamples, courses] was drawn, and a seed for the members."""
 
     courses: np.ndarray
     seed: int
 
     def members(self, name: str, count: int) -> np.ndarray:
-        """How often each of `count` members of algorithm `name` was drawn [resamples, count]."""
+        """How often each of `count` members of controller `name` was drawn [resamples, count]."""
         rng = np.random.default_rng([self.seed, 1, *name.encode()])
         return _counts(rng, len(self.courses), count)
 
@@ -59,13 +56,13 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
     return float(min(low, value)), float(max(high, value))
 
 
-def wilson(successes: float, trials: int) -> tuple[float, float]:
+def wilson(successes: float, trials: float) -> tuple[float, float]:
     """Wilson (1927) score interval of a proportion at `LEVEL`."""
     p, z = successes / trials, _NORMAL
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
-    # the bounds against rounding: at p = 0 and p = 1 the interval touches p exactly
+    # min and max guard against rounding: at p = 0 and p = 1 the interval touches p exactly
     return max(0.0, min(p, (centre - half) / scale)), min(1.0, max(p, (centre + half) / scale))
 
 
@@ -75,7 +72,7 @@ def bounds(value: float, samples: np.ndarray) -> dict[str, float]:
     return {"value": value, "low": low, "high": high}
 
 
-def rate_bounds(value: float, samples: np.ndarray, trials: int, members: int) -> dict[str, float]:
+def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) -> dict[str, float]:
     """`bounds` of a rate: the Wilson interval of one member; the wider of both of several.
 
     `trials` counts courses: several training seeds on one course are not independent trials.
@@ -102,51 +99,35 @@ def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -
 
 
 def iqm(scores: np.ndarray) -> float:
-    """Interquartile mean: the mean without the lowest and the highest quarter of all scores (Agarwal et al. 2021).
-
-    As scipy.stats.trim_mean(scores, 0.25, axis=None): floor(n/4) scores are cut off at each end.
-    """
-    ordered = np.sort(scores, axis=None)
-    cut = ordered.size // 4
-    return float(ordered[cut : ordered.size - cut].mean())
+    """Interquartile mean: the mean without the lowest and the highest quarter of all scores (Agarwal et al. 2021)."""
+    return float(stats.trim_mean(scores, 0.25, axis=None))
 
 
 def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
     """`iqm` of each bootstrap draw [resamples]; every draw holds scores.size scores."""
     n, ordered = scores.size, np.sort(scores, axis=None)
-    cut = n // 4
-    out = [np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered
-           for up_to in _cumulative(scores, members, courses)]  # fmt: skip
-    return np.concatenate(out) / (n - 2 * cut)
-
-
-def _cumulative(scores, members, courses):
-    """How many of a draw's scores are the lowest k + 1 of all [draws, scores.size], in chunks of draws."""
+    cut, out = n // 4, []
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), _CHUNK):
         part = slice(start, start + _CHUNK)
-        yield np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
+        up_to = np.cumsum(
+            members[part][:, m] * courses[part][:, c], axis=1
+        )  # scores of the draw up to each of `ordered`
+        out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
+    return np.concatenate(out) / (n - 2 * cut)
 
 
-def stratified_samples(scores: np.ndarray, statistic, resamples: int, rng: np.random.Generator) -> np.ndarray:
-    """`statistic`(scores [members, courses]) of draws of the members within each course [resamples]."""
-    n, courses = scores.shape
-    columns = np.arange(courses)
-    return np.array([statistic(scores[rng.integers(0, n, (n, courses)), columns]) for _ in range(resamples)])
+def stratified(scores: np.ndarray, seed: int, resamples: int = 2000) -> tuple[float, float]:
+    """Interval of the `iqm` by draws of the members within each course."""
 
+    def statistic(*columns, axis: int):
+        return stats.trim_mean(np.concatenate(columns, axis=axis), 0.25, axis=axis)
 
-def profile(scores: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """Performance profile [thresholds]: the share of all runs with a score above the threshold (Dolan & More 2002 in
-    the form of Agarwal et al. 2021)."""
-    ordered = np.sort(scores, axis=None)
-    return 1.0 - np.searchsorted(ordered, thresholds, side="right") / ordered.size
-
-
-def profile_samples(scores, thresholds, members, courses) -> np.ndarray:
-    """`profile` of each bootstrap draw [resamples, thresholds]."""
-    below = np.searchsorted(np.sort(scores, axis=None), thresholds, side="right")
-    padded = (np.pad(up_to, ((0, 0), (1, 0))) for up_to in _cumulative(scores, members, courses))
-    return 1.0 - np.concatenate([up_to[:, below] for up_to in padded]) / scores.size
+    found = stats.bootstrap(
+        list(scores.T), statistic, n_resamples=resamples, confidence_level=LEVEL, method="percentile", batch=_CHUNK,
+        vectorized=True, rng=np.random.default_rng([seed, 2]),
+    ).confidence_interval  # fmt: skip
+    return float(found.low), float(found.high)
 
 
 def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from soil_env._io.document import Table
+from soil_env._io.files import replace_file
+
+from .driving import MEANINGS, RATES
 
 
 class Column(NamedTuple):
@@ -18,7 +25,24 @@ class Column(NamedTuple):
     heading: str
     factor: float = 1.0
     digits: int = 2
-    bounds: bool = True  # whether the interval is shown
+    bounds: bool = True  # with the interval
+
+
+#: Columns of the printed table of wheels, and of rovers.
+COLUMNS = (
+    Column("immobilised", "immobilised [%]", 100.0, 1),
+    Column("finished", "finished [%]", 100.0, 1),
+    Column("time_limit", "late [%]", 100.0, 1, bounds=False),
+    Column("time", "time [s]", digits=0, bounds=False),
+    Column("energy_per_metre", "J/m", digits=0, bounds=False),
+    Column("slip", "slip", bounds=False),
+    Column("return", "return", bounds=False),
+)
+OF_ROVERS = (
+    *COLUMNS,
+    Column("fighting", "fighting [%]", bounds=False),
+    Column("wheel_force", "force [%]", digits=1, bounds=False),
+)
 
 
 def cell(m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, bounds: bool = True) -> str:
@@ -39,8 +63,13 @@ def points(m: Mapping) -> str:
     return cell(m, 100.0, 1, sign=True)
 
 
+def difference(metric: str, m: Mapping) -> str:
+    """A difference of a metric with its sign, of a rate in percentage points."""
+    return points(m) if metric in RATES else cell(m, sign=True)
+
+
 def metric_table(entries: Mapping[str, Mapping], columns: Iterable[Column], caption: str = "") -> Table:
-    """A row a controller, of {controller: {metric: {"value", "low", "high"}}}."""
+    """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
     columns = list(columns)
     rows = [
         [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
@@ -50,7 +79,7 @@ def metric_table(entries: Mapping[str, Mapping], columns: Iterable[Column], capt
 
 
 def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) -> str:
-    """One line that says what the columns are, of {metric: (unit, meaning)}."""
+    """One line with the meaning of the columns, of {metric: (unit, meaning)}."""
     entries = []
     for c in columns:
         unit, meaning = metrics[c.metric]
@@ -58,9 +87,14 @@ def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) ->
     return f"Columns: {'; '.join(entries)}"
 
 
-def labels(controllers: Mapping[str, Mapping]) -> dict[str, str]:
-    """{controller: its name with the number of training seeds, where there are several}."""
-    return {n: f"{n} ({e['members']} seeds)" if e["members"] > 1 else n for n, e in controllers.items()}
+def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
+    """Write a table as CSV; the first row is its heading."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(rows)
+    replace_file(path, text.getvalue())
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
 
 
 def draw_intervals(
@@ -68,16 +102,41 @@ def draw_intervals(
     values: Iterable[Mapping],
     factor: float = 1.0,
     colours: Iterable[str] | str = "#0072b2",
-    shift: float = 0.0,
 ) -> None:
-    """Values with their intervals, one above the other from the bottom; those not defined are left out."""
+    """Draw values with their intervals, one above the other from the bottom; those not defined are left out."""
     values = list(values)
     colours = [colours] * len(values) if isinstance(colours, str) else colours
     for y, (m, colour) in enumerate(zip(values, colours, strict=True)):
         if m["value"] is not None:
             value, low, high = (factor * m[key] for key in ("value", "low", "high"))
             bars = [[value - low], [high - value]]
-            axis.errorbar(value, y + shift, xerr=bars, fmt="o", ms=4, color=colour, capsize=2)
+            axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color=colour, capsize=2)
     axis.set_ylim(-0.6, len(values) - 0.4)
     axis.xaxis.set_major_locator(MaxNLocator(3))
     axis.grid(alpha=0.3)
+
+
+def draw_metrics(
+    rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str], colour=lambda name: "#0072b2"
+) -> Figure:
+    """Figure of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each
+    metric, points with their intervals."""
+    metrics, most = list(metrics), max(map(len, rows.values()))
+    figure = Figure(figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained")
+    axes = figure.subplots(len(rows), len(metrics), squeeze=False, sharey="row")
+    for line, (group, entries) in zip(axes, rows.items(), strict=True):
+        names = list(entries)[::-1]
+        for axis, metric in zip(line, metrics, strict=True):
+            rate, colours = metric in RATES, [colour(name) for name in names]
+            draw_intervals(axis, [entries[n][metric] for n in names], 100.0 if rate else 1.0, colours)
+            axis.set_xlabel(f"{metric.replace('_', ' ')} [{'%' if rate else MEANINGS[metric][0]}]")
+        line[0].set_yticks(range(len(names)), names)
+        line[0].set_title(group, loc="left", fontsize=9)
+    return figure
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG, the same bytes for the same figure."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
+    return out.getvalue()

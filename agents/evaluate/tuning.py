@@ -9,28 +9,29 @@ sampler of each trial has a seed of its own, so that a tuning that goes on from 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from soil_env._io.files import write_json
-from soil_env._io.loading import Checked, ParameterError, config_dir, load, quantity, read_yaml, unknown_key
+from soil_env._io.loading import Checked, ParameterError, config_dir, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
 
 from ..controllers import CONTROLLERS, checked_settings, make_controller
+from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from ..progress import Bar
-from ..studies import ResultLog
-from .driving import TUNING_SET, Runs, run_courses
+from .driving import TUNING_SET, run_courses
 
 SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
 _COURSES_A_TRIAL = 5  # fewer courses cannot tell more settings apart
+_LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
 
 Progress = Callable[[int, str], None]
 
@@ -87,12 +88,6 @@ def load_spaces(path: Path | None = None) -> Spaces:
     return load(Spaces, read_yaml(path), path.name)
 
 
-def trials_in_all(names: Iterable[str], courses: int) -> int:
-    """How many trials on `courses` courses the named controllers have together."""
-    spaces = load_spaces()
-    return spaces.trials_of(courses) * sum(name in spaces.controllers for name in names)
-
-
 # --- settings that come with the package ------------------------------------------------------------------------------
 
 
@@ -121,7 +116,7 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
 def tuned_settings(
     scenario: Scenario,
     courses: int,
-    names: Iterable[str] = tuple(CONTROLLERS),
+    names: Iterable[str] | None = None,
     progress: Progress | None = None,
     model: WheelSoilModel | None = None,
     log: Path | None = None,
@@ -129,29 +124,33 @@ def tuned_settings(
 ) -> tuple[dict[str, dict], dict[str, list[dict]]]:
     """({controller: best settings}, {controller: trials}) on the first `courses` courses of the tuning set.
 
-    Settings that come with the package are taken where they are good enough (`shipped_settings`), unless `anew`; they
-    have no trials here. `progress` is called with a number of courses and the name of the controller that has driven
-    them; without it a bar is shown. Controllers without settings are left out. `model` brings the effects that are on
-    in the world. With a `log`, a file of a line a trial, an interrupted tuning goes on.
+    `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
+    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. `progress` receives a number of
+    courses and the name of the controller that has driven them; without it a bar is shown. Controllers without settings
+    are left out. `model` has the effects of the world. With a `log`, Optuna's journal, an interrupted tuning goes on.
     """
     shipped = {} if anew else shipped_settings(scenario, courses, model)
-    spaces = load_spaces()
-    names = [name for name in names if name in spaces.controllers]
+    spaces = _spaces_of(scenario, load_spaces())
+    names = [name for name in (spaces if names is None else names) if name in spaces]
     chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
     missing = [name for name in names if name not in shipped]
-    if not missing:
-        return chosen, tried
+    trials = load_spaces().trials_of(courses)
     with contextlib.ExitStack() as stack:
-        if progress is None:
-            bar = stack.enter_context(Bar("Tuning", courses * trials_in_all(missing, courses), "courses"))
+        if progress is None and missing:
+            bar = stack.enter_context(Bar("Tuning", courses * trials * len(missing), "courses"))
             progress = shown_on(bar)
-        trials = Trials(
-            scenario, courses, partial(run_courses, model=model), make_controller,
-            stack.enter_context(trials_log(log)) if log else None,
-        )  # fmt: skip
         for name in missing:
-            chosen[name], tried[name] = trials.best(name, spaces.controllers[name], spaces, progress)
+            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, progress)
+            best = max(tried[name], key=lambda trial: (trial["finished"], trial["return"]))
+            chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}, tried
+
+
+def _spaces_of(scenario: Scenario, spaces: Spaces) -> dict[str, dict[str, Range]]:
+    """{controller: its space}; a controller of a rover has that of the controller of its wheels."""
+    if isinstance(scenario, RoverScenario):
+        return {name: spaces.controllers[c.of_wheel] for name, c in ROVER_CONTROLLERS.items()}
+    return spaces.controllers
 
 
 def shown_on(bar: Bar) -> Progress:
@@ -159,77 +158,41 @@ def shown_on(bar: Bar) -> Progress:
     return lambda count, name: bar.update(advance=count, note=name)
 
 
-def kept_settings(path: Path, scenario: Scenario, courses: int, *options, anew: bool = False) -> dict[str, dict]:
-    """The best settings of `tuned_settings`; found once and kept in the file `path`, the trials beside it meanwhile."""
-    log = path.with_suffix(".jsonl")
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, tuned_settings(scenario, courses, *options, log=log, anew=anew)[0])
-    log.unlink(missing_ok=True)  # here: of a run that was killed between the two as well
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
-def trials_log(path: Path) -> ResultLog:
-    """{(controller, trial): its settings and scores} in a file."""
-
-    def parse(content: dict) -> tuple[tuple[str, int], dict]:
-        return (str(content["controller"]), int(content["trial"])), dict(content["result"])
-
-    return ResultLog(path, parse)
-
-
-@dataclass
-class Trials:
-    """Trials of settings on the tuning courses of one scenario; `drive` and `make` are of wheels, or of rovers."""
-
-    scenario: Scenario
-    courses: int
-    drive: Callable[..., Runs]
-    make: Callable[..., Any]
-    log: ResultLog | None
-
-    def best(
-        self, name: str, space: dict[str, Range], spaces: Spaces, progress: Progress
-    ) -> tuple[dict[str, float], list[dict]]:
-        """(the settings that finish most courses, all trials) of a controller."""
-        tried = list(self.of(name, space, spaces, progress))
-        first = max(tried, key=lambda trial: (trial["finished"], trial["return"]))
-        return {key: first[key] for key in space}, tried
-
-    def of(self, name: str, space: dict[str, Range], spaces: Spaces, progress: Progress) -> Iterator[dict]:
-        """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
-        optuna = _optuna()
-        study = optuna.create_study(direction="maximize")
-        study.enqueue_trial(self._defaults(name, space))
-        for number in range(spaces.trials_of(self.courses)):
-            study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
-            trial = study.ask()
-            settings = {
-                key: float(trial.suggest_float(key, *range_.bounds(self.scenario), log=range_.log))
-                for key, range_ in space.items()
-            }
-            result = self._result(name, number, settings)
-            progress(self.courses, name)
-            study.tell(trial, result["finished"] + _TIE * result["return"])
-            yield result
-
-    def _defaults(self, name: str, space: dict[str, Range]) -> dict[str, float]:
-        given = self.make(name, self.scenario).settings
-        return {key: float(np.clip(given[key], *range_.bounds(self.scenario))) for key, range_ in space.items()}
-
-    def _result(self, name: str, number: int, settings: dict[str, float]) -> dict:
-        """From the log, or driven and written there."""
-        known = self.log.results.get((name, number)) if self.log else None
-        if known is None:
-            controller = self.make(name, self.scenario, **settings)
-            runs = self.drive(controller, self.scenario, TUNING_SET, self.courses)
-            score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
-            known = {**settings, **score}
-            if self.log:
-                self.log.add({"controller": name, "trial": number, "result": known})
-        elif {key: known[key] for key in settings} != settings:
-            raise ParameterError(f"{self.log.path}: trial {number} of {name} is of another tuning; delete the file")
-        return known
+def _trials(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
+    """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
+    optuna = _optuna()
+    make = make_rover_controller if isinstance(scenario, RoverScenario) else make_controller
+    bounds = {key: range_.bounds(scenario) for key, range_ in space.items()}
+    task = json.dumps([name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True)
+    storage = None
+    if log is not None:
+        journal = optuna.storages.journal
+        lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
+        storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(log), lock_obj=lock))
+    study = optuna.create_study(
+        storage=storage, study_name=hashlib.sha256(task.encode()).hexdigest(), direction="maximize", load_if_exists=True
+    )
+    complete, running = optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.RUNNING
+    for trial in study.get_trials(states=(running,)):  # of a process that was killed
+        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+    done = len(study.get_trials(states=(complete,)))
+    if done:
+        progress(courses * done, name)
+    for number in range(done, trials):
+        study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
+        if number == 0:
+            defaults = make(name, scenario).settings
+            study.enqueue_trial({key: float(np.clip(defaults[key], *bounds[key])) for key in space})
+        trial = study.ask()
+        settings = {key: trial.suggest_float(key, *bounds[key], log=range_.log) for key, range_ in space.items()}
+        runs = run_courses(make(name, scenario, **settings), scenario, TUNING_SET, courses, model=model)
+        score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
+        for key, value in score.items():
+            trial.set_user_attr(key, value)
+        study.tell(trial, score["finished"] + _TIE * score["return"])
+        progress(courses, name)
+    found = study.get_trials(states=(complete,))[:trials]
+    return [{**trial.params, **trial.user_attrs} for trial in found]
 
 
 def _optuna():
@@ -237,6 +200,8 @@ def _optuna():
     try:
         import optuna
     except ImportError:
-        raise ParameterError("tuning needs Optuna; expected: pip install 'soil_env[tune]'") from None
+        raise ParameterError(
+            "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
+        ) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

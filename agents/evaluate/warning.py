@@ -8,23 +8,21 @@ ground *looks impassable* where
 - the measured slip lies beyond the stable branch of the drawbar pull: over the best slip by more than `SLIP_MARGIN`
   of the way from there to 1, where more slip does not give more pull.
 
-The warning comes on when that has been so for `HOLD` s and goes off when it has not been so for `RELEASE` s. Nothing
-is judged during halts. The identifier runs with every controller, so every controller is given the same warnings,
-whether it could use them or not; true soil is not used.
+The warning comes on after `HOLD` s of such ground and goes off after `RELEASE` s without it. Halts do not count. The
+identifier runs with every controller, so every controller has the same warnings; the true soil is not used.
 
-*Complete immobilisation* is not the end of the episode, which comes seconds later by the task's limits: it is the last
-moment at which the wheel got further at the least mean speed that the task asks for (`no_progress_distance` over
-`no_progress_time`), and for a bogged wheel the end. An immobilisation is *warned of* if the warning is on at that
-moment; distance and time are counted from the moment when it came on. Immobilisations without a warning at that moment
-are not in their means: read them together with the share that was warned of, and with the share of the driving time
-under warning on courses that did not end so.
+*Complete immobilisation* is the last moment at which the wheel got further at the least mean speed that the task asks
+for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. The episode ends seconds later, by
+the limits of the task. An immobilisation is *warned of* if the warning is on at that moment. Distance and time count
+from the moment when it came on. Immobilisations without a warning are not in their means: read them beside the share
+that was warned of, and the share of the driving time under warning on other courses.
 
 A second warning, `Foresight`, is by the probability of immobilisation within 5 s, a network on the last seconds of the
 same sensors, the estimate and what a camera shows ahead: on where it reaches the threshold on its card, off after
 `RELEASE` s below half of that (`KEPT`), so that it does not flicker.
 
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
-Autonomous Vehicles and Systems 2(3) 031001 (2022). Other conditions: not a figure to be compared digit by digit.
+Autonomous Vehicles and Systems 2(3) 031001 (2022).
 """
 
 from __future__ import annotations
@@ -51,15 +49,15 @@ _LOAD, _PITCH, _SLIP = (
 
 
 class Alarm:
-    """Alarms of `count` wheels side by side, step by step: on after `hold` s of a sign, off after `release` s without
-    what keeps it on.
+    """Alarms of `count` wheels side by side: on after `hold` s of a sign, off after `RELEASE` s without it.
 
-    What the sign is, a class that derives from this one says, and what keeps it on if that is not the sign.
+    Subclasses define the sign (`signs`), and what keeps an alarm on if that is not the sign (`keeps`).
     """
 
-    def __init__(self, scenario: Scenario, count: int, hold: float, release: float):
-        self.scenario, self.count = scenario, count
-        self.hold, self.release, self.period = hold, release, scenario.control.period
+    hold = 0.0  # [s]
+
+    def __init__(self, scenario: Scenario, count: int):
+        self.scenario, self.period = scenario, scenario.control.period
         self.held, self.quiet = np.zeros(count), np.zeros(count)  # [s]
         self.on = np.zeros(count, dtype=bool)
         self.under, self.driven = np.zeros(count), np.zeros(count)  # [s] under warning, of all driving
@@ -67,15 +65,14 @@ class Alarm:
         self.start_time, self.start_x = np.zeros(count), np.zeros(count)
         self.least = scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period  # [m]
         self.furthest = np.zeros(count)  # [m] a control period ago
-        # as they were when the wheel last was mobile
-        self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] since the warning came on; NaN: not on
+        self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] from the warning to the last mobile moment
 
     def signs(self, worlds: Worlds, alive: np.ndarray) -> np.ndarray:
-        """Which wheels show the sign in this control period [count] bool."""
+        """True for the wheels that show the sign in this control period [count]."""
         raise NotImplementedError
 
     def keeps(self, looks: np.ndarray) -> np.ndarray:
-        """Which alarms stay on where they are on [count] bool; `looks`: which wheels show the sign."""
+        """True for the alarms that stay on [count]; `looks`: the wheels that show the sign."""
         return looks
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
@@ -85,25 +82,24 @@ class Alarm:
         self.time[alive] += self.period
         self.held = np.where(driving, np.where(looks, self.held + self.period, 0.0), self.held)
         self.quiet = np.where(driving, np.where(self.keeps(looks), 0.0, self.quiet + self.period), self.quiet)
-        come = driving & ~self.on & (self.held >= self.hold - 1e-9) & looks
+        come = looks & ~self.on & (self.held >= self.hold - 1e-9)
         self.on |= come
         self.start_time[come], self.start_x[come] = self.time[come], worlds.state["best_x"][come]
-        self.on &= ~(driving & (self.quiet >= self.release - 1e-9))
+        self.on &= ~(driving & (self.quiet >= RELEASE - 1e-9))
         self.under[driving & self.on] += self.period
         self.driven[driving] += self.period
         mobile = driving & (worlds.state["best_x"] - self.furthest >= self.least)
         self.furthest = worlds.state["best_x"].copy()
-        lead = self._lead(worlds)
-        self.mobile_lead[mobile] = lead[mobile]
+        self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
     def _lead(self, worlds):
         lead = np.stack([worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1)
         return np.where(self.on[:, None], lead, np.nan)
 
     def lead(self, worlds: Worlds, bogged: np.ndarray) -> np.ndarray:
-        """[count, 2]: distance [m] and time [s] from the warning to complete immobilisation, NaN where there was none.
+        """[count, 2]: distance [m] and time [s] from the warning to complete immobilisation, NaN without a warning.
 
-        `bogged` [count] bool: wheels that were mobile to the end. Means something for immobilised wheels only.
+        `bogged` [count] bool: wheels that were mobile to the end. Meaningful for immobilised wheels only.
         """
         return np.where(bogged[:, None], self._lead(worlds), self.mobile_lead)
 
@@ -112,35 +108,34 @@ class Foresight(Alarm):
     """Alarms by the probability of immobilisation within 5 s (`soil_env.identification.online.immobilisation`)."""
 
     def __init__(self, scenario: Scenario, count: int):
-        super().__init__(scenario, count, 0.0, RELEASE)
+        super().__init__(scenario, count)
         self.warning, self.threshold = ImmobilisationWarning(scenario), float(shipped()["alarm"])
         self.probability = np.zeros(count)  # within the longer horizon
 
     def signs(self, worlds, alive):
-        """[wheels] whether the probability is over the threshold; the worlds keep the last seconds of the sensors."""
+        """Wheels whose probability is over the threshold."""
         rows = np.flatnonzero(alive)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         return self.probability >= self.threshold
 
     def keeps(self, looks):
-        """[wheels] whether the probability is over the lower threshold."""
+        """Wheels whose probability is over the lower threshold."""
         return self.probability >= KEPT * self.threshold
 
 
 class Warnings(Alarm):
     """Warnings by the criterion of the source paper."""
 
+    hold = HOLD
+
     def __init__(self, scenario: Scenario, count: int):
-        super().__init__(scenario, count, HOLD, RELEASE)
-        self.known = np.zeros((count, 6))  # estimate and load [N] of which the best working point was computed
+        super().__init__(scenario, count)
+        self.known = np.zeros((count, 6))  # estimate and load [N] of the best working point as last computed
         self.best_slip, self.best_pull = np.zeros(count), np.zeros(count)  # [-], [of load]
 
     def signs(self, worlds, alive):
-        """Which grounds look impassable."""
-        return self._looks_impassable(worlds, alive)
-
-    def _looks_impassable(self, worlds, alive):
+        """Wheels on ground that looks impassable."""
         load = np.maximum(worlds.observation[:, _LOAD].astype(float), LEAST_LOAD) * self.scenario.weight
         self._renew(worlds.ids.estimate, load, alive)
         grade = np.tan(worlds.observation[:, _PITCH].astype(float))
@@ -148,10 +143,10 @@ class Warnings(Alarm):
         return (self.best_pull <= grade) | (worlds.observation[:, _SLIP] > unstable)
 
     def _renew(self, x, load, alive):
-        """Best working points, computed again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
+        """Compute best working points again where the estimate has moved by 1 % (phi: 0.002 rad) or the load by 10 %.
 
-        Cohesion counts by the change that it makes to the strength under the load. `x` [n, 5]: phi, ln K, ln S, c, ln
-        of the gain of digging.
+        Cohesion counts by its change of the strength under the load. `x` [n, 5]: phi, ln K, ln S, c, ln of the gain of
+        digging.
         """
         belief, wheel, known = self.scenario.belief, self.scenario.wheel, self.known
         step = np.abs(x[:, :5] - known[:, :5])

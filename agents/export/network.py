@@ -7,11 +7,10 @@ from torch import nn
 
 from soil_env._io.loading import ParameterError
 
-from ..learner import Tanh
 from .graph import Graph, Traced
 
 _ACTIVATIONS: dict[type, tuple[str, dict]] = {
-    nn.ReLU: ("Relu", {}), nn.Tanh: ("Tanh", {}), Tanh: ("Tanh", {}), nn.Sigmoid: ("Sigmoid", {}), nn.ELU: ("Elu", {}),
+    nn.ReLU: ("Relu", {}), nn.Tanh: ("Tanh", {}), nn.Sigmoid: ("Sigmoid", {}), nn.ELU: ("Elu", {}),
     nn.Flatten: ("Identity", {}), nn.Identity: ("Identity", {}), nn.Softplus: ("Softplus", {}),
 }  # fmt: skip
 

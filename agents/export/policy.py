@@ -1,27 +1,24 @@
-"""The ONNX model of an agent, its description, and the proof that both act alike."""
+"""The ONNX model of an agent, its description, and the steps on which both are compared."""
 
 from __future__ import annotations
 
-import io
 import json
 import platform
-import time
 from importlib import metadata
-from pathlib import Path
 
 import numpy as np
 
 import soil_env
-from soil_env._io.files import plain, replace_file
+from soil_env._io.files import plain
 from soil_env._io.loading import ParameterError, to_dict
-from soil_env.env import action_space, observation_space
-from soil_env.parameters import Scenario
+from soil_env.env import action_space
+from soil_env.parameters import Control, Scenario, Wheel
 from soil_env.simulation.task import layout
 from soil_env.simulation.world.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
-from ..exported import FORMAT, ExportedAgent
+from ..exported import FORMAT
 from .graph import OPSET, Graph, Traced
 from .network import action_of, memory_sizes
 
@@ -35,18 +32,16 @@ def onnx_model(agent, description: dict):
     Outputs: `action` [n, 1] float32 in [-1, 1], and `next_NAME` of each state. ParameterError for a network that has
     no such form.
     """
-    if agent.model.action_space != action_space():
-        raise ParameterError(f"action space {agent.model.action_space}: expected {action_space()}")
-    graph, policy = Graph(), agent.model.policy
-    entries = len(description["inputs"])
-    seen = graph.input("observation", "float32")
-    fresh = graph.input("new_course", "bool")
+    if agent.policy.action_space != action_space():
+        raise ParameterError(f"action space {agent.policy.action_space}: expected {action_space()}")
+    graph, entries = Graph(), len(description["inputs"])
+    seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
     sizes, history = _states(agent), getattr(agent, "history", None)
     memory = {name: graph.input(name, "float32") for name in sizes}
     raw, past = (agent.scaling(seen) if agent.scaling.scaled else seen), {}
     if history is not None:
         raw, past["history"] = history.observe(raw, memory["history"], fresh)
-    action, kept = action_of(graph, policy, _normalised(raw, agent, entries), memory, fresh)
+    action, kept = action_of(graph, agent.policy, _normalised(raw, agent, entries), memory, fresh)
     kept |= past
     inputs = [graph.info(seen, ["n", entries])]
     inputs += [graph.info(fresh, ["n"])] if sizes else []
@@ -59,7 +54,7 @@ def onnx_model(agent, description: dict):
 def _states(agent) -> dict[str, int]:
     """{name: numbers} of the hidden states of an agent: of its network, and the readings it keeps."""
     history = getattr(agent, "history", None)
-    return memory_sizes(agent.model.policy) | ({} if history is None else {"history": history.kept})
+    return memory_sizes(agent.policy) | ({} if history is None else {"history": history.kept})
 
 
 def _named(graph: Graph, x: Traced, name: str) -> Traced:
@@ -67,12 +62,9 @@ def _named(graph: Graph, x: Traced, name: str) -> Traced:
 
 
 def _normalised(x: Traced, agent, entries: int) -> Traced:
-    """Observations of so many `entries`, with their history, as the network reads them, float32.
-
-    As `Agent._normalised` and `VecNormalize.normalize_obs`.
-    """
+    """Input of the network, float32, as `Agent._normalised` and `VecNormalize.normalize_obs` compute it."""
     if hasattr(agent, "mean"):
-        acting = entries + (agent.history.size if agent.history else 0)  # what follows is for the value network alone
+        acting = entries + (agent.history.size if agent.history else 0)  # the rest is for the value network alone
         mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip
     elif agent.normalisation is not None and agent.normalisation.norm_obs:
         of = agent.normalisation
@@ -82,28 +74,19 @@ def _normalised(x: Traced, agent, entries: int) -> Traced:
     return np.clip((x.astype(np.float64) - mean) / sd, -clip, clip).astype(np.float32)
 
 
-# --- description ------------------------------------------------------------------------------------------------------
-
-
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
-    """What policy.yaml says before anything was run, as plain values."""
-    wheel, control = scenario.wheel, scenario.control
-    space, model = observation_space(agent.variant, scenario.course, scaled=False), agent.model
-    entries = [
-        {"index": k, "name": e.name, "unit": e.unit, "low": low, "high": high}
-        for k, (e, low, high) in enumerate(
-            zip(layout(agent.variant, scenario.course),
-                *(np.round(a.astype(float), 6).tolist() for a in (space.low, space.high)), strict=True)
-        )
-    ]  # fmt: skip
+    """Content of policy.yaml before the comparison, as plain values."""
+    wheel, control, history = scenario.wheel, scenario.control, getattr(agent, "history", None)
     return {
         "format": FORMAT,
         "name": name,
-        "algorithm": "PPO" if type(model).__name__ == "Learner" else type(model).__name__,
-        "steps_trained": int(model.num_timesteps),
-        "history": 0 if getattr(agent, "history", None) is None else agent.history.steps,
+        "network": type(agent.policy).__name__,
+        "history": 0 if history is None else history.steps,
         "observation": agent.variant,
-        "inputs": entries,
+        "inputs": [
+            {"index": k, "name": e.name, "unit": e.unit, "low": e.low, "high": e.high}
+            for k, e in enumerate(layout(agent.variant, scenario.course))
+        ],
         "reference": {
             "weight": {"value": scenario.weight, "unit": "N", "meaning": "of wheel and its share of the body"},
             "radius": {"value": wheel.radius, "unit": "m"},
@@ -113,51 +96,32 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
         "states": [
             {"name": key, "size": size, "first": 0.0, "output": f"next_{key}"} for key, size in _states(agent).items()
         ],
-        "output": {
-            "name": "action",
-            "low": -1.0,
-            "high": 1.0,
-            **_OUTPUTS[control.action](wheel, control),
-        },
+        "output": {"name": "action", "low": -1.0, "high": 1.0, **_output(wheel, control)},
         "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),
         "world": None if world is None else world.content(),
-        "versions": _versions(),
-    }  # fmt: skip
+        "versions": {"soil_env": soil_env.__version__, "python": platform.python_version(), "opset": str(OPSET)}
+        | {package: metadata.version(package) for package in ("stable-baselines3", "torch", "onnx", "onnxruntime")},
+    }
 
 
-_OUTPUTS = {  # what the action means on a vehicle, and what 1 is
-    "torque": lambda wheel, control: {
-        "meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}
-    },
-    "wheel_speed": lambda wheel, control: {
-        "meaning": "wheel speed, followed by the drive's own loop",
-        "scale": {"value": wheel.no_load_speed, "unit": "rad/s"},
-    },
-    "rim_acceleration": lambda wheel, control: {
+def _output(wheel: Wheel, control: Control) -> dict:
+    """Meaning of the action on a vehicle, and the value of an action of 1."""
+    if control.action == "torque":
+        return {"meaning": "motor torque", "scale": {"value": wheel.stall_torque, "unit": "N m"}}
+    if control.action == "wheel_speed":
+        scale = {"value": wheel.no_load_speed, "unit": "rad/s"}
+        return {"meaning": "wheel speed, followed by the drive's own loop", "scale": scale}
+    top = wheel.radius * wheel.no_load_speed
+    return {
         "meaning": "rate of the rim speed that the drive's own loop follows and that is 0 at the start and in halts",
         "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
-        "limits": {"value": [-REVERSE * wheel.radius * wheel.no_load_speed, wheel.radius * wheel.no_load_speed],
-                   "unit": "m/s, of that rim speed"},
-    },
-}  # fmt: skip
-
-
-def _versions() -> dict[str, str]:
-    known = {"soil_env": soil_env.__version__, "python": platform.python_version(), "opset": str(OPSET)}
-    for package in ("stable-baselines3", "sb3-contrib", "torch", "numpy", "onnx", "onnxruntime"):
-        try:
-            known[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            pass
-    return known
-
-
-# --- proof ------------------------------------------------------------------------------------------------------------
+        "limits": {"value": [-REVERSE * top, top], "unit": "m/s, of that rim speed"},
+    }
 
 
 class _Recorder:
-    """An agent that keeps what it saw and did."""
+    """An agent that keeps its observations and actions."""
 
     def __init__(self, agent):
         self.agent, self.variant = agent, agent.variant
@@ -178,27 +142,3 @@ def recorded(agent, scenario: Scenario, steps: int, world: WheelSoilModel | None
         course += 1
     seen, fresh, action = (np.array(column) for column in zip(*recorder.rows[:steps], strict=True))
     return {"observation": seen.astype(np.float32), "new_course": fresh, "action": action.astype(np.float32)}
-
-
-def compared(exported: ExportedAgent, course: dict[str, np.ndarray]) -> dict:
-    """Largest difference of the actions on the recorded steps, and the time of a step of one wheel [us]."""
-    memory, worst, times = None, 0.0, []
-    for seen, fresh, expected in zip(course["observation"], course["new_course"], course["action"], strict=True):
-        start = time.perf_counter()
-        action, memory = exported.predict(seen[None], None if fresh else memory, np.array([fresh]))
-        times.append(1e6 * (time.perf_counter() - start))
-        worst = max(worst, float(np.abs(action[0] - expected).max()))
-    return {
-        "steps": len(times),
-        "largest_difference": worst,
-        "tolerance": TOLERANCE,
-        "latency_us": {"median": float(np.median(times)), "p99": float(np.percentile(times, 99))},
-        "machine": f"{platform.system()} {platform.machine()}, one thread",
-    }
-
-
-def write_course(course: dict[str, np.ndarray], path: Path) -> None:
-    """course.npz."""
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **course)
-    replace_file(path, stream.getvalue())

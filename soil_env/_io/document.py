@@ -60,7 +60,7 @@ class Table:
         return "\n".join((" " * indent + line).rstrip() for line in lines)
 
     def _numbers(self) -> list[bool]:
-        """Whether each column holds numbers: every cell begins with one, or is empty or a dash."""
+        """True for each column of numbers: every cell begins with one, is empty or a dash."""
         if not self.rows:
             return [False] * len(self.header)
         return [all(_NUMBER.match(str(cell)) for cell in column) for column in zip(*self.rows, strict=True)]

@@ -62,7 +62,7 @@ def plain(value):
 
 
 def is_unused(folder: str | Path) -> bool:
-    """Whether a folder is not there, or holds nothing but the partial file of a write that was killed."""
+    """True if the folder is missing or holds only a partial write."""
     folder = Path(folder)
     return not folder.is_dir() or all(p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir())
 

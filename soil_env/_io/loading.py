@@ -12,7 +12,6 @@ import difflib
 import functools
 import json
 import math
-import re
 import sys
 import types
 import typing
@@ -32,6 +31,14 @@ class ParameterError(ValueError):
     def __init__(self, message: str = "") -> None:
         text = str(message)
         super().__init__(text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}")
+
+
+class FieldError(ParameterError):
+    """A field of a dataclass has a wrong value; `load` replaces the name of the class by the place in the file."""
+
+    def __init__(self, owner: object, name: str, problem: str) -> None:
+        self.name, self.problem = name, problem
+        super().__init__(f"{type(owner).__name__}.{name}{problem}")
 
 
 # --- fields with units ------------------------------------------------------------------------------------------------
@@ -55,12 +62,10 @@ def check(instance) -> None:
                 continue
             is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
             if not (is_number and low <= x <= high and math.isfinite(x)):
-                raise ParameterError(
-                    f"{type(instance).__name__}.{f.name} = {_said(value)}: expected a number "
-                    f"in [{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
-                )
+                limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
+                raise FieldError(instance, f.name, f" = {_said(value)}: expected a number in {limits}")
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise ParameterError(f"{type(instance).__name__}.{f.name} = {value!r}: expected the smaller number first")
+            raise FieldError(instance, f.name, f" = {value!r}: expected the smaller number first")
 
 
 def _said(value: object) -> str:
@@ -90,7 +95,7 @@ class Checked:
         check(self)
         for name, known in _choices(type(self)).items():
             if getattr(self, name) not in known:
-                raise unknown_value(getattr(self, name), known, f"{type(self).__name__}.{name}")
+                raise FieldError(self, name, str(unknown_value(getattr(self, name), known)))
 
 
 # --- strict loading ---------------------------------------------------------------------------------------------------
@@ -101,8 +106,8 @@ def unknown_key(key, known, where: str) -> ParameterError:
     return ParameterError(f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})")
 
 
-def unknown_value(value, known, where: str) -> ParameterError:
-    """The error for a value that is none of the known ones, with the nearest of them."""
+def unknown_value(value, known, where: str = "") -> ParameterError:
+    """Error for a value that is none of the known ones, with the nearest of them."""
     return ParameterError(f"{where}: unknown value {value!r}{nearest(value, known)} (expected one of {_sorted(known)})")
 
 
@@ -148,13 +153,13 @@ def load(cls, mapping, where: str = ""):
         raise ParameterError(f"{where}: missing {', '.join(missing)}")
     try:
         return cls(**values)
-    except ParameterError as error:
-        text, own = str(error), f"{cls.__name__}."
+    except FieldError as error:
         if where == cls.__name__:
             raise
-        text = text.removeprefix(own).removeprefix(f"{cls.__name__}: ")
-        of_key = re.match(r"[\w.]+( = |: expected)", text)
-        raise ParameterError(_below(where, text) if of_key else f"{where}: {text}") from None
+        raise ParameterError(f"{_below(where, error.name)}{error.problem}") from None
+    except ParameterError as error:
+        of_field = str(error).startswith(tuple(f"{name}{end}" for name in names for end in " .:"))
+        raise ParameterError(_below(where, str(error)) if of_field else f"{where}: {error}") from None
 
 
 def _below(where: str, key: str) -> str:

@@ -37,8 +37,8 @@ from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_d
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
@@ -48,13 +48,9 @@ _LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditi
 GRAVITY = 9.81
 
 
-#: Parameters whose prior is centred on a value of the rig: of the wheel, or of the speeds in the table.
-_CENTRED = ("shear_softening_length", "shear_rate_onset_speed")
-
-
 @dataclass(eq=False)
 class Problem:
-    """What all fits to one table share: unknowns of the soil, noise, values in use."""
+    """Table, unknowns of the soil, noise and values in use, which all fits to one table share."""
 
     data: Data
     noise: np.ndarray  # [3]
@@ -62,7 +58,6 @@ class Problem:
     freedom: float = math.inf  # degrees of freedom that the noise is known to
     soil: tuple[Unknown, ...] = ()
     known: dict[str, float] = field(default_factory=dict)
-    scales: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # sd, low, high that the data set
     offset: np.ndarray | None = None  # [N, 3] added to the model, a residual law
 
     def __post_init__(self) -> None:
@@ -70,7 +65,11 @@ class Problem:
         self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
         self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
         self.digging: tuple[float, float] = known_digging(setup)
-        self._effect_scales()
+        self.bench: Bench = self._bench()
+        #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig sets them.
+        self.scales = {f"{e.name}_{k}": v for e in CATALOGUE.values() for k, v in e.priors(self.bench).items()}
+        self.centres = {f"{e.name}_{k}": v for e in CATALOGUE.values() for k, v in e.neutral(self.bench).items()}
+        self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
         self._processes()
 
     def _processes(self) -> None:
@@ -86,38 +85,29 @@ class Problem:
         square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
         self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
 
-    def _effect_scales(self) -> None:
-        """Prior scales in the units of this rig, and reference speeds that the data set."""
-        rows, r = self.data.rows, self.data.wheel.radius
-        load, speed = float(np.median(rows.load)), rows.conditions[:, 0]
-        z = self.data.y[:, 0]
-        z = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
-        torque, turning = 0.3 * load * r, max(float(np.median(speed)) / r, 1e-6)
-        lugs = self.data.setup.wheel.grouser_count
-        self.scales = {
-            "drivetrain_friction_constant": (0.3 * torque, 0.0, 4.0 * torque),
-            "drivetrain_friction_viscous": (0.2 * torque / turning, 0.0, 3.0 * torque / turning),
-            "sinkage_offset_offset": (0.3 * z, -0.5 * r, 0.5 * r),
-            "shear_softening_sharpness": (4.0, 1.0, 30.0),  # below 1 the law has no peak
-            "shear_softening_onset": (0.15 * r, 0.0, 2.0 * r),
-            "slip_sinkage_length": (0.3 * z, 0.0, 5.0 * z),
-            "slip_sinkage_exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect
-        }
-        if lugs is not None:  # as many lugs a radian; part of each one's share is the other lugs'
-            self.scales["grousers_blades"] = (lugs / (2.0 * math.pi), 0.0, lugs / math.pi)
-        if np.min(rows.slip) > -0.02:  # every published peak of a driven wheel moves forward with slip
-            self.scales["stress_peak_shift_slope"] = (0.3, 0.0, 0.9)
-        slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
-        self.neutral: Effects = NO_EFFECTS._replace(shear_softening_length=0.3 * r)
+    def _bench(self) -> Bench:
+        """Sizes of this rig, which priors of effects scale with."""
+        rows, r, wheel = self.data.rows, self.data.wheel.radius, self.data.setup.wheel
+        speed, z = rows.conditions[:, 0], self.data.y[:, 0]
+        sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
+        middle = sliding = 0.0
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
+            slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
             slide = slide[slide > 0.0]
             sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
-            self.neutral = self.neutral._replace(
-                penetration_rate_reference_speed=middle,
-                shear_rate_reference_speed=sliding,
-                shear_rate_onset_speed=sliding,
-            )
+        return Bench(
+            radius=r,
+            load=float(np.median(rows.load)),
+            sinkage=sinkage,
+            speed=middle,
+            median_speed=float(np.median(speed)),
+            highest_speed=float(np.max(speed)),
+            sliding=sliding,
+            lowest_slip=float(np.min(rows.slip)),
+            lugs=wheel.grouser_count,
+            smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
+        )
 
     # --- unknowns and outputs ---
 
@@ -129,7 +119,7 @@ class Problem:
                 p = CATALOGUE[choice.effect].parameter(full[len(choice.effect) + 1 :])
                 low, high = p.low, p.high
                 if p.centre is not None:
-                    centre = getattr(self.neutral, full) if full in _CENTRED else p.centre
+                    centre = self.centres.get(full, p.centre)
                     out.append(Unknown(full, math.log(centre), p.scale, math.log(max(low, 1e-3 * centre)),
                                        math.log(high), True))  # fmt: skip
                     continue

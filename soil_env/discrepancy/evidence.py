@@ -23,7 +23,7 @@ from soil_env.discrepancy.fits import Choice, Fit, Sizes
 from soil_env.identification.table.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
@@ -97,9 +97,9 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
         for more in np.unique(scatter):
             at, sd = scatter == more, noise * more
             blocks = [b / sd for b in errors]
-            told = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
-            log[k, at] = told[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *told[1:])
-            mean[k, at], covariance[k, at] = told[1:]
+            found = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
+            log[k, at] = found[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *found[1:])
+            mean[k, at], covariance[k, at] = found[1:]
     log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
     total = float(logsumexp(log))
     share = np.exp(log - total)

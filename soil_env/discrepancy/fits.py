@@ -9,7 +9,7 @@ import numpy as np
 
 from soil_env.identification.table.form_error import LAW_LENGTHS
 from soil_env.identification.table.priors import Unknown
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 
 class Choice(NamedTuple):

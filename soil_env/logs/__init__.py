@@ -1,8 +1,8 @@
 """Logs of rovers: recordings to time-aligned wheel readings, steady points, and the soil over time.
 
-`mapping` says which topic, field or column is which reading, `recordings` opens the file, `bags` and `tables` read it,
-`align` puts all readings on one time axis, `steady` finds the steady stretches, `replay` runs the online identifier,
-`report` writes what was found. `python -m soil_env.logs --help` describes the files.
+`mapping` names topic, field or column of each reading; `recordings` opens the file, which `bags` or `tables` read;
+`align` puts all readings on one time axis; `replay` runs the online identifier; `steady` finds the steady stretches,
+`grounds` their soils; `report` writes the files. `soil-env logs --help` describes these.
 """
 
 from soil_env.logs.align import Aligned
@@ -11,15 +11,5 @@ from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import Replay, replay
 from soil_env.logs.steady import Steady, steady_windows
 
-__all__ = [
-    "Aligned",
-    "LogMap",
-    "Replay",
-    "Source",
-    "Steady",
-    "Windows",
-    "read_map",
-    "read_recording",
-    "replay",
-    "steady_windows",
-]
+__all__ = ["Aligned", "LogMap", "Replay", "Source", "Steady", "Windows", "read_map", "read_recording", "replay",
+           "steady_windows"]  # fmt: skip

@@ -2,7 +2,7 @@
 
 MCAP is read by the library `mcap`, a bag in SQLite by Python's own module, and messages in CDR are decoded by `rosbags`
 with the definitions that the recording bears (those of the current ROS 2 where it bears none). Files are read from
-front to end with no more than a chunk in memory, so that a recording that was cut off gives all that is whole.
+front to end with no more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import sqlite3
 import struct
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
@@ -35,12 +34,12 @@ class Message(NamedTuple):
 
 
 class Notes:
-    """What a reader has to tell beside the messages."""
+    """Remarks of a reader beside the messages."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.topics: dict[str, str] = {}  # seen, with their type
-        self.file = ""  # that is being read
+        self.file = ""  # being read
 
     def add(self, line: str) -> None:
         """Add a sentence, once."""
@@ -74,13 +73,13 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
             notes.add(f"{file.name} is named in metadata.yaml and is not there: its part of the recording is missing")
             continue
 
-        def told(position: int, before: int = sum(sizes[:k])) -> None:
+        def report(position: int, before: int = sum(sizes[:k])) -> None:
             progress(before + position, sum(sizes))
 
         notes.file = file.name
         reader = _mcap if file.suffix == ".mcap" else _sqlite
-        yield from reader(file, wanted, notes, told)
-        told(sizes[k])
+        yield from reader(file, wanted, notes, report)
+        report(sizes[k])
 
 
 # --- decoding ---------------------------------------------------------------------------------------------------------
@@ -120,46 +119,57 @@ def _objects(data: bytes) -> Any:
 # --- MCAP -------------------------------------------------------------------------------------------------------------
 
 
-def _mcap(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
-    try:
-        from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-        from mcap.records import Channel, Chunk, DataEnd, Footer, Message as Record, Schema
-        from mcap.stream_reader import StreamReader, breakup_chunk
-    except ImportError:
-        raise ParameterError(_NEEDED) from None
-    decoder, schemas, channels = _Decoder(), {}, {}
+def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
+    """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left out."""
+    from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+    from mcap.records import Chunk, DataEnd, Footer, Message as Record
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
     size, last, record = file.stat().st_size, None, None
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
-        while not isinstance(record, (DataEnd, Footer)):  # the rest is an index
+        while not isinstance(record, (DataEnd, Footer)):
             try:
                 record = next(records)
             except InvalidMagic:
                 raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
-            except EndOfFile:
-                return _cut(notes, file, stream.tell(), size, last)
-            except (McapError, struct.error, ValueError, MemoryError) as error:
-                return _cut(notes, file, stream.tell(), size, last, f" ({error})")
+            except (EndOfFile, McapError, struct.error, ValueError, MemoryError) as error:
+                why = "" if isinstance(error, EndOfFile) else f" ({error})"
+                at = f"after the message recorded at {last * 1e-9:.3f} s" if last else "before its first message"
+                end = "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
+                notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read")
+                return
             try:
                 inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
             except Exception as error:  # checksum, decompression: each library has errors of its own
                 notes.add(f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})")
                 continue
             for r in inside:
-                if isinstance(r, Schema):
-                    schemas[r.id] = r
-                elif isinstance(r, Channel):
-                    channels[r.id] = r, schemas.get(r.schema_id)
-                    kind = schemas[r.schema_id].name if r.schema_id in schemas else r.message_encoding
-                    notes.topics.setdefault(r.topic, kind)
-                    if r.topic in wanted:
-                        _prepare(decoder, file, r, schemas.get(r.schema_id))
-                elif isinstance(r, Record) and r.channel_id in channels:
-                    channel, schema = channels[r.channel_id]
-                    last = r.log_time
-                    if channel.topic in wanted:
-                        yield _message(decoder, file, channel, schema, r)
-            told(stream.tell())
+                last = r.log_time if isinstance(r, Record) else last
+                yield r
+            report(stream.tell())
+
+
+def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
+    """Messages of an MCAP file."""
+    try:
+        from mcap.records import Channel, Message as Record, Schema
+    except ImportError:
+        raise ParameterError(_NEEDED) from None
+    decoder, schemas, channels = _Decoder(), {}, {}
+    for r in _mcap_records(file, notes, report):
+        if isinstance(r, Schema):
+            schemas[r.id] = r
+        elif isinstance(r, Channel):
+            schema = schemas.get(r.schema_id)
+            channels[r.id] = r, schema
+            notes.topics.setdefault(r.topic, schema.name if schema else r.message_encoding)
+            if r.topic in wanted:
+                _prepare(decoder, file, r, schema)
+        elif isinstance(r, Record) and r.channel_id in channels:
+            channel, schema = channels[r.channel_id]
+            if channel.topic in wanted:
+                yield _message(decoder, file, channel, schema, r)
 
 
 def _prepare(decoder: _Decoder, file: Path, channel, schema) -> None:
@@ -181,78 +191,48 @@ def _message(decoder: _Decoder, file: Path, channel, schema, record) -> Message:
     return Message(channel.topic, record.log_time, schema.name, content)
 
 
-def _cut(notes: Notes, file: Path, position: int, size: int, last: int | None, why: str = "") -> None:
-    at = "before its first message" if last is None else f"after the message recorded at {last * 1e-9:.3f} s"
-    end = "at its end" if position >= size else f"at byte {position} of {size}"
-    notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read, the rest is lost")
-
-
 # --- SQLite -----------------------------------------------------------------------------------------------------------
 
 
-def _sqlite(file: Path, wanted: set[str], notes: Notes, told: Callable[[int], None]) -> Iterator[Message]:
+def _sqlite(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
-    decoder, last, size = _Decoder(), None, file.stat().st_size
+    decoder, size = _Decoder(), file.stat().st_size
+    _check_size(file, size)
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
-        base.execute("PRAGMA writable_schema=ON")  # else SQLite reads nothing of a file that lacks its end
         try:
             topics = {i: (name, kind) for i, name, kind in base.execute("SELECT id, name, type FROM topics")}
-            rows = _count(base)
+            count = base.execute("SELECT max(id) FROM messages").fetchone()[0] or 1
+            notes.topics |= dict(topics.values())
+            _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
+            ids = [i for i, (name, _) in topics.items() if name in wanted]
+            query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
+            for number, topic, time, data in base.execute(query + " ORDER BY id", ids):
+                name, kind = topics[topic]
+                yield Message(name, time, kind, decoder.cdr(kind, data, f"{file}: topic {name}"))
+                if number % 64 == 0:
+                    report(int(size * min(number / count, 1.0)))
         except sqlite3.DatabaseError as error:
             raise ParameterError(f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})") from None
-        notes.topics |= dict(topics.values())
-        _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
-        ids = [i for i, (name, _) in topics.items() if name in wanted]
-        query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
-        given, held, bytes_held = 0, deque(), 0  # rows that may lie in a page of which a part is missing
-        page, short = _page(file, size)
-        cursor = base.execute(query + " ORDER BY id", ids)
-        while True:
-            try:
-                row = cursor.fetchone()
-            except sqlite3.DatabaseError as error:
-                return _cut(notes, file, size, size, last, f" ({error})")
-            if row is None:
-                return _cut(notes, file, size, size, last) if short else None
-            held.append(row)
-            bytes_held += min(len(row[3] or b""), page)
-            while held and (not short or bytes_held > 3 * page):
-                number, topic, last, data = held.popleft()
-                bytes_held -= min(len(data or b""), page)
-                name, kind = topics[topic]
-                yield Message(name, last, kind, decoder.cdr(kind, data, f"{file}: topic {name}"))
-                given += 1
-                if given % 64 == 0:
-                    told(int(size * min(number / max(rows, 1), 1.0)))
 
 
-def _page(file: Path, size: int) -> tuple[int, bool]:
-    """Bytes of a page of an SQLite file, and whether the file is shorter than its header says.
-
-    SQLite reads what is missing of a page as zeros, of which nothing tells in the rows that it returns.
-    """
+def _check_size(file: Path, size: int) -> None:
+    """Refuse an SQLite file that is shorter than its header says: missing parts of a page would be read as zeros."""
     with file.open("rb") as stream:
         header = stream.read(32)
-    page, pages = struct.unpack(">16xH10xI", header)
-    page = 65536 if page == 1 else page
-    return page, size < page * pages
+    page, pages = struct.unpack(">16xH10xI", header) if len(header) == 32 else (0, 0)
+    whole = (65536 if page == 1 else page) * pages
+    if header.startswith(b"SQLite format 3") and size < whole:
+        recover = f"sqlite3 {file.name} .recover | sqlite3 whole.db3"
+        raise ParameterError(f"{file}: is cut off at byte {size} of {whole}: expected a whole file; try {recover}")
 
 
 def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
-    """Take the definitions of message types where the bag has them: older ones do not, nor does a cut one."""
+    """Take the definitions of message types where the bag has them; older ones do not."""
     query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
     with suppress(sqlite3.DatabaseError):
         for kind, text in base.execute(query):
             if kind in kinds:
                 decoder.define(kind, text)
-
-
-def _count(base: sqlite3.Connection) -> int:
-    """The largest number of a message; 1 in a file whose end is missing."""
-    try:
-        return base.execute("SELECT max(id) FROM messages").fetchone()[0] or 1
-    except sqlite3.DatabaseError:
-        return 1
 
 
 def _unpacked(data: bytes) -> bytes:

@@ -1,14 +1,15 @@
-"""Readings that a wheel of this size and weight hardly gives: another unit, another sign, another field, another mass.
+"""Implausible readings: another unit, sign, field or mass than the map says.
 
-Each is compared with what the map says of the wheel, or with another reading that tells the same: rim speed with travel
-speed and slip, load and pull with the weight, torque with weight times radius and the stall torque, pull with mass
-times acceleration, pitch with what accelerometer or pull feel of gravity. What is compared are medians over the steps
-that drive. A doubt is one line: what, where, what was expected.
+Each reading is compared with what the map says of the wheel, or with another reading of the same quantity: rim speed
+with travel speed and slip; load and pull with the weight; torque with weight times radius and the stall torque; pull
+with mass times acceleration; pitch with the gravity in accelerometer or pull. Medians over the steps that drive are
+compared. A doubt is one line: what, where, what was expected.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,23 +18,38 @@ from soil_env.logs.mapping import TIMES, UNITS, LogMap
 from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
-_LEAST = 10  # steps that drive, below which nothing is said
-#: Admissible medians: (low, high, over what). Wide: what is outside is hardly a wheel on soil.
-_RIM = (0.65, 6.0)  # rim speed over travel speed: a slip of -0.35 to 0.83; more where the wheel is stuck for long
-_FREEST = (0.4, 3.2)  # the same where the wheel slips least, in the lowest tenth of the steps
-_LOAD, _PULL, _TORQUE = (0.2, 5.0), (1e-3, 2.0), (5e-3, 3.0)
-_MASS = (0.2, 5.0)  # drawbar pull over mass times acceleration
-_SCALE = (0.5, 2.0)  # travel speed over that of wheel speed and measured slip
-_STEEP, _TILTED = 0.8, 0.7  # [rad] pitch; acceleration over gravity, which an accelerometer pointing down reads
-_SINKAGE = (1e-3, 0.7)  # of the radius, largest
-_SLIPS = (0.05, 0.3)  # between the slip measured and that of the speeds: least of another sign, most
-_HILL = 0.02  # of gravity, rms over the steps, below which the sign of a pitch is not seen
+_LEAST = 10  # steps that drive, below which nothing is compared
+_SINKAGE = (1e-3, 0.7)  # [radii] largest sinkage of a plausible log
+_SLIPS = (0.05, 0.3)  # difference between the slip measured and that of the speeds: least of another sign, most
+_HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
 _AGAINST, _ALIKE = -0.5, 0.5  # slope of the gravity felt by that of the pitch; size of their correlation
 _INTERVAL, _USUAL, _SHORT = (5e-4, 5.0), (2e-3, 2.0), 10.0  # [s] between rows; the usual; length of a short table
 
 
+class Range(NamedTuple):
+    """Plausible values of a ratio; wide, so that hardly a wheel on soil is outside."""
+
+    low: float
+    high: float
+
+    def has(self, value: float) -> bool:
+        """True if the value is in the range."""
+        return self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g}"
+
+
+_RIM = Range(0.65, 6.0)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
+_FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
+_LOAD, _PULL, _TORQUE = Range(0.2, 5.0), Range(1e-3, 2.0), Range(5e-3, 3.0)  # of weight, or of weight times radius
+_MASS = Range(0.2, 5.0)  # drawbar pull over mass times acceleration
+_SCALE = Range(0.5, 2.0)  # travel speed over that of wheel speed and measured slip
+_PITCH, _FELT = Range(0.0, 0.8), Range(0.0, 0.7)  # [rad]; [of gravity], more with an axis that points down
+
+
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
-    """A doubt where the rows of a table are `interval` [s] apart and all of them take `length` [s]; NaN: not known."""
+    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not known."""
     brief = interval < _USUAL[0] and length < _SHORT
     if log_map.time is None or interval == 0.0 or not (interval < _INTERVAL[0] or interval > _INTERVAL[1] or brief):
         return []
@@ -47,200 +63,205 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
 
 
 def doubts(log: Aligned, log_map: LogMap) -> list[str]:
-    """A line for each reading that looks like another unit, sign or field, with where it comes from."""
-    wheel, read = log_map.wheel, log.readings
-    rim, speed = read["wheel_speed"] * wheel.radius, read.get("speed", np.full(len(log), math.nan))
-    slowest = _STANDS * wheel.radius
-    drives = (np.abs(rim) > slowest) | (np.abs(np.nan_to_num(speed)) > slowest)
-    of_acceleration = _of_acceleration(log, log_map)
-    of_speeds = _of_speeds(log, log_map, rim, speed, drives)
-    lines = of_speeds + of_acceleration
-    lines += _of_forces(log, log_map, drives, sound=not of_acceleration)
-    for name in ("load", "sinkage"):
-        if _middle(read.get(name, np.zeros(1))) < 0.0:
-            lines.append(_line(log_map, name, "negative", "positive", "another sign or offset"))
-    for name in ("torque", "motor_torque"):
-        if not of_speeds and _middle(np.sign(rim[drives]) * read.get(name, np.zeros(len(log)))[drives]) < 0.0:
-            lines.append(_line(log_map, name, "against the wheel speed", "with it", "another sign"))
-    return lines + _of_stuck_sensors(log, log_map, drives) + _of_sinkage(log, log_map) + _of_pitch(log, log_map, speed)
+    """A line for each reading that looks like another unit, sign or field."""
+    return _Doubts(log, log_map).lines
 
 
-def _of_stuck_sensors(log: Aligned, log_map: LogMap, drives: np.ndarray) -> list[str]:
-    """A line for each reading but the load that has one value in all steps that drive."""
-    lines = []
-    for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
-        values = log.readings[name][drives] if name in log.readings else np.zeros(0)
-        values = values[~np.isnan(values)]
-        if values.size >= _LEAST and np.ptp(values) == 0.0:
-            said = f"{values[0]:.3g} in all {values.size} steps that drive"
-            lines.append(
-                _line(log_map, name, said, "values with the noise of a sensor", "a sensor that is stuck, or a command")
+class _Doubts:
+    """Comparisons of the readings of one log."""
+
+    def __init__(self, log: Aligned, log_map: LogMap) -> None:
+        self.log, self.map, self.lines = log, log_map, []
+        self.rim, self.speed = log.readings["wheel_speed"] * log_map.wheel.radius, log.get("speed")
+        self.slowest = _STANDS * log_map.wheel.radius
+        self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(np.nan_to_num(self.speed)) > self.slowest)
+        sound_speeds, sound_acceleration = self._speeds(), self._acceleration()
+        self._forces(_felt_mass(log) if sound_acceleration else math.nan)
+        for name in ("load", "sinkage"):
+            if _median(log.get(name)) < 0.0:
+                self._doubt(name, "negative", "positive", "another sign or offset")
+        for name in ("torque", "motor_torque"):
+            if sound_speeds and _median((np.sign(self.rim) * log.get(name))[self.drives]) < 0.0:
+                self._doubt(name, "against the wheel speed", "with it", "another sign")
+        self._stuck_sensors()
+        self._sinkage()
+        self._pitch()
+
+    # --- words ---
+
+    def _place(self, name: str) -> str:
+        return f"{name}: {self.map.channels.sources()[name].place}"
+
+    def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
+        self.lines.append(f"{self._place(name)}: reads {said}: expected {expected}: {reason}?")
+
+    def _units(self, name: str, low: float, high: float) -> list[str]:
+        """Units in which the reading would be `low` to `high` times as large."""
+        source, others = self.map.channels.sources()[name], ("A", "quaternion")
+        if source.unit in others:
+            return []
+        now = UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
+        return [u for u, f in UNITS[name].items() if u not in others and f != now and low <= f / now <= high]
+
+    def _unit(self, name: str, low: float, high: float, otherwise: str = "another unit or field") -> str:
+        """A unit that explains a reading which should be `low` to `high` times as large."""
+        units = self._units(name, low, high)
+        return f"unit {' or '.join(units)}" if units else otherwise
+
+    # --- speeds ---
+
+    def _speeds(self) -> bool:
+        """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
+        rim, speed, slip = self.rim, self.speed, self.log.readings.get("slip")
+        both = self.drives & ~np.isnan(rim) & ~np.isnan(speed)
+        moves = both & (np.abs(np.nan_to_num(speed)) > self.slowest)
+        both = moves if moves.sum() >= _LEAST else both
+        if both.sum() < _LEAST:
+            return True
+        over = _median(np.abs(rim[both])) / max(_median(np.abs(speed[both])), 1e-9)
+        turns = moves & (np.abs(rim) > self.slowest)
+        known = turns.sum() >= _LEAST
+        freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else 1.0
+        if over < _RIM.low or not _FREEST.has(freest) or (over > _RIM.high and not known):
+            over = over if over < _RIM.low or not known else freest
+            units = [f"wheel_speed in {u}" for u in self._units("wheel_speed", 0.9 / over, 2.0 / over)]
+            units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / 0.9)]
+            reason = " or ".join(units) or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"
+            said = f"a rim speed of {over:.3g} times the travel speed ({self._place('speed')})"
+            self._doubt("wheel_speed", said, _RIM, reason)
+            return False
+        if _median(np.sign(rim[both]) * np.sign(speed[both])) < 0.0:
+            said = f"against the travel speed ({self._place('speed')})"
+            self._doubt("wheel_speed", said, "the same direction", "another sign of one of the two")
+            return False
+        return slip is None or self._slip(slip, both)
+
+    def _slip(self, slip: np.ndarray, both: np.ndarray) -> bool:
+        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is doubtful."""
+        sound = both & (np.abs(slip) < 0.8)
+        scale = _median(self.speed[sound] / (self.rim[sound] * (1.0 - slip[sound]))) if sound.sum() >= _LEAST else 1.0
+        units = self._units("speed", 0.8 / scale, 1.25 / scale) if scale > 0.0 else []
+        if not _SCALE.has(scale) and units:
+            said = f"{scale:.3g} times what wheel speed and slip ({self._place('slip')}) give"
+            self._doubt("speed", said, "once", f"unit {' or '.join(units)}")
+            return False
+        of_speeds = slips(self.rim, self.speed)
+        away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
+        if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
+            expected = f"{_median(of_speeds[both]):.2g}, as of the two speeds"
+            self._doubt("slip", f"{_median(slip[both]):.2g}", expected, "another sign, unit or definition")
+            return False
+        return True
+
+    # --- forces, masses, gravity ---
+
+    def _forces(self, felt: float) -> None:
+        """Compare load, pull and torques with the weight; `felt`: mass [kg] by pull and acceleration, or NaN."""
+        wheel, weight, log = self.map.wheel, self.map.weight, self.log
+        mass, load = felt / wheel.body_mass, _median(np.abs(log.get("load")[self.drives])) / weight
+        light = load > 0.0 and not _LOAD.has(load)  # the load contradicts body_mass
+        if light and 0.5 < mass / load < 2.0:
+            self.lines.append(
+                f"wheel: body_mass = {wheel.body_mass:g} kg: load ({self._place('load')}) reads {load:.3g} times its "
+                f"weight, and so does the pull by the acceleration: expected about {load * wheel.body_mass:.3g} kg"
             )
-    return lines
+            return
+        scales = {"load": (weight, _LOAD), "drawbar_pull": (weight, _PULL)}
+        scales |= {name: (weight * wheel.radius, _TORQUE) for name in ("torque", "motor_torque")}
+        for name, (scale, plausible) in scales.items():
+            values = np.abs(log.get(name)[self.drives])
+            values = values[~np.isnan(values)]
+            # a pull, and the torque of a wheel that rolls, may be small for a while
+            size = _median(values if name == "load" else np.sort(values)[values.size // 2 :])
+            ratio = size / scale
+            if values.size < _LEAST or (name != "load" and light and plausible.has(ratio / load)):
+                continue
+            if name == "drawbar_pull" and not (light or math.isnan(mass) or _MASS.has(mass)):
+                self._mass(mass)
+            elif not plausible.has(ratio):
+                reason = "another unit or field"
+                if ratio > 0.0:
+                    reason = self._unit(name, plausible.low / ratio, plausible.high / ratio)
+                if name == "load" and size > 0.0:
+                    reason += f", or wheel.body_mass {size / self.map.gravity:.3g} kg"
+                of = "weight times radius" if "torque" in name else "the weight on the wheel"
+                unit = "N m" if "torque" in name else "N"
+                self._doubt(name, f"{ratio:.3g} times {of} ({scale:.3g} {unit})", plausible, reason)
+            elif "torque" in name and size > 1.2 * wheel.stall_torque:
+                expected = f"at most {wheel.stall_torque:g} N m, the stall torque"
+                self._doubt(name, f"{size:.3g} N m", expected, "another unit or field")
 
+    def _mass(self, mass: float) -> None:
+        """Doubt a pull that is `mass` times what the acceleration of the body needs."""
+        said = f"{mass:.3g} times wheel.body_mass times the acceleration ({self._place('acceleration')})"
+        reason = "another unit or sign"
+        if mass > 0.0:
+            reason = self._unit("drawbar_pull", _MASS.low / mass, _MASS.high / mass, reason)
+            reason += f", or wheel.body_mass {mass * self.map.wheel.body_mass:.3g} kg"
+        self._doubt("drawbar_pull", said, _MASS, reason)
 
-# --- speeds -----------------------------------------------------------------------------------------------------------
+    def _acceleration(self) -> bool:
+        """Compare the acceleration with gravity; True if nothing is doubtful."""
+        felt = _median(np.abs(self.log.get("acceleration"))) / self.map.gravity
+        if felt > _FELT.high:
+            said, reason = f"{felt:.3g} times gravity in the middle", "another unit, or an axis that points down"
+            self._doubt("acceleration", said, f"at most {_FELT.high:g}", reason)
+        return felt <= _FELT.high
 
+    def _pitch(self) -> None:
+        """Compare size and sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
+        log, gravity = self.log, self.map.gravity
+        if "pitch" not in log.readings:
+            return
+        middle = _median(np.abs(log.readings["pitch"]))
+        if middle > _PITCH.high:
+            reason = self._unit("pitch", 0.0, 0.5)
+            self._doubt("pitch", f"{middle:.2g} rad in the middle", f"at most {_PITCH.high:g}", reason)
+            return
+        name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
+        if name not in log.readings or len(log) < _LEAST:
+            return
+        felt = log.readings[name] / (1.0 if name == "acceleration" else self.map.wheel.body_mass)
+        felt = felt - np.nan_to_num(np.gradient(self.speed, log.time))
+        expected = gravity * np.sin(log.readings["pitch"])
+        known = ~np.isnan(expected + felt)
+        x, y = expected[known], felt[known]
+        if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
+            return
+        slope, alike = float(x @ y) / float(x @ x), float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
+        if slope <= _AGAINST and alike <= -_ALIKE:
+            said = f"{slope:.2g} times the gravity that {name} ({self._place(name)}) feels"
+            self._doubt("pitch", said, "once", "another sign of one of the two")
 
-def _of_speeds(log: Aligned, log_map: LogMap, rim: np.ndarray, speed: np.ndarray, drives: np.ndarray) -> list[str]:
-    slowest, slip = _STANDS * log_map.wheel.radius, log.readings.get("slip")
-    both = drives & ~np.isnan(rim) & ~np.isnan(speed)
-    moves = both & (np.abs(np.nan_to_num(speed)) > slowest)
-    both = moves if moves.sum() >= _LEAST else both
-    if both.sum() < _LEAST:
-        return []
-    over = _middle(np.abs(rim[both])) / max(_middle(np.abs(speed[both])), 1e-9)
-    turns = moves & (np.abs(rim) > slowest)
-    known = turns.sum() >= _LEAST
-    freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else math.nan
-    place = _place(log_map, "speed")
-    if over < _RIM[0] or freest < _FREEST[0] or freest > _FREEST[1] or (over > _RIM[1] and not known):
-        over = over if over < _RIM[0] or not known else freest
-        low, high, other = 0.9 / over, 2.0 / over, _units(log_map, "speed", over / 2.0, over / 0.9)
-        units = [f"wheel_speed in {u}" for u in _units(log_map, "wheel_speed", low, high)]
-        units += [f"speed in {u}" for u in other]
-        said = f"a rim speed of {over:.3g} times the travel speed ({place})"
-        reason = " or ".join(units) or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"
-        return [_line(log_map, "wheel_speed", said, f"{_RIM[0]:g} to {_RIM[1]:g}", reason)]
-    if _middle(np.sign(rim[both]) * np.sign(speed[both])) < 0.0:
-        said = f"against the travel speed ({place})"
-        return [_line(log_map, "wheel_speed", said, "the same direction", "another sign of one of the two")]
-    if slip is None:
-        return []
-    sound = both & (np.abs(slip) < 0.8)
-    scale = _middle(speed[sound] / (rim[sound] * (1.0 - slip[sound]))) if sound.sum() >= _LEAST else 1.0
-    units = _units(log_map, "speed", 0.8 / scale, 1.25 / scale) if scale > 0.0 else []
-    if not _SCALE[0] <= scale <= _SCALE[1] and units:
-        said = f"{scale:.3g} times what wheel speed and slip ({_place(log_map, 'slip')}) give"
-        return [_line(log_map, "speed", said, "once", f"unit {' or '.join(units)}")]
-    away, opposite = (_middle(np.abs(slip - sign * slips(rim, speed))[both]) for sign in (1.0, -1.0))
-    if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
-        said, expected = f"{_middle(slip[both]):.2g}", f"{_middle(slips(rim, speed)[both]):.2g}, as of the two speeds"
-        return [_line(log_map, "slip", said, expected, "another sign, unit or definition")]
-    return []
+    # --- one reading alone ---
 
+    def _stuck_sensors(self) -> None:
+        """Doubt each reading but the load that has one value in all steps that drive."""
+        for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
+            values = self.log.get(name)[self.drives]
+            values = values[~np.isnan(values)]
+            if values.size >= _LEAST and np.ptp(values) == 0.0:
+                said, reason = f"{values[0]:.3g} in all {values.size} steps that drive", "a stuck sensor, or a command"
+                self._doubt(name, said, "values with the noise of a sensor", reason)
 
-# --- forces, masses, gravity ------------------------------------------------------------------------------------------
-
-
-def _of_forces(log: Aligned, log_map: LogMap, drives: np.ndarray, sound: bool) -> list[str]:
-    """Of load, pull and torques; `sound`: whether the acceleration is not doubted itself."""
-    wheel, weight, read, lines = log_map.wheel, log_map.weight, log.readings, []
-    nan = np.full(len(log), math.nan)
-    mass = _felt_mass(log) / wheel.body_mass if sound else math.nan
-    load = _middle(np.abs(read.get("load", nan)[drives])) / weight
-    if load > 0.0 and not _LOAD[0] <= load <= _LOAD[1] and 0.5 < mass / load < 2.0:
-        return [
-            f"wheel: body_mass = {wheel.body_mass:g} kg: load ({_place(log_map, 'load')}) reads {load:.3g} times its "
-            f"weight, and so does the pull by the acceleration: expected about {load * wheel.body_mass:.3g} kg"
-        ]
-    of_weight = f"the weight on the wheel ({weight:.3g} N)"
-    of_twist = f"weight times radius ({weight * wheel.radius:.3g} N m)"
-    scales = {
-        "load": (weight, *_LOAD, of_weight),
-        "drawbar_pull": (weight, *_PULL, of_weight),
-        "torque": (weight * wheel.radius, *_TORQUE, of_twist),
-        "motor_torque": (weight * wheel.radius, *_TORQUE, of_twist),
-    }
-    for name, (scale, low, high, what) in scales.items():
-        values = np.abs(read.get(name, nan)[drives & ~np.isnan(read.get(name, nan))])
-        # a pull, and the torque of a wheel that rolls, may be small for a while
-        size = _middle(values if name == "load" else np.sort(values)[values.size // 2 :])
-        ratio = size / scale
-        explained = load > 0.0 and not _LOAD[0] <= load <= _LOAD[1] and low <= ratio / load <= high
-        if values.size < _LEAST or (name != "load" and explained):
-            continue
-        if name == "drawbar_pull" and not (lines or math.isnan(mass) or _MASS[0] <= mass <= _MASS[1]):
-            said = f"{mass:.3g} times wheel.body_mass times the acceleration ({_place(log_map, 'acceleration')})"
-            units = _units(log_map, name, _MASS[0] / mass, _MASS[1] / mass) if mass > 0.0 else []
-            reason = f"unit {' or '.join(units)}" if units else "another unit or sign"
-            reason += f", or wheel.body_mass {mass * wheel.body_mass:.3g} kg" if mass > 0.0 else ""
-            lines.append(_line(log_map, name, said, f"{_MASS[0]:g} to {_MASS[1]:g}", reason))
-        elif not low <= ratio <= high:
-            units = _units(log_map, name, low / ratio, high / ratio) if ratio > 0.0 else []
-            reason = f"unit {' or '.join(units)}" if units else "another unit or field"
-            reason += f", or wheel.body_mass {size / log_map.gravity:.3g} kg" if name == "load" and size > 0.0 else ""
-            lines.append(_line(log_map, name, f"{ratio:.3g} times {what}", f"{low:g} to {high:g}", reason))
-        elif "torque" in name and size > 1.2 * wheel.stall_torque:
-            expected = f"at most {wheel.stall_torque:g} N m, the stall torque"
-            lines.append(_line(log_map, name, f"{size:.3g} N m", expected, "another unit or field"))
-    return lines
+    def _sinkage(self) -> None:
+        """Doubt a sinkage that never reaches a thousandth of the radius."""
+        radius = self.map.wheel.radius
+        deepest = float(np.nanmax(np.abs(self.log.readings.get("sinkage", np.zeros(1))), initial=0.0))
+        if 0.0 < deepest < _SINKAGE[0] * radius:
+            reason = self._unit("sinkage", *(share * radius / deepest for share in _SINKAGE))
+            self._doubt("sinkage", f"at most {deepest:.3g} m", f"more than {_SINKAGE[0] * radius:.3g} m", reason)
 
 
 def _felt_mass(log: Aligned) -> float:
     """Mass [kg] that drawbar pull and acceleration give; NaN where they are not measured or hardly anything is felt."""
-    nan = np.full(len(log), math.nan)
-    pull, felt = log.readings.get("drawbar_pull", nan), log.readings.get("acceleration", nan)
+    pull, felt = log.get("drawbar_pull"), log.get("acceleration")
     known = ~np.isnan(pull + felt)
     square = float(felt[known] @ felt[known])
     return float(pull[known] @ felt[known]) / square if known.sum() >= _LEAST and square > 0.0 else math.nan
 
 
-def _of_acceleration(log: Aligned, log_map: LogMap) -> list[str]:
-    felt = _middle(np.abs(log.readings.get("acceleration", np.zeros(1)))) / log_map.gravity
-    if felt <= _TILTED:
-        return []
-    said, reason = f"{felt:.3g} times gravity in the middle", "another unit, or an axis that points down"
-    return [_line(log_map, "acceleration", said, f"at most {_TILTED:g}", reason)]
-
-
-def _of_pitch(log: Aligned, log_map: LogMap, speed: np.ndarray) -> list[str]:
-    """Of its size and its sign: an accelerometer along the course reads dv/dt + g sin(pitch)."""
-    read, gravity = log.readings, log_map.gravity
-    if "pitch" not in read:
-        return []
-    if _middle(np.abs(read["pitch"])) > _STEEP:
-        units = _units(log_map, "pitch", 0.0, 0.5)
-        reason = f"unit {' or '.join(units)}" if units else "another unit or field"
-        said = f"{_middle(np.abs(read['pitch'])):.2g} rad in the middle"
-        return [_line(log_map, "pitch", said, f"at most {_STEEP:g}", reason)]
-    name = "acceleration" if "acceleration" in read else "drawbar_pull"
-    if name not in read or len(log) < _LEAST:
-        return []
-    felt = read[name] / (1.0 if name == "acceleration" else log_map.wheel.body_mass)
-    expected, felt = gravity * np.sin(read["pitch"]), felt - np.nan_to_num(np.gradient(speed, log.time))
-    known = ~np.isnan(expected + felt)
-    x, y = expected[known], felt[known]
-    if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
-        return []
-    slope, alike = float(x @ y) / float(x @ x), float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
-    if slope > _AGAINST or alike > -_ALIKE:
-        return []
-    said = f"{slope:.2g} times the gravity that {name} ({_place(log_map, name)}) feels"
-    return [_line(log_map, "pitch", said, "once", "another sign of one of the two")]
-
-
-def _of_sinkage(log: Aligned, log_map: LogMap) -> list[str]:
-    radius = log_map.wheel.radius
-    deepest = float(np.nanmax(np.abs(log.readings.get("sinkage", np.zeros(1))), initial=0.0))
-    if not 0.0 < deepest < _SINKAGE[0] * radius:
-        return []
-    units = _units(log_map, "sinkage", *(share * radius / deepest for share in _SINKAGE))
-    reason = f"unit {' or '.join(units)}" if units else "another unit or field"
-    return [_line(log_map, "sinkage", f"at most {deepest:.3g} m", f"more than {_SINKAGE[0] * radius:.3g} m", reason)]
-
-
-# --- words ------------------------------------------------------------------------------------------------------------
-
-
-def _middle(values: np.ndarray) -> float:
+def _median(values: np.ndarray) -> float:
     """Median without NaN; 0 of nothing."""
     known = values[~np.isnan(values)]
     return float(np.median(known)) if known.size else 0.0
-
-
-def _place(log_map: LogMap, name: str) -> str:
-    return f"{name}: {log_map.channels.given()[name].place}"
-
-
-def _units(log_map: LogMap, name: str, low: float, high: float) -> list[str]:
-    """Units in which the reading would be `low` to `high` times as large."""
-    source = log_map.channels.given()[name]
-    if source.unit in ("A", "quaternion"):
-        return []
-    now = UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
-    return [u for u, f in UNITS[name].items() if u not in ("A", "quaternion") and f != now and low <= f / now <= high]
-
-
-def _line(log_map: LogMap, name: str, said: str, expected: str, reason: str) -> str:
-    return f"{_place(log_map, name)}: reads {said}: expected {expected}: {reason}?"

@@ -1,6 +1,6 @@
-"""map.yaml: which topic and field, or which column, of a recording is which reading, in which unit and with which sign.
+"""map.yaml: topic and field, or column, of each reading of a recording, with its unit and sign.
 
-Everything is checked when the file is read; what cannot be right is refused with one line (`ParameterError`).
+Everything is checked when the file is read; `ParameterError` has one line.
 """
 
 from __future__ import annotations
@@ -11,9 +11,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, read_yaml, to_dict, unknown_key
-from soil_env.measurement.setup import LARGEST_WHEEL, setup_of
-from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, wheels
+from soil_env._io.loading import (
+    Checked,
+    FieldError,
+    ParameterError,
+    load,
+    merge,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
+from soil_env.measurement.setup import setup_of
+from soil_env.parameters import LARGEST_WHEEL, Belief, Noise, Wheel, refuse_idle_prior, wheels
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
@@ -43,7 +53,7 @@ _BORDER = 2.0  # [wheel radii] length of a border between soils, where the belie
 
 @dataclass(frozen=True)
 class Source(Checked):
-    """Where a reading is in the recording: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
+    """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
     The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of the motor to one
     turn of the wheel, for a speed, a torque or a current measured at the motor; a torque also gets `efficiency`.
@@ -85,36 +95,34 @@ class Channels:
     acceleration: Source | None = None
 
     def __post_init__(self) -> None:
-        for name, source in self.given().items():
-            try:
-                _check_source(name, source)
-            except ParameterError as error:
-                raise ParameterError(f"Channels: {error}") from None
+        for name, source in self.sources().items():
+            _check_source(self, name, source)
         if self.wheel_speed is None or (self.speed is None and self.slip is None):
-            raise ParameterError("Channels: expected wheel_speed, and speed or slip; without them no slip is known")
+            raise ParameterError("expected wheel_speed, and speed or slip; without them no slip is known")
         if self.wheel_speed.constant is not None:
-            raise ParameterError("Channels: wheel_speed: expected readings, which make the time axis; no constant")
+            raise FieldError(self, "wheel_speed", ": expected readings, which make the time axis; no constant")
 
-    def given(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
         return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
 
 
-def _check_source(name: str, s: Source) -> None:
+def _check_source(channels: Channels, name: str, s: Source) -> None:
+    """Raise `ParameterError` for a source whose fields do not go together."""
     kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
     if kinds != 1 or bool(s.topic) != bool(s.field):
-        raise ParameterError(f"{name}: expected topic and field, or column, or constant")
+        raise FieldError(channels, name, ": expected topic and field, or column, or constant")
     if s.unit is not None and s.unit not in UNITS[name]:
         near = str(unknown_key(s.unit, UNITS[name], "")).partition(repr(s.unit))[2]
-        raise ParameterError(f"{name}.unit = {s.unit!r}: expected a unit that is known{near}")
+        raise FieldError(channels, f"{name}.unit", f" = {s.unit!r}: expected a unit that is known{near}")
     if abs(s.sign) != 1.0:
-        raise ParameterError(f"{name}.sign = {s.sign:g}: expected 1 or -1")
+        raise FieldError(channels, f"{name}.sign", f" = {s.sign:g}: expected 1 or -1")
     if (s.unit == "A") != (s.motor_constant is not None):
-        raise ParameterError(f"{name}: expected motor_constant [N m/A] with unit A, and only there")
+        raise FieldError(channels, name, ": expected motor_constant [N m/A] with unit A, and only there")
     if s.gear != 1.0 and name not in _GEARED:
-        raise ParameterError(f"{name}.gear: expected only with {', '.join(_GEARED)}")
+        raise FieldError(channels, f"{name}.gear", f": expected only with {', '.join(_GEARED)}")
     if s.efficiency != 1.0 and "torque" not in name:
-        raise ParameterError(f"{name}.efficiency: expected only with torque or motor_torque")
+        raise FieldError(channels, f"{name}.efficiency", ": expected only with torque or motor_torque")
 
 
 def factor(name: str, source: Source) -> float:
@@ -127,7 +135,7 @@ def factor(name: str, source: Source) -> float:
 
 @dataclass(frozen=True)
 class RoverWheel(Checked):
-    """The wheel of the rover. What is left out of its motor is not limited by it."""
+    """The wheel of the rover; a motor that is left out limits nothing."""
 
     radius: float = quantity("m", 0.01, LARGEST_WHEEL)
     width: float = quantity("m", 0.005, LARGEST_WHEEL)
@@ -144,9 +152,9 @@ class RoverWheel(Checked):
         self.wheel()
 
     def wheel(self) -> Wheel:
-        """As the identifier takes it; an inertia that is not known is the least that a `Wheel` may have.
+        """As the identifier takes it; an unknown inertia is the least that a `Wheel` may have.
 
-        `replay` then leaves the motor torque out, the only reading whose meaning hangs on it.
+        `replay` then leaves out the motor torque, the only reading that depends on it.
         """
         inertia = 0.02 * self.body_mass * self.radius**2 * (1.0 + 1e-12) if self.inertia is None else self.inertia
         return Wheel(self.radius, self.width, inertia, self.stall_torque, self.no_load_speed, self.body_mass)
@@ -162,9 +170,9 @@ class TimeColumn(Checked):
 
 @dataclass(frozen=True)
 class Windows(Checked):
-    """What counts as a steady stretch of a log. The changes are those of the means from its first to its second half.
+    """Limits of a steady stretch of a log: changes of the means from its first to its second half.
 
-    Sinkage follows the slip over a distance: what counts is how far it still has to go, after the law of slip-sinkage.
+    Sinkage follows the slip over a distance: its limit is how far it still has to go by the law of slip-sinkage.
     """
 
     duration: float = quantity("s", 0.1, 600.0, default=1.0)
@@ -179,7 +187,7 @@ class Windows(Checked):
 
 @dataclass(frozen=True)
 class LogMap(Checked):
-    """What a recording holds, and how it is to be read."""
+    """Contents of a recording, and how it is read."""
 
     wheel: RoverWheel
     channels: Channels
@@ -211,7 +219,7 @@ class LogMap(Checked):
         weight, twist, most = self.weight, self.weight * self.wheel.radius, {f.name: f.metadata for f in fields(Noise)}
         scale = {"drawbar_pull": weight, "load": weight, "torque": twist, "motor_torque": twist}
         sd = {}
-        for name, source in self.channels.given().items():
+        for name, source in self.channels.sources().items():
             if source.sd is not None:
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
@@ -224,23 +232,17 @@ class LogMap(Checked):
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
     mapping, where = read_yaml(Path(path)), str(path)
-    names = [f.name for f in fields(LogMap)]
-    for key in mapping:
-        if key not in names:
-            raise unknown_key(key, names, where)
-    for section in ("wheel", "channels"):
-        if section not in mapping:
-            raise ParameterError(f"{where}: missing {section}: expected wheel and channels")
-    wheel = mapping["wheel"]
+    wheel = mapping.get("wheel")
     if isinstance(wheel, str):
         wheel = {"preset": wheel}
     if isinstance(wheel, dict) and "preset" in wheel:
         if wheel["preset"] not in wheels():
             raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
-        wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
+        own = {k: v for k, v in wheel.items() if k != "preset"}
+        mapping = mapping | {"wheel": merge(to_dict(wheels()[wheel["preset"]]), own)}
     if isinstance(mapping.get("belief"), dict):
         refuse_idle_prior(mapping["belief"], where)
-    found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
+    found: LogMap = load(LogMap, mapping, where)
     if "border" not in (mapping.get("belief") or {}):
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))

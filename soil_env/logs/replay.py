@@ -1,7 +1,7 @@
 """The online identifier over a log: the soil under the wheel and its uncertainty over time.
 
 Borders are those that the identifier finds by the grade and the forces. It finds more than there are, so a border
-counts as one between grounds only where the estimates on both sides differ (`_differ`).
+counts as one between grounds only where the estimates on both sides differ (`_probability_of_two`).
 """
 
 from __future__ import annotations
@@ -20,21 +20,26 @@ from soil_env.slip import travel_speeds
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
 ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
 COLUMNS = (*ESTIMATED, "drawbar_margin", "drawbar_margin_sd", "torque_required")
+#: Standard deviation of each parameter of the soil, by its name.
+SD_OF = {
+    "friction_angle_deg": "friction_angle_sd_deg",
+    "shear_modulus": "shear_modulus_relative_sd",
+    "sinkage_coefficient": "sinkage_coefficient_relative_sd",
+    "cohesion": "cohesion_sd",
+    "dig_gain": "dig_gain_relative_sd",
+}
 DIFFERS = 0.5  # probability from which the ground behind a border counts as another
 _SURE = 0.95  # probability from which ground is called impassable
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
-_CONTRADICTS = 0.2  # share of the steps with status MISFIT, beyond which it is told
+_CONTRADICTS = 0.2  # share of the steps with status MISFIT, beyond which the report says so
 _SPINS = 0.9  # slip from which a wheel does not travel
 _LEFT = 1.2  # [border lengths] before a border that the identifier found, where it may have begun
-_COMPARED = {  # of two grounds: value, its sd, and whether the sd is relative
-    "friction_angle_deg": ("friction_angle_sd_deg", False),
-    "shear_modulus": ("shear_modulus_relative_sd", True),
-    "cohesion": ("cohesion_sd", False),
-}
-_SEEN = 0.8  # probability that there is another soil behind a border that the identifier saw, whatever the estimates
-_DOUBTED = 0.1  # of the prior sd, by which every estimate may be off beside its own
+_COMPARED = ("friction_angle_deg", "shear_modulus", "cohesion")  # of two grounds
+_SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
+_DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
 _BOUNDS = {f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED}
+_NO_WAY = (math.nan,) * 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Replay:
     borders: int  # that the identifier found, whatever lies behind them
     prior: Estimate
     on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either
-    measured: frozenset[str]  # readings that the identifier was given
+    measured: frozenset[str]  # readings that the identifier received
     restarts: int  # because of gaps
     warnings: list[str]
 
@@ -78,13 +83,7 @@ class Replay:
         kept = ~self.on_border & (kept if current else kept | (self.status == Status.NOT_EXCITED))
         return {
             name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd))) / getattr(self.prior, sd)
-            for name, sd in {
-                "friction_angle_deg": "friction_angle_sd_deg",
-                "shear_modulus": "shear_modulus_relative_sd",
-                "sinkage_coefficient": "sinkage_coefficient_relative_sd",
-                "cohesion": "cohesion_sd",
-                "dig_gain": "dig_gain_relative_sd",
-            }.items()
+            for name, sd in SD_OF.items()
         }
 
 
@@ -101,32 +100,29 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 
     After a gap of more than `restart_gap` it starts from the prior again. A motor torque without the inertia of the
     wheel is left out. The drawbar margin and the torque required are those of `OnlineIdentifier.traversability`,
-    renewed with the estimate. An estimate that is of no soil is refused: NaN, with status MISFIT.
+    renewed with the estimate. An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
     """
     identifier = identifier_of(log_map)
     prior, size = identifier.estimate, len(log)
-    status, renewed, found = np.zeros(size, np.int64), np.zeros(size, bool), np.zeros(size, np.int64)
-    on_border = np.zeros(size, bool)
-    blind = log_map.wheel.inertia is None and "motor_torque" in log.readings
-    names = [n for n in Readings._fields if n in log.readings and not (blind and n == "motor_torque")]
-    rows = np.column_stack([log.readings[n] for n in names]).tolist()
-    loads, pitches = (log.readings.get(n, np.full(size, math.nan)).tolist() for n in ("load", "pitch"))
-    restarts, before, last, ahead = 0, 0, math.nan, (math.nan,) * 3
-    table = np.empty((size, len(COLUMNS)))
-    for k, (t, row) in enumerate(zip(log.time.tolist(), rows, strict=True)):
+    status, found, restarts = np.zeros(size, np.int64), np.zeros(size, np.int64), 0
+    renewed, on_border, table = np.zeros(size, bool), np.zeros(size, bool), np.empty((size, len(COLUMNS)))
+    no_inertia = log_map.wheel.inertia is None
+    names = [n for n in Readings._fields if n in log.readings and not (no_inertia and n == "motor_torque")]
+    before, last, way = 0, math.nan, _NO_WAY
+    for k, t in enumerate(log.time.tolist()):
         if t - last > log_map.restart_gap:
             before += identifier.estimate.borders
             identifier.reset()
-            restarts += 1
-            ahead = (math.nan,) * 3
-        reading = Readings(**dict(zip(names, row, strict=True)), time=t)
+            restarts, way = restarts + 1, _NO_WAY
+        reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         e = identifier.update(reading)
-        found[k], on_border[k] = before + e.borders, identifier.on_border
         if e.renewed:
-            load, pitch = loads[k], pitches[k] if pitches[k] == pitches[k] else 0.0
-            way = identifier.traversability(None if load != load else max(load, _LEAST_LOAD), pitch)
-            ahead = way.drawbar_margin, way.drawbar_margin_sd, way.torque_required
-        table[k], status[k], renewed[k], last = _numbers(e, *ahead), e.status, e.renewed, t
+            load, pitch = reading.load, reading.pitch if reading.pitch == reading.pitch else 0.0
+            ahead = identifier.traversability(None if load != load else max(load, _LEAST_LOAD), pitch)
+            way = ahead.drawbar_margin, ahead.drawbar_margin_sd, ahead.torque_required
+        table[k] = [*(getattr(e, name) for name in ESTIMATED), *way]
+        status[k], renewed[k], on_border[k], found[k] = e.status, e.renewed, identifier.on_border, before + e.borders
+        last = t
     values, warnings = {name: table[:, i] for i, name in enumerate(COLUMNS)}, []
     if restarts:
         warnings.append(f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
@@ -135,27 +131,13 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     warnings += _impassable(log, log_map, ground, values, status)
     borders = int(found[-1]) if size else 0
     return Replay(
-        log.time,
-        values,
-        status,
-        renewed,
-        ground,
-        differs,
-        borders,
-        prior,
-        on_border,
-        frozenset(names),
-        restarts,
+        log.time, values, status, renewed, ground, differs, borders, prior, on_border, frozenset(names), restarts,
         warnings,
-    )
-
-
-def _numbers(e: Estimate, *ahead: float) -> list[float]:
-    return [*(getattr(e, name) for name in ESTIMATED), *ahead]
+    )  # fmt: skip
 
 
 def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
-    """Put NaN in place of estimates that are of no soil; a line that says so, where there are some."""
+    """Put NaN in place of estimates out of the bounds of a soil; a line that says so, where there are some."""
     bad, said = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0), ""
     for name, (low, high) in _BOUNDS.items():
         if name == "dig_gain":  # of which little may be known
@@ -192,8 +174,8 @@ def _grounds(
         if not gap[end] and where[end] - where[begins] < 2.0 * border:
             continue
         settled = end if gap[end] else int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
-        here = _compared(values, status, begins, max(settled, begins), prior)
-        differs.append(math.nan if before is None else _differ(before, here))
+        here = _last_known(values, status, begins, max(settled, begins), prior)
+        differs.append(math.nan if before is None else _probability_of_two(before, here))
         if before is not None and differs[-1] < DIFFERS:
             differs.pop()
             here = _pooled(before, here)
@@ -202,22 +184,22 @@ def _grounds(
     return out, differs
 
 
-def _compared(values: dict[str, np.ndarray], status: np.ndarray, begins: int, at: int, prior: Estimate) -> np.ndarray:
-    """(Value, variance) [2, 3] of `_COMPARED` over the sd of the prior, as last known in the steps `begins` to `at`."""
-    steps = slice(begins, at + 1)
+def _last_known(values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate):
+    """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps `first` to `last`."""
+    steps = slice(first, last + 1)
     known = np.flatnonzero((status[steps] != Status.NO_DATA) & np.isfinite(values["cohesion"][steps]))
     if known.size == 0:
         return np.array([np.zeros(len(_COMPARED)), np.ones(len(_COMPARED))])
-    k, rows = begins + int(known[-1]), []
-    for name, (sd, relative) in _COMPARED.items():
-        value, middle = float(values[name][k]), getattr(prior, name)
-        away = math.log(value / middle) if relative else value - middle
-        rows.append((away / getattr(prior, sd), min(float(values[sd][k]) / getattr(prior, sd), 1.0) ** 2))
+    k, rows = first + int(known[-1]), []
+    for name in _COMPARED:
+        value, middle, scale = float(values[name][k]), getattr(prior, name), getattr(prior, SD_OF[name])
+        away = math.log(value / middle) if "relative" in SD_OF[name] else value - middle
+        rows.append((away / scale, min(float(values[SD_OF[name]][k]) / scale, 1.0) ** 2))
     return np.array(rows).T
 
 
-def _differ(one: np.ndarray, other: np.ndarray) -> float:
-    """Probability that the soils of two estimates (`_compared`) differ, if it was `_SEEN` before.
+def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
+    """Probability that the soils of two estimates (`_last_known`) differ, if it was `_SEEN` before.
 
     An estimate of variance v, of a soil that scatters by 1, scatters by 1 - v itself. Two of one soil have in common
     what they take from the prior: their difference has the variance v + w - 2 v w. Two of two soils have 2 - v - w.
@@ -232,9 +214,8 @@ def _differ(one: np.ndarray, other: np.ndarray) -> float:
 
 def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The estimate of two of one soil, whose prior (0, 1) counts once."""
-    precision = 1.0 / np.maximum(one[1], 1e-9) + 1.0 / np.maximum(other[1], 1e-9) - 1.0
-    value = (one[0] / np.maximum(one[1], 1e-9) + other[0] / np.maximum(other[1], 1e-9)) / precision
-    return np.array([value, 1.0 / precision])
+    own, more = 1.0 / np.maximum(one[1], 1e-9), 1.0 / np.maximum(other[1], 1e-9)
+    return np.array([(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)])
 
 
 def _impassable(
@@ -244,9 +225,8 @@ def _impassable(
 
     It got further as far as it travelled without spinning; what it rolled back counts against that.
     """
-    nan, radius = np.full(len(log), math.nan), log_map.wheel.radius
-    rim, speed = log.readings["wheel_speed"] * radius, log.readings.get("speed", nan)
-    slip = log.readings.get("slip", nan)
+    radius = log_map.wheel.radius
+    rim, speed, slip = log.readings["wheel_speed"] * radius, log.get("speed"), log.get("slip")
     slip = np.where(np.isnan(slip), slips(rim, speed), slip)
     speed = np.nan_to_num(np.where(np.isnan(speed), travel_speeds(rim, np.clip(slip, -_SPINS, 1.0)), speed))
     speed[(speed > 0.0) & (slip >= _SPINS)] = 0.0
@@ -267,53 +247,49 @@ def _impassable(
 
 # --- words ------------------------------------------------------------------------------------------------------------
 
+_NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
+_NO_FORCE = (
+    "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is identified, if the "
+    "load is measured; friction angle, cohesion and K follow from it by the correlations of the belief."
+)
+_WITHOUT = {  # readings of which none was measured; what follows
+    ("sinkage",): "No sinkage: the filter follows it by the law of slip-sinkage. S has wider intervals.",
+    ("torque", "motor_torque"): "No torque: friction angle and K follow from the drawbar pull alone.",
+    ("drawbar_pull", "acceleration"): "No drawbar pull: friction angle and K follow from the torque alone.",
+    ("load",): "No load: the weight on the wheel stands for it, doubted by 5 %.",
+    ("slip",): "No slip: it follows from wheel and travel speed; an error of the wheel radius is an offset of it.",
+}
+_INSTEAD = {  # measured in place of: what follows
+    ("acceleration", "drawbar_pull"): "The drawbar pull is the acceleration times the mass on the wheel.",
+    ("motor_torque", "torque"): "The torque is that of the motor less what accelerates the wheel, friction included.",
+}
+_MISFIT = (
+    "In {:.0%} of the steps the readings were further from what the model predicts than their errors explain: a wrong "
+    "unit, sign or wheel in the map, a belief without this soil, or laws that do not hold here."
+)
 
-def what_can_be_told(found: Replay, log: Aligned) -> list[str]:
-    """Sentences on what the channels of this log can tell of the soil, and what they did."""
+
+def findings(found: Replay, log: Aligned) -> list[str]:
+    """Sentences on what can be identified from the channels of this log, and what was."""
     measured, lines = found.measured, []
     if "motor_torque" in log.readings and "motor_torque" not in measured:
         lines.append("The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear included.")
-    pull, torque = measured & {"drawbar_pull", "acceleration"}, measured & {"torque", "motor_torque"}
-    if "sinkage" not in measured and not pull and not torque:
-        lines.append("Neither sinkage nor a force: the slip is known, and nothing can be told of the soil.")
-    elif "sinkage" not in measured:
-        lines.append(
-            "No sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight. "
-            "The soil is told by the forces alone, S with wider intervals."
-        )
-    elif not pull and not torque:
-        lines.append(
-            "Neither drawbar pull nor torque: friction angle, cohesion and K are not told: nothing measures shear. "
-            "The sinkage coefficient S is, if the load is measured, within what the exponent of the belief allows."
-        )
-        lines.append("What the filter says of them here comes by what the belief has them to do with S.")
-    elif not torque:
-        lines.append("No torque: friction angle and K follow from the drawbar pull alone, S from load and pull.")
-    elif not pull:
-        lines.append("No drawbar pull: friction angle and K follow from the torque alone, S from the load.")
-    if "load" not in measured:
-        lines.append("No load: the weight on the wheel stands for it, doubted by 5 %.")
-    if "acceleration" in pull and "drawbar_pull" not in pull:
-        lines.append(
-            "The drawbar pull is the accelerometer's reading times the mass on the wheel, so far as that is known."
-        )
-    if "motor_torque" in torque and "torque" not in torque:
-        lines.append("The torque is that of the motor less what accelerates the wheel: friction of the gear is in it.")
-    if "slip" not in measured:
-        lines.append("The slip follows from wheel and travel speed; an error of the wheel radius is an offset of it.")
+    forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
+    if not forces:
+        lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
+    for readings, text in _WITHOUT.items():
+        if measured.isdisjoint(readings) and (forces or readings[0] in ("load", "slip")):
+            lines.append(text)
+    lines += [text for (one, other), text in _INSTEAD.items() if one in measured and other not in measured]
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
     shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():
-        told = "told" if current[name] < _LEARNT else "not told: this is the prior"
+        result = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
         if shares[name] < _LEARNT <= current[name]:
-            told = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
-        lines.append(f"{words}: {told} (standard deviation at best {shares[name]:.2f} of the prior's)")
+            result = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
+        lines.append(f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)")
     share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
-    lines.append(f"The estimate was current in {100.0 * share[Status.CONVERGED]:.0f} % of the steps.")
+    lines.append(f"The estimate was current in {share[Status.CONVERGED]:.0%} of the steps.")
     if share[Status.MISFIT] > _CONTRADICTS:
-        lines.append(
-            f"In {100.0 * share[Status.MISFIT]:.0f} % of the steps the readings were further from what the model "
-            "predicts than their errors explain: a wrong unit, sign or wheel in the map, a belief without this soil, "
-            "or laws that do not hold here."
-        )
+        lines.append(_MISFIT.format(share[Status.MISFIT]))
     return lines

@@ -1,4 +1,4 @@
-"""What a log told: tables, pictures and a self-contained page."""
+"""Report of a log: tables, pictures and a self-contained page."""
 
 from __future__ import annotations
 
@@ -13,20 +13,27 @@ from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import plain
-from soil_env.identification.online.status import Status
 from soil_env.logs import grounds as by_ground
 from soil_env.logs.align import Aligned
 from soil_env.logs.grounds import Ground
 from soil_env.logs.mapping import UNITS, LogMap
-from soil_env.logs.replay import Replay, what_can_be_told
-from soil_env.logs.steady import Steady
+from soil_env.logs.replay import SD_OF, Replay, findings
+from soil_env.logs.steady import Steady, cell
+from soil_env.online import Status
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
 _MOST_POINTS = 4000  # of a curve in a picture
-_SHOWN = {  # value, sd, scale, label; relative sd where True
-    "friction_angle_deg": ("friction_angle_sd_deg", 1.0, "friction angle [deg]", False),
-    "shear_modulus": ("shear_modulus_relative_sd", 1e3, "K [mm]", True),
-    "sinkage_coefficient": ("sinkage_coefficient_relative_sd", 1.0, "S [N/m^(n+2)]", True),
+_NAMES = {  # name, unit
+    "friction_angle_deg": ("friction angle", "deg"),
+    "shear_modulus": ("shear deformation modulus K", "m"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "cohesion": ("cohesion", "Pa"),
+    "dig_gain": ("gain of slip-sinkage", ""),
+}
+_SHOWN = {  # in the picture: scale, label
+    "friction_angle_deg": (1.0, "friction angle [deg]"),
+    "shear_modulus": (1e3, "K [mm]"),
+    "sinkage_coefficient": (1.0, "S [N/m^(n+2)]"),
 }
 
 
@@ -34,7 +41,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
     """All files of the folder by name: `ALWAYS`, and tables and setups where there are steady points."""
     parts = by_ground.grounds(found, steady)
     estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
-    told = what_can_be_told(found, log)
+    lines = findings(found, log)
     body = render(
         "soil_env.logs:report.html",
         recording=recording,
@@ -43,13 +50,13 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         notes=log.notes,
         channels=channel_table(log),
         readings=html_image(readings, "Readings over time in SI units; steady stretches are shaded."),
-        told=told,
+        findings=lines,
         soil=soil_table(found),
         estimates=html_image(
             estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
         ),
         warnings=found.warnings,
-        steady=[by_ground.how_found(found), *by_ground.advice(parts, steady)],
+        steady=by_ground.advice(found, parts, steady),
         commands=by_ground.commands(parts, steady),
         grounds=ground_table(parts),
         points=_points(steady),
@@ -59,10 +66,10 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "start": log.start,
         "steps": len(log),
         "period": log.period,
-        "channels": {name: vars(count) for name, count in log.counts.items()},
+        "channels": {name: channel.facts() for name, channel in log.channels.items()},
         "doubts": log.doubts,
         "notes": log.notes,
-        "told": told,
+        "findings": lines,
         "learnt": found.learnt(),
         "warnings": found.warnings,
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},
@@ -95,30 +102,22 @@ def summary(log: Aligned) -> str:
 
 
 def channel_table(log: Aligned) -> Table:
-    """Where each reading came from and how often."""
-    length = max(float(log.time[-1] - log.time[0]), log.period)
-    rows = []
-    for name, c in log.counts.items():
-        share = (f"{100 * c.interpolated:.0f} %", f"{100 * c.missing:.0f} %") if c.readings else ("", "")
+    """Source, rate, gaps and range of each reading."""
+    length, rows = max(float(log.time[-1] - log.time[0]), log.period), []
+    for name, c in log.channels.items():
+        counted = (c.readings, f"{c.readings / length:.1f}", f"{c.interpolated:.0%}", f"{c.missing:.0%}")
         values, unit = log.readings[name], next(iter(UNITS[name]))
         span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g} {unit}" if np.isfinite(values).any() else "-"
-        rows.append((name, c.place, c.readings or "", f"{c.readings / length:.1f}" if c.readings else "", *share, span))
+        rows.append((name, c.place, *(counted if c.readings else ("",) * 4), span))
     return Table(("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows)
 
 
 def soil_table(found: Replay) -> Table:
-    """The estimate at the end and how much it knows beyond the prior."""
+    """The estimate at the end and the least standard deviation over that of the prior."""
     learnt, rows = found.learnt(), []
-    names = {
-        "friction_angle_deg": ("friction angle", "deg", "friction_angle_sd_deg"),
-        "shear_modulus": ("shear deformation modulus K", "m", "shear_modulus_relative_sd"),
-        "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)", "sinkage_coefficient_relative_sd"),
-        "cohesion": ("cohesion", "Pa", "cohesion_sd"),
-        "dig_gain": ("gain of slip-sinkage", "", "dig_gain_relative_sd"),
-    }
-    for name, (words, unit, sd) in names.items():
-        spread = found.values[sd][-1]
-        error = f"{100 * spread:.0f} %" if "relative" in sd else f"{spread:.3g} {unit}"
+    for name, (words, unit) in _NAMES.items():
+        spread = found.values[SD_OF[name]][-1]
+        error = f"{spread:.0%}" if "relative" in SD_OF[name] else f"{spread:.3g} {unit}"
         cells = ("refused", "") if spread != spread else (f"{found.values[name][-1]:.4g}", error)
         rows.append((words, *cells, unit, f"{learnt[name]:.2f}"))
     header = ("parameter", "at the end", "1 sd", "unit", "least sd / prior sd")
@@ -126,34 +125,37 @@ def soil_table(found: Replay) -> Table:
 
 
 def ground_table(parts: list[Ground]) -> Table:
-    """The grounds as found: when, how sure that each is not the last, its last current estimate, its steady points."""
+    """The grounds: when, how sure that each is not the last, its last current estimate, its steady points."""
     rows = []
     for g in parts:
         e, cells = g.estimate, ("no current estimate", "", "")
         if e is not None:
-            K, S = 1e3 * e["shear_modulus"], e["sinkage_coefficient"]
             cells = (
                 f"{e['friction_angle_deg']:.1f} +- {e['friction_angle_sd_deg']:.1f} deg",
-                f"{K:.3g} mm +- {100 * e['shear_modulus_relative_sd']:.0f} %",
-                f"{S:.3g} +- {100 * e['sinkage_coefficient_relative_sd']:.0f} %",
+                f"{1e3 * e['shear_modulus']:.3g} mm +- {e['shear_modulus_relative_sd']:.0%}",
+                f"{e['sinkage_coefficient']:.3g} +- {e['sinkage_coefficient_relative_sd']:.0%}",
             )
-        sure = "" if g.differs != g.differs else f"{g.differs:.2f}"
-        rows.append((g.number, f"{g.begin:.1f}", f"{g.end:.1f}", sure, *cells, len(g.points.rows), g.slips))
+        time = (f"{g.begin:.1f}", f"{g.end:.1f}", cell(g.differs, ".2f"))
+        rows.append((g.number, *time, *cells, len(g.points.rows), g.slips))
     header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
     return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
 
 
 def _points(steady: Steady) -> Table:
     names = ("time", "run", "slip", "load", "speed", "sinkage", "drawbar_pull", "torque")
-    rows = [[_cell(row[n]) for n in names] for row in steady.rows[:200]]
+    rows = [[cell(row[n], ".4g") for n in names] for row in steady.rows[:200]]
     return Table(names, rows, "The first 200" if len(steady.rows) > 200 else "")
 
 
-def _cell(value: float | str) -> str:
-    return value if isinstance(value, str) else "" if value != value else f"{value:.4g}"
-
-
 # --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
+    figure = Figure(figsize=(9.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    axes[-1].set_xlabel("time [s]")
+    return figure, axes
 
 
 def _thinned(size: int) -> np.ndarray:
@@ -167,42 +169,33 @@ def _png(figure: Figure) -> bytes:
 
 
 def _estimates_picture(found: Replay) -> bytes:
-    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=(1, 1, 1, 0.8))
+    figure, axes = _figure(len(_SHOWN) + 1, 7.5)
     k = _thinned(found.time.size)
     t, valid = found.time[k], found.status[k] == Status.CONVERGED
-    for axis, (name, (sd, scale, label, relative)) in zip(axes, _SHOWN.items(), strict=False):
-        value, spread = scale * found.values[name][k], found.values[sd][k]
-        low, high = (
-            (value * np.exp(-np.minimum(1.96 * spread, 10.0)), value * np.exp(np.minimum(1.96 * spread, 10.0)))
-            if relative
-            else (value - 1.96 * spread, value + 1.96 * spread)
-        )
+    for axis, (name, (scale, label)) in zip(axes, _SHOWN.items(), strict=False):
+        value, half = scale * found.values[name][k], 1.96 * found.values[SD_OF[name]][k]
+        low, high = value - half, value + half
+        if "relative" in SD_OF[name]:
+            low, high = value * np.exp(-np.minimum(half, 10.0)), value * np.exp(np.minimum(half, 10.0))
+            axis.set_yscale("log")
         axis.fill_between(t, low, high, color="C0", alpha=0.25, lw=0, where=valid)
         axis.fill_between(t, low, high, color="0.8", lw=0, where=~valid)
         axis.plot(t, np.where(valid, value, math.nan), color="C0", lw=1.2)
         axis.plot(t, np.where(valid, math.nan, value), color="0.5", lw=1.0)
         axis.set_ylabel(label)
-        if relative:
-            axis.set_yscale("log")
-    axes[3].plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
-    axes[3].axhline(0.0, color="0.3", lw=0.8)
-    axes[3].set(ylabel="drawbar margin\n[of load]", xlabel="time [s]")
+    axes[-1].plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
+    axes[-1].axhline(0.0, color="0.3", lw=0.8)
+    axes[-1].set_ylabel("drawbar margin\n[of load]")
     return _png(figure)
 
 
 def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
-    names = list(log.readings)
-    figure = Figure(figsize=(9.0, 1.0 + 1.1 * len(names)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    figure, axes = _figure(len(log.readings), 1.0 + 1.1 * len(log.readings))
     k = _thinned(log.time.size)
-    for axis, name in zip(axes, names, strict=True):
-        axis.plot(log.time[k], log.readings[name][k], lw=0.8)
-        for start in steady.start:
-            axis.axvspan(start, start + log_map.windows.duration, color="C1", alpha=0.25, lw=0)
+    for axis, (name, values) in zip(axes, log.readings.items(), strict=True):
+        axis.plot(log.time[k], values[k], lw=0.8)
+        for row in steady.rows:
+            axis.axvspan(row["start"], row["start"] + log_map.windows.duration, color="C1", alpha=0.25, lw=0)
         unit = next(iter(UNITS[name]))
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
-    axes[-1].set_xlabel("time [s]")
     return _png(figure)

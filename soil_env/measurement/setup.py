@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
-from soil_env.parameters import Soil, lumped_coefficient
+from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
-LARGEST_WHEEL = 3.0  # [m] as in `parameters.Wheel`
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
@@ -25,12 +24,6 @@ _ODD = (
     ("sinkage_coefficient", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
     ("k_phi", 1e4, "N/m^(n+2)", "kN/m^(n+2)", 1e3),
 )
-
-
-def check_lugs(height: float, radius: float) -> None:
-    """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
-    if height >= radius:
-        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
 
 
 @dataclass(frozen=True)
@@ -54,14 +47,14 @@ class SetupWheel(Checked):
 
 @dataclass(frozen=True)
 class Prior(Checked):
-    """What is known of a parameter before the table: its value and standard deviation, 0 if it is known exactly."""
+    """Prior of a parameter before the table: value and standard deviation, 0 if it is known exactly."""
 
     value: float = quantity("")
     sd: float = quantity("", 0.0)
 
     @property
     def known(self) -> bool:
-        """Whether the value is not to be fitted."""
+        """True if the value is not fitted."""
         return self.sd == 0.0
 
 
@@ -133,7 +126,7 @@ class NoiseLevels(Checked):
 
 @dataclass(frozen=True)
 class Setup(Checked):
-    """What is known about a measurement table.
+    """Rig, soil and sensors of a measurement table.
 
     `load` says what the column of that name is: the force normal to the ground (default), or the vertical force, which
     on a grade b is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the

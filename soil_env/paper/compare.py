@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, least_squares, linprog
+from scipy.optimize import brentq
 
 from soil_env.paper.model import (
     AS_PRINTED,
@@ -22,10 +22,8 @@ from soil_env.paper.model import (
     forces,
     measured_points,
     newton_raphson,
-    roots,
 )
 from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
-from soil_env.paper.safeguarded import safeguarded
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.model import steady_state
 
@@ -83,20 +81,11 @@ def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
     return float(brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high))
 
 
-def in_pounds() -> Sand:
-    """Table 2 before its rounding: the sand of Wong & Reece (1967) has c = 0.1 psi, k_c = 20 psi, k_phi = 2.5 psi/in.
-
-    For them the pressure is (k_c + b k_phi) (z/b)^n; a psi is 6894.8 Pa, as the printed c has it.
-    """
-    b, n, psi = WHEEL.width, SAND.sinkage_exponent, 10.0 * SAND.cohesion
-    return replace(SAND, k_c=20.0 * psi * b ** (1.0 - n), k_phi=2.5 / 0.0254 * b * psi * b**-n)
-
-
-def variation(e: Equations, share: bool = False) -> float:
-    """Mean change of DP [%] by the held cohesion over `WIDE_SLIP`: over the mean DP, or (`share`) of each DP."""
+def variation(e: Equations) -> float:
+    """Mean change of DP by the held cohesion over `WIDE_SLIP`, relative to the mean DP [%]."""
     slip = np.linspace(*WIDE_SLIP, 200)
     own, held = pull(e, slip=slip), pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
-    return 100.0 * float(np.mean(held / own - 1.0) if share else (held - own).mean() / own.mean())
+    return 100.0 * float((held - own).mean() / own.mean())
 
 
 def working_point() -> list[Row]:
@@ -137,26 +126,6 @@ def rules() -> list[tuple[str, float, float]]:
     return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
 
 
-class Peak(NamedTuple):
-    """theta_m/theta1 = c1 + c2 i that fits the print best: the DP of the working point, and Table 3 at its points."""
-
-    c1: float
-    c2: float
-    worst: float  # largest misfit of the four drawbar pulls [N]
-
-
-def peak_from_print() -> Peak:
-    """The two coefficients of the peak from printed numbers alone."""
-
-    def misfit(c):
-        e = WONG_REECE._replace(peak=c[0], peak_by_slip=c[1])
-        three = forces(PRINTED_SET, *MEASURED[:2], e._replace(cohesion=P.fixed_cohesion))[:, 0] - MEASURED.pull
-        return np.append(three, pull(e) - POINT.drawbar_pull)
-
-    found = least_squares(misfit, (0.5, 0.0))
-    return Peak(float(found.x[0]), float(found.x[1]), float(np.abs(found.fun).max()))
-
-
 # --- Tables 3 to 5 ----------------------------------------------------------------------------------------------------
 
 
@@ -181,37 +150,8 @@ def table_3() -> list[Row]:
     return rows
 
 
-def condition(e: Equations) -> float:
-    """Condition number of d(DP) by (phi [rad], ln K, ln S) at the root."""
-    solution = root(e)
-    return float(np.linalg.cond(forces(solution, *MEASURED[:2], e)[:, 3:] * (1.0, *solution[1:])))
-
-
-def rounding(e: Equations) -> float:
-    """Largest rounding error, in halves of the last printed digit, that the printed set and points need to fit exactly.
-
-    The least one that does, by linear programming to first order over the set and each slip, sinkage and drawbar pull:
-    1 or less means that rounding explains the difference.
-    """
-    at = forces(PRINTED_SET, *MEASURED[:2], e)
-    halves = np.array([math.radians(0.005), 0.00005, 0.5])  # of phi, K, S
-    effects = [at[:, 3 + k : 4 + k] * half for k, half in enumerate(halves)]
-    for channel in (0, 1):
-        moved = [column + 5e-5 * (k == channel) for k, column in enumerate(MEASURED[:2])]
-        effects.append(np.diag(forces(PRINTED_SET, *moved, e)[:, 0] - at[:, 0]))
-    effects.append(-0.005 * np.eye(3))
-    A = np.hstack(effects)
-    n = A.shape[1]
-    within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])  # |error| <= the largest
-    found = linprog(
-        np.eye(n + 1)[n], within, np.zeros(2 * n), np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0],
-        bounds=(None, None),
-    )  # fmt: skip
-    return float(found.x[n])
-
-
 def reaches(e: Equations, guess: ArrayLike, solution: ArrayLike) -> bool:
-    """Whether plain Newton-Raphson from `guess` ends on `solution`, phi up to the period of its tangent."""
+    """True if plain Newton-Raphson from `guess` ends on `solution`, phi up to the period of its tangent."""
     found = newton_raphson(MEASURED, guess, e)
     turn = (found[0] - solution[0] + 90.0) % 180.0 - 90.0
     return bool(abs(turn) < 0.01 and np.all(np.abs(found[1:] / solution[1:] - 1.0) < 1e-4))
@@ -233,25 +173,6 @@ def table_4() -> list[Row]:
             own, beyond = zip(*(pair[end] for pair in limits), strict=True)
             rows.append(Row(f"{LABELS[name]}, {label}", P.table4[name][end], tuple(map(float, own)), form, beyond))
     return rows
-
-
-def box(counts: tuple[int, int, int]) -> np.ndarray:
-    """Guesses over the box of Table 4, [phi, K, S, 3]: phi and K evenly, S evenly in its logarithm."""
-    ends = [P.table4[name] for name in NAMES]
-    axes = np.linspace(*ends[0], counts[0]), np.linspace(*ends[1], counts[1]), np.geomspace(*ends[2], counts[2])
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-
-
-def converges(e: Equations, guesses: np.ndarray) -> np.ndarray:
-    """[phi, K, S] of whether plain Newton-Raphson reaches the root."""
-    solution = root(e)
-    return np.array([reaches(e, g, solution) for g in guesses.reshape(-1, 3)]).reshape(guesses.shape[:-1])
-
-
-def package_converges(guesses: np.ndarray) -> np.ndarray:
-    """[phi, K, S] of whether the safeguarded iteration reaches the root, on the equations as printed."""
-    found = np.array([safeguarded(MEASURED, g, HELD[0]) for g in guesses.reshape(-1, 3)])
-    return (np.abs(found[:, 1] / root(HELD[0])[1] - 1.0) < 1e-4).reshape(guesses.shape[:-1])
 
 
 class Noisy(NamedTuple):
@@ -310,22 +231,6 @@ def torque_at_37_deg(soil: Soil) -> np.ndarray:
     return forces(parameters, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 2]
 
 
-class Clay(NamedTuple):
-    """What would give the torque printed for clayey soil."""
-
-    cohesion: float  # [Pa]
-    load: float  # [N]
-    others: float  # highest torque [N m] of dry sand at that load
-
-
-def clay_needed() -> Clay:
-    """Cohesion at our load, or load at the cohesion of Wong's row."""
-    clay, asked, sand = soils()[FIELD["clayey_soil"]], P.fig9_about["clayey_soil"], soils()["dry_sand"]
-    cohesion = brentq(lambda c: np.nanmax(torque(replace(clay, cohesion=c))) - asked, 4e3, 2e5, rtol=1e-4)
-    load = brentq(lambda w: np.nanmax(torque(clay, w)) - asked, 5e3, 4e4, rtol=1e-4)
-    return Clay(float(cohesion), float(load), float(np.nanmax(torque(sand, load))))
-
-
 @dataclass(frozen=True)
 class Results:
     """All that the page shows."""
@@ -333,36 +238,16 @@ class Results:
     seed: int
     draws: int
     rows: dict[str, list[Row]]
-    rules: list[tuple[str, float, float]]
-    variations: tuple[float, float]  # mean of the relative changes [%]
-    peak: Peak
-    rounding: tuple[float, float]  # errors needed for Table 3, in halves of the last printed digit
-    roots: tuple[int, int]  # number of solutions for K in [1e-4, 1] m
-    guesses: np.ndarray
-    reached: tuple[np.ndarray, np.ndarray]
-    package: np.ndarray | None  # of the package's solver; only in a full run
     noise: tuple[Noisy, Noisy]
     torques: dict[str, tuple[np.ndarray, np.ndarray]]  # by the load balance, and at a held sinkage
-    clay: Clay
 
 
-def compute(seed: int = 0, full: bool = False) -> Results:
-    """Recompute everything; `full` scans the box and the shear modulus finely, and draws more noise."""
-    guesses, draws = box((60, 60, 25) if full else (20, 20, 9)), 10_000 if full else 1000
-    scan = np.geomspace(1e-4, 1.0, 8001 if full else 401)
+def compute(seed: int = 0, draws: int = 1000) -> Results:
+    """Recompute everything; `draws` of the noise in Table 5."""
     return Results(
-        seed=seed,
-        draws=draws,
-        rows={"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()},
-        rules=rules(),
-        variations=tuple(variation(e, share=True) for e in MODELS),
-        peak=peak_from_print(),
-        rounding=tuple(map(rounding, HELD)),
-        roots=tuple(len(roots(MEASURED, e, scan)) for e in HELD),
-        guesses=guesses,
-        reached=tuple(converges(e, guesses) for e in HELD),
-        package=package_converges(box((20, 20, 9))) if full else None,
-        noise=tuple(table_5(e, seed, draws) for e in HELD),
-        torques={n: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for n, row in FIELD.items()},
-        clay=clay_needed(),
+        seed,
+        draws,
+        {"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()},
+        tuple(table_5(e, seed, draws) for e in HELD),
+        {n: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for n, row in FIELD.items()},
     )

@@ -11,16 +11,16 @@ from matplotlib.figure import Figure
 from soil_env._io.document import Table, render, wrapped
 from soil_env._io.files import replace_file, save_figure
 from soil_env.paper import compare
-from soil_env.paper.compare import HELD, MEASURED, MODELS, NAMES, P, Results, Row
+from soil_env.paper.compare import MEASURED, NAMES, P, Results, Row
 
-FIGURES = ("fig6_7", "table4", "fig9")
+FIGURES = ("fig6_7", "fig9")
 READINGS = "equations as printed", "with Wong & Reece's peak"
 
 
 def write(results: Results, folder: Path, command: str) -> None:
     """Write `folder`/paper.md and the figures in `folder`/paper."""
     (folder / "paper").mkdir(parents=True, exist_ok=True)
-    for name, draw in zip(FIGURES, (_predictions, _box, _torques), strict=True):
+    for name, draw in zip(FIGURES, (_predictions, _torques), strict=True):
         figure = Figure(figsize=(6.4 if draw is _torques else 11.0, 4.2), layout="constrained")
         draw(figure, results)
         save_figure(figure, folder / "paper" / f"{name}.png", dpi=110, metadata={"Software": None})
@@ -30,19 +30,17 @@ def write(results: Results, folder: Path, command: str) -> None:
 def markdown(results: Results, command: str) -> str:
     """The page as Markdown."""
     tables = {f"{name}_table": _beside(rows) for name, rows in results.rows.items()}
-    pounds, (own, printed, _) = compare.in_pounds(), compare.sets(1).values()
+    own, printed, _ = compare.sets(1).values()
     low = 100.0 * (1.0 - compare.prediction(*printed)[:, 1] / compare.prediction(*own)[:, 1])
-    k_phi = compare.alone(MODELS[1], "k_phi", 1.05 * compare.pull(MODELS[1], pounds), pounds)
-    others = {"rules": _rules(results), "box": _shares(results), "noise": _noise(results), "forces": _forces()}
-    others["rms"] = _rms()
+    tables |= {"rules": _rules(), "noise": _noise(results), "forces": _forces(), "rms": _rms()}
+    tables["torques"] = _torque_table(results)
 
     def agree(table: str, reading: int = 1) -> int:
-        """How many printed numbers of a table agree to the last digit."""
+        """Count the printed numbers of a table that agree to the last digit."""
         return sum(compare.as_shown(row.ours[reading], row.form) == row.printed for row in results.rows[table])
 
-    values = {"agree": agree, "r": results, "p": P, "c": compare, "command": command, "torques": _torque_table(results)}
-    values |= {"pounds": pounds, "pounds_k_phi": k_phi, "low": (low.min(), low.max())}
-    return wrapped(render("soil_env.paper:paper.md", **values, **others, **tables))
+    values = {"agree": agree, "r": results, "p": P, "c": compare, "command": command, "low": (low.min(), low.max())}
+    return wrapped(render("soil_env.paper:paper.md", **values, **tables))
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------
@@ -65,20 +63,9 @@ def _beside(rows: Sequence[Row]) -> Table:
     return Table(header, lines)
 
 
-def _rules(r: Results) -> Table:
+def _rules() -> Table:
     return Table(("resistance, integration", *(f"{name}: DP [N]" for name in READINGS)),
-                 [(name, *(f"{v:.2f}" for v in values)) for name, *values in r.rules])  # fmt: skip
-
-
-def _shares(r: Results) -> Table:
-    """Guesses over the whole box that end on the root, by guess of S."""
-    rows = [
-        (f"S = {S:.1e}", *(f"{100 * share[:, :, k].mean():.1f} %" for share in r.reached))
-        for k, S in enumerate(r.guesses[0, 0, :, 2])
-    ]
-    rows = rows[:: max(1, len(rows) // 8)]
-    rows.append(("the whole box", *(f"{100 * share.mean():.1f} %" for share in r.reached)))
-    return Table(("guesses with", *READINGS), rows)
+                 [(name, *(f"{v:.2f}" for v in values)) for name, *values in compare.rules()])  # fmt: skip
 
 
 def _noise(r: Results) -> Table:
@@ -160,19 +147,6 @@ def _predictions(figure: Figure, r: Results) -> None:
                 axes.plot(slip, y[:, column], style, color=f"C{colour}", label=f"{name}, {READINGS[k]}")
     pull.plot(MEASURED.slip, MEASURED.pull, "ko", label="measured")
     pull.legend(fontsize=7)
-
-
-def _box(figure: Figure, r: Results) -> None:
-    """Table 4: share of the guesses of S from which Newton-Raphson reaches the root."""
-    for k, name in enumerate(READINGS):
-        axes = _axes(figure, "guess of phi [deg]", "guess of K [m]", 121 + k)
-        phi, K = r.guesses[:, 0, 0, 0], r.guesses[0, :, 0, 1]
-        share = 100.0 * r.reached[k].mean(axis=2)
-        image = axes.pcolormesh(phi, K, share.T, vmin=0.0, vmax=100.0, shading="nearest")
-        axes.plot(*compare.root(HELD[k])[:2], "r*", markersize=11)
-        axes.set_title(name, fontsize=10)
-        axes.grid(False)
-    figure.colorbar(image, ax=figure.axes, label="guesses of S that reach the root (star) [%]")
 
 
 def _torques(figure: Figure, r: Results) -> None:

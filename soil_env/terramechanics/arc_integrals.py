@@ -44,7 +44,7 @@ _one_arc = scratch_rows(Nodes, COUNT)
 
 
 class ArcFrame(NamedTuple):
-    """What the nodes of an arc have in common, beside what `store_nodes` writes."""
+    """Quantities that the nodes of an arc share, beside those that `store_nodes` writes."""
 
     theta1: float  # [rad]
     front: float  # [rad] length of the front zone
@@ -58,7 +58,7 @@ class ArcFrame(NamedTuple):
 
 @compiled_inline
 def store_nodes(arc, n, nodes, at):
-    """What the quadrature nodes of an `Arc` need whatever the motion and K, into columns at.. of `Nodes`; `ArcFrame`.
+    """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`; return `ArcFrame`.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
@@ -290,7 +290,7 @@ def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc
-    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (`python -m benchmarks.accuracy`). The derivative by K
+    and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (docs/results/README.md). The derivative by K
     needs no further integrals: see `shear_modulus_rates`.
     """
     return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)

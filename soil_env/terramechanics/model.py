@@ -10,18 +10,26 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, check, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import (
+    Checked,
+    FieldError,
+    ParameterError,
+    check,
+    load,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
 from soil_env._numba.compiling import compiled_part
-from soil_env.measurement.setup import LARGEST_WHEEL, check_lugs
-from soil_env.measurement.table import STEEPEST, Table
-from soil_env.parameters import Soil
+from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
 from soil_env.terramechanics.steady import (  # noqa: F401
@@ -41,14 +49,15 @@ from soil_env.terramechanics.steady import (  # noqa: F401
 from soil_env.terramechanics.validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"
+STEEPEST = 60.0  # [deg] grade
 
 
 @dataclass(frozen=True)
 class ModelWheel(Checked):
     """Wheel of a model; `grouser_height` 0 is a smooth rim."""
 
-    radius: float = quantity("m", 0.01, 3.0)
-    width: float = quantity("m", 0.005, 3.0)
+    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
+    width: float = quantity("m", 0.005, LARGEST_WHEEL)
     grouser_height: float = quantity("m", 0.0, 1.0, default=0.0)
 
     def __post_init__(self) -> None:
@@ -57,6 +66,14 @@ class ModelWheel(Checked):
 
 
 _EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
+
+
+class HasConditions(Protocol):
+    """A table of conditions, such as `soil_env.measurement.Table`."""
+
+    def conditions(self) -> Mapping[str, np.ndarray]:
+        """Columns [N] by name; NaN where a cell is empty."""
+        ...
 
 
 class Prediction(NamedTuple):
@@ -90,7 +107,7 @@ class WheelSoilModel:
     def __post_init__(self) -> None:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
             if not isinstance(getattr(self, name), kind):
-                raise ParameterError(f"WheelSoilModel: {name} = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
+                raise FieldError(self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
         check(self)
         pack_effects(self.effects)  # refuses what is unknown or out of range
         object.__setattr__(self, "validity", checked(self.validity))
@@ -105,10 +122,10 @@ class WheelSoilModel:
         """The effects as the kernels take them."""
         return pack_effects(self.effects)
 
-    def predict(self, conditions: Table | Mapping[str, ArrayLike]) -> Prediction:
+    def predict(self, conditions: HasConditions | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
-        `conditions`: a measurement `Table`, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
+        `conditions`: a measurement table, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
         and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
         `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
         warns once (`OutsideValidity`) of conditions outside `validity`.
@@ -235,25 +252,22 @@ def _numbers(name: str, value) -> np.ndarray:
 
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
-    if isinstance(conditions, Table):
-        given = {name: getattr(conditions, "passes" if name == "pass" else name) for name in
-                 ("slip", "load", *_OPTIONAL, *_SIZES)}  # fmt: skip
-    else:
-        if not isinstance(conditions, Mapping):
+    if not isinstance(conditions, Mapping):
+        if not hasattr(conditions, "conditions"):
             raise ParameterError(f"conditions = {conditions!r}: expected a Table or a mapping of arrays")
-        given = dict(conditions)
-        known = ("slip", "load", *_OPTIONAL, *_SIZES)
-        for name in given:
-            if name not in known:
-                raise unknown_key(name, known, "conditions")
-        for name in ("slip", "load"):
-            if name not in given:
-                raise ParameterError(f"conditions: missing {name}")
-        given = {name: _numbers(name, value) for name, value in given.items()}
-        sizes = {name: a.size for name, a in given.items() if a.size != 1}
-        if len(set(sizes.values())) > 1:
-            text = ", ".join(f"{name} has {size}" for name, size in sizes.items())
-            raise ParameterError(f"conditions: expected columns of the same length, or scalars: {text}")
+        conditions = conditions.conditions()
+    known = ("slip", "load", *_OPTIONAL, *_SIZES)
+    for name in conditions:
+        if name not in known:
+            raise unknown_key(name, known, "conditions")
+    for name in ("slip", "load"):
+        if name not in conditions:
+            raise ParameterError(f"conditions: missing {name}")
+    given = {name: _numbers(name, value) for name, value in conditions.items()}
+    sizes = {name: a.size for name, a in given.items() if a.size != 1}
+    if len(set(sizes.values())) > 1:
+        text = ", ".join(f"{name} has {size}" for name, size in sizes.items())
+        raise ParameterError(f"conditions: expected columns of the same length, or scalars: {text}")
     usual = {**_OPTIONAL, "wheel_radius": wheel.radius, "wheel_width": wheel.width,
              "grouser_height": wheel.grouser_height}  # fmt: skip
     names = ("slip", "load", *usual)

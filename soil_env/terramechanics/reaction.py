@@ -1,4 +1,4 @@
-"""What the soil and all else do to a driven wheel at one motion, with the derivatives that an implicit step needs.
+"""Reaction of the soil and of effects to a driven wheel, with the derivatives that an implicit step needs.
 
 All functions take floats (one wheel) or lanes (eight wheels).
 """
@@ -27,23 +27,18 @@ from soil_env.terramechanics.contact import (
     smooth_arc,
     smoothed_sign,
 )
-from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
-    Effects,
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, drive_friction, soil_in_contact, soil_resistance
+from soil_env.terramechanics.effects.grousers import (
     at_shear_radius,
     blade_thrust,
     blades_at,
-    bulldozing_resistance,
-    drive_friction,
-    excavated_depth,
-    shear_law,
-    shear_length_ratio,
+    contact_radius,
     shear_radius_ratio,
-    slip_sinkage_ratio,
-    soil_in_contact,
 )
+from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import Rim, arc_of, contact_radius
+from soil_env.terramechanics.steady import Rim, arc_of
 
 REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
 
@@ -142,7 +137,7 @@ def interaction(wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: fl
 
 
 class Ground(NamedTuple):
-    """What a wheel stands on during a substep, at the slip and the speeds that it begins with."""
+    """Ground under a wheel during a substep, at the slip and the speeds that it begins with."""
 
     soil: SoilState  # as it is sheared
     arc: Arc
@@ -175,7 +170,7 @@ def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, whe
         at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
         arc,
         excavated_depth(slip, fx) / dug,
-        bulldozing_resistance(sinkage, soil, wheel.unit_weight, b, fx),
+        soil_resistance(sinkage, soil, wheel.unit_weight, b, fx),
         blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
         pull,
         torque,

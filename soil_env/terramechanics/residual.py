@@ -9,7 +9,7 @@ in, so every group is held inside the range it had there.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,10 +19,21 @@ from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, power, smaller, where_less
 from soil_env._numba.lanes import alike
-from soil_env.measurement.table import MEASURED as CHANNELS, Channel
+from soil_env.terramechanics.effects.entry import CHANNELS, Channel
+from soil_env.terramechanics.effects.text import plain
 
-#: Dimensionless groups: |slip|, 1 - |slip|, z/r, W/(S b r^(n+1)), V/sqrt(g r), pass number, sin(grade).
-GROUPS = ("slip", "grip", "sinkage", "load", "speed", "pass", "grade")
+#: Dimensionless groups by name: (symbol in an equation, symbol in its legend, meaning).
+LEGEND = {
+    "slip": ("i", "i", "slip"),
+    "grip": ("(1 - i)", "1 - i", "travel over rim speed"),
+    "sinkage": ("Z", "Z", "z_0/r, sinkage over radius"),
+    "load": ("L", "L", "W/(S b r^(n+1)), load over bearing strength"),
+    "speed": ("Fr", "Fr", "V/sqrt(g r), Froude number"),
+    "pass": ("N", "N", "pass number"),
+    "grade": ("sin(b)", "sin(b)", "sine of the grade"),
+}
+GROUPS = tuple(LEGEND)
+_LEFT = {"sinkage": "(z - z_0)/r", "drawbar_pull": "(DP - DP_0)/W", "torque": "(T - T_0)/(W r)"}
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,27 @@ def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
         for group, (low, high) in term.ranges.items():
             law.low[k, GROUPS.index(group)], law.high[k, GROUPS.index(group)] = low, high
     return law
+
+
+def product(powers: Mapping[str, float]) -> str:
+    """Groups of a term with their powers, each behind a space."""
+    parts = ""
+    for group, p in powers.items():
+        parts += f" {LEGEND[group][0]}" + ("" if p == 1.0 else f"^{p:g}" if p > 0.0 else f"^({p:g})")
+    return parts
+
+
+def formulas(terms: Sequence[ResidualTerm], digits: int = 3) -> dict[str, str]:
+    """{channel: equation} of a law."""
+    out: dict[str, str] = {}
+    for term in terms:
+        size = f"{plain(abs(term.coefficient), digits)}{product(term.powers)}"
+        minus = term.coefficient < 0.0
+        if term.channel in out:
+            out[term.channel] += f" {'-' if minus else '+'} {size}"
+        else:
+            out[term.channel] = f"{_LEFT[term.channel]} = {'-' if minus else ''}{size}"
+    return out
 
 
 @compiled_part

@@ -26,19 +26,16 @@ from soil_env.terramechanics.contact import (
 from soil_env.terramechanics.effects import (
     NO_EFFECTS,
     arc_ends,
-    at_shear_radius,
-    blade_force,
-    bulldozing_resistance,
     drive_torque,
-    excavated_depth,
-    shear_law,
-    shear_length_ratio,
-    shear_radius_ratio,
-    sliding_speed,
-    slip_sinkage_ratio,
     soil_in_contact,
-    true_slip,
+    soil_resistance,
 )
+from soil_env.terramechanics.effects.grade import weight_on_slope
+from soil_env.terramechanics.effects.grousers import at_shear_radius, blade_force, contact_radius, shear_radius_ratio
+from soil_env.terramechanics.effects.shear_rate import sliding_speed
+from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.slip_bias import true_slip
+from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 
 _SECANT = 1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
@@ -62,7 +59,7 @@ class Rim(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What a steady point was driven at, besides slip and load."""
+    """Conditions of a steady point besides slip and load."""
 
     speed: float  # [m/s] travel
     passes: float  # 1 = fresh soil
@@ -70,12 +67,6 @@ class Conditions(NamedTuple):
 
 
 LEVEL = Conditions(0.0, 1.0, 0.0)
-
-
-@compiled_inline
-def contact_radius(fx, wheel):
-    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
-    return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
 
 
 @compiled_inline
@@ -125,7 +116,7 @@ def steady_state(slip, load, soil, r, b):
 
 
 class _Balance(NamedTuple):
-    """What Eq. (1) is solved with."""
+    """Constants of Eq. (1) at one point."""
 
     slip: float
     rim: float  # of motion, as the sheared soil sees it
@@ -144,7 +135,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     ground = soil_in_contact(
         soil, fx, slip, conditions.speed, sliding_speed(slip, conditions.speed), conditions.passes, sine
     )
-    normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sine * sine)))
+    normal, _ = weight_on_slope(load, sine, fx)
     rim, travel = motion_from_slip(slip)
     rim, K = sheared(rim, ground, fx, wheel)
     q = shear_radius_ratio(contact_radius(fx, wheel), wheel.grouser_height, fx)
@@ -243,8 +234,8 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     if fx.grousers_blades != 0.0:
         theta1 = entry_angle(z, outer)
         blade = blade_force(theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
-    pull = w.drawbar_pull + blade - bulldozing_resistance(z, ground, unit_weight, b, fx)
-    pull -= fx.grade_share * load * conditions.sin_grade
+    pull = w.drawbar_pull + blade - soil_resistance(z, ground, unit_weight, b, fx)
+    pull -= weight_on_slope(load, conditions.sin_grade, fx)[1]
     q = shear_radius_ratio(outer, wheel.grouser_height, fx)
     torque = q * w.torque + blade * (r + 0.5 * wheel.grouser_height)
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same

@@ -6,7 +6,6 @@ process with threads (of autograd, of TensorBoard's writer) may crash. It is kil
 """
 
 import faulthandler
-import functools
 import os
 import signal
 import sys
@@ -50,13 +49,8 @@ def killed_until_done(work) -> int:
 
 
 def kill_at_a_file(number: int, when: str) -> None:
-    """Let this process be killed before or after it puts its file of that number (from 1) in its place.
-
-    A line added to the log of a study counts as a file; "before" is then in the middle of it.
-    """
-    from agents import studies
-
-    replace, append, seen = os.replace, studies.append_line, []
+    """Let this process be killed before or after it puts its file of that number (from 1) in its place."""
+    replace, seen = os.replace, []
 
     def die() -> None:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -69,59 +63,47 @@ def kill_at_a_file(number: int, when: str) -> None:
         if len(seen) == number:
             die()
 
-    def appended(path, text):
-        seen.append(path)
-        if (len(seen), when) == (number, "before"):
-            with open(path, "a", encoding="utf-8") as stream:
-                stream.write(text[: len(text) // 2])
-            die()
-        append(path, text)
-        if len(seen) == number:
-            die()
-
-    os.replace, studies.append_line = replaced, appended
+    os.replace = replaced
 
 
-def load_sim2real() -> None:
+def load_study() -> None:
     """Import what the study imports, so that the forks need not."""
     import optuna  # noqa: F401
     import torch
 
-    import agents.sim2real.report
+    import agents.study.command
     import agents.training  # noqa: F401
-    import tests.agents.test_sim2real  # noqa: F401
 
     torch.set_num_threads(1)
     torch.optim.Adam([torch.zeros(1)])  # imports a good deal when it is first used
 
 
-def sim2real(folder: Path) -> None:
-    """A tiny study of `agents.sim2real`, with checkpoints in the trainings."""
-    from agents.ppo import TrainConfig
-    from agents.sim2real import report, study
-    from tests.agents.test_sim2real import WORLDS, tiny
+def small_study(folder: Path) -> None:
+    """A small study of `agents.study`, whose trainings begin anew after a kill."""
+    from tests.agents.commands import study
+    from tests.agents.test_study import config
 
-    study.TrainConfig = functools.partial(TrainConfig, checkpoint_every=128)
-    asked = tiny([WORLDS / "bulldozing.yaml"], timesteps=384, training_seeds=1, courses=3, logs=1)
-    study.begin(asked, folder)
-    study.run(asked, folder, lambda text: None)
-    report.write(asked, report.result(asked, folder), folder)
+    train = {"timesteps": 192, "ppo": {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}}
+    beside = folder.parent / "config"
+    beside.mkdir(exist_ok=True)
+    path = config(beside, train=train, courses=3, seeds=1)
+    if study(["--config", str(path), "--out", str(folder)]) != 0:
+        raise RuntimeError("soil-env study failed")
 
 
 def load_blind() -> None:
     """Import what the benchmark imports."""
-    import benchmarks.blind.__main__
-    import benchmarks.blind.entrants.bic  # noqa: F401
+    import benchmarks.discovery.__main__  # noqa: F401
 
 
 def blind_cases(folder: Path) -> None:
-    """Three small cases of `benchmarks.blind`, drawn, answered and scored."""
-    from benchmarks.blind.__main__ import main as blind
+    """Three small cases of `benchmarks.discovery`, drawn, answered and scored."""
+    from benchmarks.discovery.__main__ import main as discovery
 
     groups = (word for name in ("none-few-10", "one-few-10", "one-poor-10") for word in ("--group", name))
     asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", *groups]
-    if blind(["run", *asked, "--out", str(folder)]) != 0:
-        raise RuntimeError("benchmarks.blind failed")
+    if discovery(["run", *asked, "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.discovery failed")
 
 
 def main(name: str, folder: Path) -> None:
@@ -130,7 +112,7 @@ def main(name: str, folder: Path) -> None:
     Both are done in folder/work, whose name some results have in them.
     """
     faulthandler.enable()
-    load, work = {"sim2real": (load_sim2real, sim2real), "blind": (load_blind, blind_cases)}[name]
+    load, work = {"study": (load_study, small_study), "blind": (load_blind, blind_cases)}[name]
     load()
     if (status := status_of(lambda: work(folder / "work"))) != 0:
         raise RuntimeError(f"undisturbed work ended with status {status}")

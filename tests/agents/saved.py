@@ -1,4 +1,4 @@
-"""Saved agents with another soil_env.json than `ppo.save` wrote."""
+"""Changes of the soil_env.json of a saved agent."""
 
 import json
 import zipfile

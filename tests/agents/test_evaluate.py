@@ -1,243 +1,402 @@
-"""Paired runs, intervals and the files of a comparison."""
+"""`soil-env evaluate`: what it writes, that it goes on where it was, and bad input in one line."""
 
-import matplotlib.pyplot as plt
+import csv
+import json
+import resource
+import shutil
+import subprocess
+from contextlib import contextmanager
+from pathlib import Path
+
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+import yaml
+from scipy import stats
 
-from agents import plots
-from agents.controllers import CONTROLLERS, make_controller
-from agents.evaluate import Runs, course_rng, run_courses, summary, wilson
-from soil_env.driving.wheels import Simulation
+from agents import cells
+from agents.controllers import make_controller
+from agents.evaluate import HELD_OUT_SET, Runs, comparing, evaluation, run_courses
+from agents.evaluate.driving import METRICS, RATES
+from agents.evaluate.statistics import wilson
+from agents.evaluate.tuning import tuned_settings
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
+from tests.agents.commands import evaluate as main, typed
+from tests.agents.evaluating import FILES, SHORT, evaluate, everything, result_of, same
+from tests.agents.saved import edit, rewrite
 
-SEED = 12345
-SHORT = {"control": {"time_limit": 25.0, "action": "torque"}}
-
-
-@pytest.fixture(scope="module")
-def scenario():
-    return load_scenario("mixed", SHORT)
+ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.fixture(scope="module")
-def runs(scenario):
-    """Every controller on the same 12 courses."""
-    return {name: run_courses(make_controller(name, scenario), scenario, SEED, 12) for name in CONTROLLERS}
+def runs_of(returns, finished=None):
+    """`Runs` with these returns, that are finished or bogged."""
+    returns = np.asarray(returns, dtype=float)
+    ended = np.where(np.ones(returns.size) if finished is None else finished, Cause.FINISHED.value, Cause.BOGGED.value)
+    return Runs(ended, *np.ones((5, returns.size)), returns)
 
 
-def synthetic(values, cause=None):
-    """`Runs` whose returns are `values`."""
-    n = len(values)
-    ones = np.ones(n)
-    cause = np.full(n, Cause.FINISHED.value) if cause is None else np.asarray(cause)
-    return Runs(cause, ones, ones, ones, ones, ones, np.asarray(values, dtype=float))
+# --- the comparison on known cases ------------------------------------------------------------------------------------
 
 
-# --- intervals --------------------------------------------------------------------------------------------------------
+def test_a_comparison_of_known_runs():
+    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
+    rng, scenario = np.random.default_rng(0), load_scenario("mixed")
+    returns, ends = rng.normal(5.0, 2.0, (2, 40)), np.arange(40) >= 10
+    runs = {"a": [runs_of(row, ends) for row in returns], "b": runs_of(returns.mean(axis=0) - 1.0)}
+    found = comparing.comparison(scenario, 3, runs, resamples=400)
+    assert found["members"] == {"a": 2, "b": 1} and found["courses"] == 40 and found["scenario"] == "mixed"
+    a, b = found["controllers"]["a"], found["controllers"]["b"]
+    assert a["finished"]["value"] == pytest.approx(0.75) and a["immobilised"]["value"] == pytest.approx(0.25)
+    assert (b["finished"]["low"], b["finished"]["high"]) == pytest.approx(wilson(40, 40))
+    assert found["by_seed"]["a"]["return"] == pytest.approx(returns.mean(axis=1))
+    assert found["iqm"]["a"]["value"] == pytest.approx(stats.trim_mean(returns, 0.25, axis=None))
+    assert set(found["iqm"]["a"]["stratified"]) == {"low", "high"} and "stratified" not in found["iqm"]["b"]
+    paired = found["paired"]["a"]["b"]
+    assert paired["return"]["value"] == pytest.approx(1.0) and paired["finished"]["value"] == pytest.approx(-0.25)
+    assert paired["return"]["low"] <= 1.0 <= paired["return"]["high"]
+    assert found["paired"]["b"]["a"]["return"]["high"] == pytest.approx(-paired["return"]["low"])
+    p, q = found["improvement"]["a"]["b"], found["improvement"]["b"]["a"]
+    assert p["value"] + q["value"] == pytest.approx(1.0) and p["low"] == pytest.approx(1.0 - q["high"])
+    assert found == comparing.comparison(scenario, 3, runs, resamples=400)
 
 
-@pytest.mark.parametrize("n", [1, 5, 20, 1000])
-def test_wilson_agrees_with_scipy(n):
-    for k in sorted({0, 1, n // 3, n - 1, n}):
-        expected = binomtest(k, n).proportion_ci(0.95, method="wilson")
-        assert wilson(k, n) == pytest.approx((expected.low, expected.high), abs=1e-9)
+def test_pairing_removes_what_courses_have_in_common():
+    """Returns that scatter by 10 over courses and differ by 0.1 everywhere: told apart on the same courses alone."""
+    x = np.random.default_rng(1).normal(0.0, 10.0, 60)
+    found = comparing.comparison(load_scenario(), 0, {"a": runs_of(x + 0.1), "b": runs_of(x)}, resamples=300)
+    alone, paired = found["controllers"], found["paired"]["a"]["b"]["return"]
+    assert alone["a"]["return"]["low"] < alone["b"]["return"]["high"]
+    assert paired["low"] == pytest.approx(0.1) and paired["high"] == pytest.approx(0.1)
 
 
-def test_bootstrap_interval_covers_the_true_mean_in_95_percent():
-    rng = np.random.default_rng(1)
-    trials, covered = 250, 0
+def test_intervals_of_the_mean_cover_it_in_95_percent():
+    rng, trials, covered = np.random.default_rng(1), 200, 0
     for t in range(trials):
-        m = summary(synthetic(rng.normal(3.0, 2.0, 60)), seed=t, resamples=300)["return"]
+        found = comparing.comparison(load_scenario(), t, {"a": runs_of(rng.normal(3.0, 2.0, 60))}, resamples=300)
+        m = found["controllers"]["a"]["return"]
         covered += m["low"] <= 3.0 <= m["high"]
-    assert 0.90 <= covered / trials <= 0.985  # nominal 0.95, standard error 0.014
+    assert 0.90 <= covered / trials <= 0.985  # nominal 0.95, standard error 0.015
 
 
-def test_summary_is_reproducible_and_uses_both_kinds_of_interval():
-    runs = synthetic(np.arange(20.0), [Cause.FINISHED.value] * 15 + [Cause.BOGGED.value] * 5)
-    out = summary(runs)
-    assert out == summary(runs)
-    expected = binomtest(5, 20).proportion_ci(0.95, method="wilson")
-    assert out["immobilised"] == pytest.approx({"value": 0.25, "low": expected.low, "high": expected.high})
-    assert out["return"]["value"] == pytest.approx(9.5)
-
-
-# --- pairing ----------------------------------------------------------------------------------------------------------
-
-
-def courses_of(first, count, batch, scenario):
-    """Edges, grades, soils and masses of courses as `run_courses` draws them."""
-    seen = []
-    original = Simulation.restart_where
-
-    def spy(self, which):
-        original(self, which)
-        w = self.worlds
-        arrays = (w.courses.edges, w.courses.grades, w.courses.soils, w.courses.margins)
-        seen.append([a.copy() for a in arrays] + [w.state["mass"].copy()])
-
-    patch = pytest.MonkeyPatch()
-    patch.setattr(Simulation, "restart_where", spy)
-    try:
-        run_courses(make_controller("full_throttle", scenario), scenario, SEED, count, first=first, batch=batch)
-    finally:
-        patch.undo()
-    return [np.concatenate(parts) for parts in zip(*seen, strict=True)]
-
-
-def test_courses_depend_neither_on_batch_nor_on_the_first(scenario):
-    whole = courses_of(0, 9, 500, scenario)
-    for first, count, batch in ((0, 9, 4), (3, 3, 500), (5, 1, 1)):
-        for a, b in zip(whole, courses_of(first, count, batch, scenario), strict=True):
-            used = np.isfinite(b)
-            np.testing.assert_array_equal(a[first : first + count][used], b[used])
-    assert len({row.tobytes() for row in whole[1]}) == 9  # nine different courses
-
-
-def test_results_depend_neither_on_batch_nor_on_the_first(scenario):
-    for name in ("fixed_slip", "best_slip_identified"):
-        controller = make_controller(name, scenario)
-        whole = run_courses(controller, scenario, SEED, 8)
-        for other, part in (
-            (run_courses(controller, scenario, SEED, 8, batch=3), slice(0, 8)),
-            (run_courses(controller, scenario, SEED, 3, first=3), slice(3, 6)),
-        ):
-            for field in Runs.__dataclass_fields__:
-                np.testing.assert_array_equal(getattr(whole, field)[part], getattr(other, field), err_msg=field)
-
-
-def test_the_variant_that_is_observed_does_not_change_the_world(scenario):
-    class Push:
-        def __init__(self, variant):
-            self.variant = variant
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            assert observation.shape[1] == len(layout(self.variant))
-            return np.full((len(observation), 1), 0.6, dtype=np.float32), state
-
-    results = [run_courses(Push(v), scenario, SEED, 6) for v in ("blind", "identified", "true_soil")]
-    for other in results[1:]:
-        for field in Runs.__dataclass_fields__:
-            np.testing.assert_array_equal(getattr(results[0], field), getattr(other, field), err_msg=field)
-
-
-# --- metrics against a plain loop -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["full_throttle", "constant_speed", "best_slip_identified", "best_slip_true"])
-def test_runs_equal_a_loop_over_one_wheel(scenario, runs, name):
-    controller = make_controller(name, scenario)
-    for course in (0, 4, 11):
-        sim = Simulation(1, scenario, controller.variant, threads=1)
-        sim.seed(0, course_rng(SEED, course))
-        sim.restart(0)
-        w = sim.worlds
-        energy = returns = sinkage = slip = 0.0
-        steps = driving = 0
-        furthest, state, fresh = 0.0, None, np.array([True])
-        while w.cause[0] == Cause.RUNNING.value:
-            action, state = controller.predict(w.observation.copy(), state, fresh)
-            fresh = np.array([False])
-            sim.step(0, float(action[0, 0]))
-            s = w.state[0]
-            steps += 1
-            energy += max(float(s["motor_work"]), 0.0)
-            returns += float(w.terms[0].sum())
-            sinkage += float(s["sinkage"])
-            furthest = max(furthest, float(s["x"]))
-            if s["halt_left"] == 0.0:
-                driving += 1
-                slip += float(s["slip"])
-        got = runs[name]
-        assert got.cause[course] == w.cause[0]
-        assert got.time[course] == pytest.approx(0.1 * steps)
-        assert got.distance[course] == pytest.approx(furthest, rel=1e-12)
-        assert got.energy[course] == pytest.approx(energy, rel=1e-9)
-        assert got.returns[course] == pytest.approx(returns, rel=1e-9)
-        assert got.sinkage[course] == pytest.approx(sinkage / steps, rel=1e-9)
-        assert got.slip[course] == pytest.approx(slip / max(driving, 1), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["full_throttle", "constant_speed", "best_slip_identified"])
-def test_a_controller_is_asked_as_often_as_the_scenario_says(scenario, name):
-    """The same courses, causes and returns as from the environment; slip and work of every control period."""
-    held = load_scenario(scenario, {"control": {"action": "rim_acceleration", "repeat": 5}})
-    controller = make_controller(name, held)
-    got = run_courses(controller, held, SEED, 4)
-    for course in range(4):
-        sim = Simulation(1, held, controller.variant, threads=1)
-        sim.seed(0, course_rng(SEED, course))
-        sim.restart(0)
-        returns, state, fresh, w = 0.0, None, np.array([True]), sim.worlds
-        while w.cause[0] == Cause.RUNNING.value:
-            action, state = controller.predict(w.observation.copy(), state, fresh)
-            fresh = np.array([False])
-            sim.step(0, float(action[0, 0]))
-            returns += float(w.reward[0])
-        assert got.cause[course] == w.cause[0] and got.distance[course] == w.state["best_x"][0]
-        assert got.time[course] == pytest.approx(0.1 * w.counts["steps"][0])
-        assert got.returns[course] == pytest.approx(returns, rel=1e-9)
-
-
-def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(scenario, runs):
-    paid = load_scenario(scenario, {"reward": {"information": 50.0}})
-    controller = make_controller("fixed_slip", paid)
-    got = run_courses(controller, paid, SEED, 4)
-    np.testing.assert_array_equal(got.returns, runs["fixed_slip"].returns[:4])
-
-
-def test_rates_of_the_causes_add_up_to_one(runs):
-    for got in runs.values():
-        total = sum(got.metric(name) for name in ("entrapped", "stalled", "bogged", "time_limit", "finished"))
-        np.testing.assert_array_equal(total, 1.0)
-        np.testing.assert_array_equal(
-            got.metric("immobilised"), got.metric("entrapped") + got.metric("stalled") + got.metric("bogged")
-        )
-    everything = np.concatenate([got.cause for got in runs.values()])
-    assert len(set(everything.tolist())) >= 2  # the sample has different ends
-
-
-def test_units_of_the_derived_metrics():
-    got = Runs(
-        cause=np.array([1, 5]), distance=np.array([10.0, 0.02]), time=np.array([20.0, 90.0]),
-        energy=np.array([500.0, 3.0]), slip=np.array([0.2, 0.1]), sinkage=np.array([0.03, 0.01]),
-        returns=np.array([9.0, 0.0]),
-    )  # fmt: skip
-    assert got.metric("speed").tolist() == pytest.approx([0.5, 0.02 / 90.0])
-    assert got.metric("energy_per_metre").tolist() == pytest.approx([50.0, 30.0])  # at least 0.1 m
-    assert got.metric("sinkage").tolist() == pytest.approx([30.0, 10.0])
-    assert got.metric("finished").tolist() == [1.0, 0.0] and got.metric("time_limit").tolist() == [0.0, 1.0]
-    with pytest.raises(KeyError):
-        got.metric("speeed")
-
-
-def test_metrics_are_within_their_physical_range(scenario, runs):
-    for name, got in runs.items():
-        assert (got.time <= scenario.control.time_limit + 1e-9).all()
-        assert (got.distance >= 0.0).all() and (got.energy >= 0.0).all()
-        assert (np.abs(got.slip) <= 1.0).all() and (got.sinkage > 0.0).all()
-        assert (got.distance[got.cause == Cause.FINISHED.value] >= scenario.course.length).all(), name
-
-
-# --- the result -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n", [1, 9, 1000])
-@pytest.mark.parametrize("cause", [Cause.FINISHED, Cause.BOGGED, Cause.TIME_LIMIT])
-def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n, cause):
+@pytest.mark.parametrize("n", [1, 9, 500])
+def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n):
     """At 0 % and 100 %, and with equal courses, rounding may not put the value outside its interval."""
-    for name, m in summary(synthetic(np.full(n, 0.1), np.full(n, cause.value)), resamples=20).items():
+    found = comparing.comparison(load_scenario(), 0, {"a": runs_of(np.full(n, 0.1))}, resamples=20)
+    for name, m in found["controllers"]["a"].items():
         assert m["low"] <= m["value"] <= m["high"], name
 
 
-def test_the_trace_of_a_course_is_that_of_the_comparison(scenario, runs, tmp_path):
-    """course.png shows the course that was judged: same end, same distance, same length."""
-    controllers = {name: make_controller(name, scenario) for name in ("full_throttle", "best_slip_identified")}
-    for name, controller in controllers.items():
-        columns, cause = plots.trace(controller, scenario, SEED, 4)
-        assert Cause[cause].value == runs[name].cause[4]
-        assert columns["t"][-1] == pytest.approx(runs[name].time[4])
-        assert columns["x"].max() == pytest.approx(runs[name].distance[4])
-    plots.course_figure(scenario, SEED, 4, controllers, tmp_path / "course.png")
-    assert plt.imread(tmp_path / "course.png").std() > 0.01
+# --- what is written --------------------------------------------------------------------------------------------------
+
+
+def test_the_folder_holds_what_is_promised(done):
+    assert {p.name for p in done.iterdir()} == {*FILES, "study.yaml", "cells"}
+    result = result_of(done)
+    assert list(result["controllers"]) == ["half", "tests.agents.drivers:Counting", "fixed_slip", "ppo"]
+    assert result["members"]["ppo"] == 2 and len(result["sources"]["ppo"]) == 2
+    assert result["settings"]["fixed_slip"] == pytest.approx({"slip": 0.2, "start": 0.03, "speed": 0.75})
+    assert result["chosen"] == {"fixed_slip": "given"}
+    assert (result["courses"], result["seed"], result["scenario"]) == (7, 11, "two_lines")
+
+
+def test_values_are_means_over_the_courses_that_are_listed(done):
+    result = result_of(done)
+    rows = list(csv.DictReader((done / "courses.csv").read_text().splitlines()))
+    assert len(rows) == 7 * 5
+    for name, metrics in result["controllers"].items():
+        own = [row for row in rows if row["controller"] == name]
+        assert len(own) == 7 * result["members"][name]
+        for metric in set(result["metrics"]) - set(RATES):
+            values = [float(row[metric]) for row in own if row[metric]]
+            if values:
+                assert metrics[metric]["value"] == pytest.approx(np.mean(values), rel=1e-4, abs=1e-9)
+            else:
+                assert metrics[metric]["value"] is None
+        for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
+            share = sum(row["cause"] == cause for row in own) / len(own)
+            assert metrics[cause.lower()]["value"] == pytest.approx(share)
+    table = list(csv.DictReader((done / "evaluation.csv").read_text().splitlines()))
+    assert [row["controller"] for row in table] == list(result["controllers"])
+    assert float(table[0]["return_low"]) == pytest.approx(result["controllers"]["half"]["return"]["low"], rel=1e-4)
+
+
+def test_the_page_has_what_the_json_has(done):
+    text, m = (done / "evaluation.md").read_text(), result_of(done)["controllers"]["half"]["finished"]
+    assert f"{100 * m['value']:.1f} [{100 * m['low']:.1f}, {100 * m['high']:.1f}]" in text and "nan" not in text
+
+
+def test_the_table_of_train_comes_out_again(tmp_path):
+    """For the classical controllers, with the same tuning: the default set of courses is that of train.py."""
+    scenario, names = load_scenario(), ("fixed_slip", "best_slip_identified")
+    chosen, _ = tuned_settings(scenario, 2, names, lambda count, name: None)
+    arguments = ["--courses=5", "--block=3", "--resamples=20", "--tuning-courses=2"]
+    assert main([f"--controllers={','.join(names)}", f"--out={tmp_path / 'out'}", *arguments]) == 0
+    result = result_of(tmp_path / "out")
+    for name, row in result["controllers"].items():
+        assert result["settings"][name] | chosen[name] == result["settings"][name] and result["chosen"][name] == "tuned"
+        theirs = run_courses(make_controller(name, scenario, **chosen[name]), scenario, HELD_OUT_SET, 5)
+        for metric in METRICS:
+            assert row[metric]["value"] == pytest.approx(theirs.metric(metric).mean(), rel=1e-12), (name, metric)
+
+
+def test_tuning_is_kept_and_not_done_again(tmp_path, capsys):
+    more = ("--tuning-courses=2", "--settings.constant_speed.speed=0.3")
+    names = "fixed_slip,constant_speed,full_throttle"
+    assert evaluate(tmp_path / "out", names, *more) == 0
+    assert "Tuning: 2 of 2 courses" in capsys.readouterr().out  # on 2 courses there is one trial
+    kept = yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())
+    assert set(kept["tuned"]) == {"fixed_slip"} and set(kept["tuned"]["fixed_slip"]) == {"slip", "start", "speed"}
+    result = result_of(tmp_path / "out")
+    assert result["settings"]["fixed_slip"] == kept["tuned"]["fixed_slip"]
+    assert result["settings"]["constant_speed"] == {"speed": 0.3}
+    assert evaluate(tmp_path / "out", names, *more) == 0
+    assert "Tuning" not in capsys.readouterr().out
+
+
+def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
+    """And a class, a function that makes one, and an object drive alike."""
+    text = "from tests.agents.drivers import Half, make\nhalf = Half()\n"
+    (tmp_path / "mine_of_test.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    forms = ("make", "half", "Half")
+    assert evaluate(tmp_path / "out", ",".join(f"{f}=mine_of_test:{f}" for f in forms)) == 0
+    rows = result_of(tmp_path / "out")["controllers"]
+    assert rows["make"] == rows["half"] == rows["Half"]
+
+
+def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
+    world = ROOT / "configs/worlds/bulldozing.yaml"
+    assert evaluate(tmp_path / "with", "soft_start", f"--model={world}", "--courses=3", "--oracle-courses=2") == 0
+    assert evaluate(tmp_path / "without", "soft_start", "--courses=3") == 0
+    there, plain = result_of(tmp_path / "with"), result_of(tmp_path / "without")
+    assert list(there["model"]["effects"]) == ["bulldozing"] and "model" not in plain
+    assert there["controllers"]["soft_start"]["return"] != plain["controllers"]["soft_start"]["return"]
+    assert there["limit"]["courses"] == 2 and set(there["limit"]["avoidable"]) == {"soft_start"}
+    assert "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text()
+
+
+# --- going on ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("again", ["resume", "the same command"])
+def test_an_interrupt_keeps_what_is_done(capsys, tmp_path, monkeypatch, done, models, again):
+    out, controllers, original, count = tmp_path / "out", everything(models), evaluation.run_courses, []
+
+    def interrupted(*args, **kw):
+        if len(count) == 4:
+            raise KeyboardInterrupt
+        count.append(1)
+        return original(*args, **kw)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(evaluation, "run_courses", interrupted)
+        assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 130
+    assert f"--resume {out}" in capsys.readouterr().err
+    assert len(list((out / "cells").iterdir())) == 4 and not (out / "evaluation.json").exists()
+    before = {p.name: p.stat().st_mtime_ns for p in (out / "cells").iterdir()}
+    if again == "resume":
+        assert main(["--resume", str(out)]) == 0
+    else:
+        assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 0
+    assert {name: (out / "cells" / name).stat().st_mtime_ns for name in before} == before
+    same(out, done)
+
+
+def test_kill_9_and_processes_give_the_same_table(tmp_path, monkeypatch, importable):
+    """A controller that kills the process in the middle of a block; then two processes do the rest."""
+    out, calm, mark = tmp_path / "out", tmp_path / "calm", tmp_path / "killed"
+    asked = [*SHORT, "--changes.control.action=torque"]
+    asked.append("--controllers=half=tests.agents.drivers:Half,tests.agents.drivers:Killer")
+    monkeypatch.setenv("SOIL_ENV_TEST_KILL", str(mark))
+    command = typed("evaluate", *asked, f"--out={out}")
+    killed = subprocess.run(command, cwd=ROOT, capture_output=True, timeout=300)
+    assert killed.returncode == -9 and mark.exists() and len(list((out / "cells").iterdir())) == 1
+    assert main(["--resume", str(out), "--workers=2"]) == 0
+    assert main([*asked, f"--out={calm}"]) == 0
+    same(out, calm)
+
+
+def test_ray_gives_what_one_process_gives(cluster, models, done, tmp_path):
+    """The models travel with the cells."""
+    command = [f"--controllers={everything(models)}", "--settings.fixed_slip.slip=0.2", *SHORT, "--engine=ray"]
+    command = typed("evaluate", *command, f"--out={tmp_path}", f"--address={cluster.address}")
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    same(tmp_path, done)
+
+
+@pytest.mark.parametrize("damage", ["text", "short"])
+def test_a_damaged_cell_is_refused_in_one_line(capsys, tmp_path, done, damage):
+    out = tmp_path / "copy"
+    shutil.copytree(done, out)
+    path = out / "cells" / "half-0-3.json"
+    columns = json.loads(path.read_text())
+    columns["time"].pop()
+    path.write_text(json.dumps(columns) if damage == "short" else "{")
+    assert main(["--resume", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "half-0-3.json: is damaged" in error and "delete it" in error
+    path.unlink()
+    assert main(["--resume", str(out)]) == 0
+    same(out, done)
+
+
+@pytest.mark.parametrize(
+    "controllers, option, differs",
+    [
+        ("{all}", "--courses=8", "courses"),
+        ("{all}", "--changes.course.length=3", "scenario"),
+        ("{all}", "--settings.fixed_slip.slip=0.3", "controllers"),
+        ("full_throttle", "--seed=11", "controllers"),
+    ],
+)
+def test_a_folder_of_another_evaluation_is_refused(capsys, tmp_path, done, models, controllers, option, differs):
+    out = tmp_path / "copy"
+    shutil.copytree(done, out)
+    before = {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()}
+    own = [] if controllers == "full_throttle" or "fixed_slip" in option else ["--settings.fixed_slip.slip=0.2"]
+    assert evaluate(out, controllers.format(all=everything(models)), *own, option) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"it differs in {differs})" in error
+    assert {p.name: p.read_bytes() for p in out.iterdir() if p.is_file()} == before
+
+
+def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
+    mine, out = tmp_path / "model.zip", tmp_path / "out"
+    shutil.copy(models / "seed_0" / "model.zip", mine)
+    assert evaluate(out, f"ppo={mine}", "--courses=2") == 0
+    shutil.copy(models / "seed_1" / "model.zip", mine)
+    assert main(["--resume", str(out)]) == 2
+    assert "the model has changed since the study began" in capsys.readouterr().err
+    text = (out / "study.yaml").read_text()
+    assert f"version: {cells.code_version()}\n" in text
+    (out / "study.yaml").write_text(text.replace("version: 0.1.0+", "version: 0.0.9+"))
+    assert main(["--resume", str(out)]) == 2
+    assert "begun with soil_env 0.0.9+" in capsys.readouterr().err
+
+
+def test_a_full_disk_keeps_whole_cells(capsys, tmp_path, done, models):
+    """A limit on the size of files below that of any cell."""
+    out, controllers = tmp_path / "out", everything(models)
+    smallest = min(p.stat().st_size for p in (done / "cells").iterdir())
+    shutil.copytree(done, out, ignore=shutil.ignore_patterns("half-0-0.json", "evaluation.*"))
+    with limited_files(smallest - 100):
+        assert main(["--resume", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "half-0-0.json: File too large" in error
+    assert not list((out / "cells").glob(".*")) and not (out / "cells" / "half-0-0.json").exists()
+    assert evaluate(out, controllers, "--settings.fixed_slip.slip=0.2") == 0
+    same(out, done)
+
+
+@contextmanager
+def limited_files(size):
+    """No file can be longer than `size` bytes: writes end there, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+# --- bad input --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments, parts",
+    [
+        (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?")),
+        (["--controllers="], ("expected at least one",)),
+        (["--controllers=a="], ("empty entry",)),
+        (["--controllers=missing.zip"], ("missing.zip", "No such file")),
+        (["--controllers=ppo=none/*"], ("none/*", "no model matches")),
+        (["--controllers={models}/seed_*"], ("2 models", "NAME=")),
+        (["--controllers={models}/seed_0,{models}/seed_0"], ("'seed_0' twice",)),
+        (["--controllers=no.such.module:Thing"], ("no.such.module:Thing", "No module named")),
+        (["--controllers=tests.agents.drivers:Halve"], ("'Halve'", "did you mean 'Half'?")),
+        (["--controllers=tests.agents.drivers:NoPredict"], ("no method predict",)),
+        (["--controllers=tests.agents.drivers:WrongShape"], ("tests.agents.drivers:WrongShape", "(3,)", "(3, 1)")),
+        (["--controllers=tests.agents.drivers:OneNaN"], ("predict gave nan for wheel 1: expected finite numbers",)),
+        (["--controllers=tests.agents.drivers:NoState"], ("expected (action, state)",)),
+        (["--controllers=tests.agents.drivers:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
+        (["--controllers=tests.agents.drivers:Raises"], ("OSError: no such device", "drivers.py line")),
+        (["--controllers=a=fixed_slip,a=constant_speed"], ("'a'", "constant_speed beside fixed_slip")),
+        (["--contollers=x"], ("'contollers'", "did you mean 'controllers'?")),
+        (["--settings.fixed_slip.slip=7", "--controllers=fixed_slip"], ("--settings.fixed_slip.slip = 7", "[0, 0.95]")),
+        (["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"], ("full_throttle has no settings",)),
+        (["--courses=0"], ("--courses = 0: expected", "[1, 100000]")),
+        (["--scenario=mixd"], ("'mixd'", "did you mean 'mixed'?")),
+        (["--changes.course.lenght=2"], ("lenght", "did you mean 'length'?")),
+        (["--settings.fixed_slip.slip=0.2", "--controllers=full_throttle"], ("settings", "'fixed_slip'")),
+        (["--settings=3"], ("--settings.KEY VALUE",)),
+        (["--workers=0"], ("--workers 0",)),
+        (["--address=auto"], ("only with --engine ray",)),
+        (["--tuning-courses=2", "--seed=1000001"], ("--seed 1000001", "tuned on")),
+        (["--resume={models}"], ("takes only the engine",)),
+    ],
+)
+def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_path, models, arguments, parts):
+    arguments = [a.format(models=models) for a in arguments]
+    given = {a.split("=")[0] for a in arguments}
+    out = tmp_path / "out"
+    command = [a for a in (*SHORT, f"--out={out}") if a.split("=")[0] not in given]
+    if "--controllers" not in given:
+        command.append("--controllers=full_throttle")
+    assert main([*command, *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("soil-env evaluate: error: ") and captured.err.count("\n") == 1 and len(captured.err) < 700
+    for part in parts:
+        assert part in captured.err
+    assert not out.exists() and not list(tmp_path.iterdir())
+
+
+def test_nothing_at_all_is_refused(capsys, tmp_path):
+    assert main([]) == 2
+    assert "--controllers and --out, or --resume" in capsys.readouterr().err
+    assert main(["--resume", str(tmp_path / "none")]) == 2
+    assert "no such folder" in capsys.readouterr().err
+    assert main(["--resume", str(tmp_path)]) == 2
+    assert "study.yaml: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change, part",
+    [
+        (
+            lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind", load_scenario().course)))]),
+            "another observation layout",
+        ),
+        (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),
+        (lambda p: rewrite(p, b"{"), "not a model saved by train.py"),
+        (lambda p: p.write_bytes(p.read_bytes()[:-3000]), "not a model of Stable-Baselines3"),
+    ],
+)
+def test_a_model_that_cannot_be_used_is_refused(capsys, tmp_path, models, change, part):
+    path = tmp_path / "model.zip"
+    shutil.copy(models / "seed_0" / "model.zip", path)
+    change(path)
+    assert evaluate(tmp_path / "out", f"fixed_slip,ppo={path}") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and part in error and str(path) in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name, part", [("Late", "ZeroDivisionError: late"), ("LateNaN", "action nan in step 3")])
+def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path, name, part):
+    assert evaluate(tmp_path / "out", f"full_throttle,mine=tests.agents.drivers:{name}") == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and part in error and f"tests.agents.drivers:{name}" in error
+    assert len(list((tmp_path / "out" / "cells").iterdir())) == 1  # what was done before is kept
+
+
+@pytest.mark.parametrize("out", ["{tmp}/file/out", "/proc/evaluation", "{tmp}/other"])
+def test_a_folder_that_cannot_be_used_is_refused(capsys, tmp_path, out):
+    (tmp_path / "file").write_text("text")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    out = out.format(tmp=tmp_path)
+    assert main([*SHORT, "--controllers=full_throttle", f"--out={out}"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and out.rsplit("/", 1)[0] in error
+    assert [p.name for p in (tmp_path / "other").iterdir()] == ["thesis.txt"]

@@ -8,6 +8,7 @@ from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
+from agents.agent import load_agent
 from agents.evaluate.__main__ import main
 from agents.evaluate.contestants import digest
 from agents.evaluate.models import load_model
@@ -82,7 +83,7 @@ def test_our_models_are_loaded_as_load_agent_does(tmp_path, scenario):
     model = ppo.build(scenario, "identified", config, 0)
     model.learn(96)
     ppo.save(model, tmp_path / "model.zip")
-    loaded, expected = load_model(tmp_path / "model.zip", scenario), ppo.load_agent(tmp_path)
+    loaded, expected = load_model(tmp_path / "model.zip", scenario), load_agent(tmp_path)
     x = observations("identified")
     np.testing.assert_array_equal(loaded.predict(x)[0], expected.predict(x)[0])
     rewrite(tmp_path / "model.zip", None)  # without its normalisation it is a plain model

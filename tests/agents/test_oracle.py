@@ -1,15 +1,12 @@
 """The oracle: it plans on clones, changes nothing in the world, and gets through where soft starts fail."""
 
-import json
-
 import numpy as np
 import pytest
 
-from agents import oracle as command
 from agents.controllers import make_controller
 from agents.controllers.oracle import COUNT, Oracle, Plans
 from agents.evaluate import Runs, driving, run_courses
-from agents.evaluate.limit import avoidable, lines, rows
+from agents.evaluate.limit import avoidable
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation
@@ -103,55 +100,10 @@ def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
     }  # fmt: skip
 
 
-ASKED = (
-    "--changes.course.length=1.5 --changes.control.time_limit=8 --resamples=20 --seed=11 --tuning-courses=0"
-).split()
-
-
-def test_the_command_writes_the_limit_into_the_evaluation_and_goes_on_after_an_interruption(tmp_path, monkeypatch):
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    asked = ["--controllers=soft_start,full_throttle", "--courses=12", *ASKED]
-    assert command.main([*asked, "--out", str(whole)]) == 0
-    result = json.loads((whole / "evaluation.json").read_text())
-    limit = result["limit"]
-    assert limit["courses"] == 12 and set(limit["avoidable"]) == {"soft_start", "full_throttle"}
-    assert 0.0 <= limit["metrics"]["finished"]["low"] <= limit["metrics"]["finished"]["value"] <= 1.0
-    assert (
-        limit["metrics"]["immobilised"]["value"]
-        <= result["controllers"]["full_throttle"]["metrics"]["immobilised"]["value"]
-    )
-    assert list(rows(result)) == ["oracle (first 12 courses)"] and len(lines(result)) == 1
-    assert "oracle (first 12 courses)" in (whole / "report.html").read_text()
-
-    from agents.evaluate import study
-
-    real, done = study.record, []
-
-    def interrupted(*args):
-        done.append(args)
-        if len(done) == 4:  # two controllers, then the first block of the oracle
-            raise KeyboardInterrupt
-        return real(*args)
-
-    monkeypatch.setattr(study, "record", interrupted)
-    assert command.main([*asked, "--out", str(broken)]) == 130
-    monkeypatch.setattr(study, "record", real)
-    assert command.main(["--resume", str(broken)]) == 0
-    assert (broken / "evaluation.json").read_bytes() == (whole / "evaluation.json").read_bytes()
-
-
-@pytest.mark.parametrize("wrong", [["--bogus"], ["--out=o", "--bogus", "3"], ["--out=o", "--scenario=nowhere"]])
-def test_what_is_wrong_is_told_under_the_name_of_the_command(wrong, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert command.main(wrong) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("agents.oracle: ") and said.count("\n") == 1
-
-
 def test_more_oracle_courses_than_courses_and_its_name_for_another_are_refused(tmp_path, capsys):
     from agents.evaluate.__main__ import main
 
-    rest = ["--courses=3", "--out", str(tmp_path / "x"), *ASKED]
+    rest = ["--courses=3", "--out", str(tmp_path / "x"), "--changes.course.length=1.5", "--tuning-courses=0"]
     assert main(["--controllers=soft_start", "--oracle-courses=4", *rest]) == 2
     assert "--oracle-courses = 4" in capsys.readouterr().err
     for name in ("oracle", "oracle=soft_start"):

@@ -1,26 +1,24 @@
 """Controllers of rovers, drives over held-out courses, their comparison, and the commands that train and compare."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
-from agents import rover_study, train, training
+from agents import training
+from agents.agent import load_agent
 from agents.config import TrainConfig
-from agents.evaluate.driving import ControllerError
-from agents.ppo import load_agent
-from agents.rover import comparing
-from agents.rover.controllers import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
-from agents.rover.driving import ROVER_METRICS, RoverRuns, run_courses
+from agents.controllers.rover import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
+from agents.evaluate import Runs, comparing, run_courses
+from agents.evaluate.driving import METRICS, OF_ROVERS, ControllerError
 from agents.sb3 import SoilRoverVecEnv
 from soil_env import ParameterError
-from soil_env._io.loading import config_dir, read_yaml
 from soil_env.parameters import load_scenario
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.vehicle import load_rover
+from tests.agents import commands
 
 SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 
@@ -45,7 +43,7 @@ def test_every_controller_drives_every_rover(name):
         scenario = load_rover(rover, SHORT)
         runs = run_courses(make_rover_controller(name, scenario), scenario, 7, 4)
         assert np.all(runs.distance > 0.05) and np.all(runs.energy > 0.0)
-        assert np.all(np.isfinite([runs.metric(m) for m in ROVER_METRICS]))
+        assert np.all(np.isfinite([runs.metric(m) for m in runs.names]))
 
 
 @pytest.mark.parametrize("name", ["equal_speed", "soft_start"])
@@ -107,8 +105,9 @@ def test_best_slip_reads_the_soil_under_each_wheel(scenario):
 def test_the_same_courses_for_all_however_they_are_cut(scenario):
     controller = make_rover_controller("soft_start", scenario)
     whole = run_courses(controller, scenario, 5, 10)
-    parts = RoverRuns.join([run_courses(controller, scenario, 5, 4), run_courses(controller, scenario, 5, 6, first=4)])
-    for name in ROVER_METRICS:
+    parts = Runs.join([run_courses(controller, scenario, 5, 4), run_courses(controller, scenario, 5, 6, first=4)])
+    assert whole.names == [*METRICS, *OF_ROVERS]
+    for name in whole.names:
         assert np.array_equal(whole.metric(name), parts.metric(name))
 
 
@@ -132,7 +131,7 @@ class Wrong:
 
 
 @pytest.mark.parametrize(
-    ("action", "message"), [([0.1], "shape"), ([0.1, np.nan, 0.1], "expected numbers"), ([0.1] * 4, "shape")]
+    ("action", "message"), [([0.1], "shape"), ([0.1, np.nan, 0.1], "expected a finite number"), ([0.1] * 4, "shape")]
 )
 def test_a_wrong_action_is_refused(action, message, scenario):
     with pytest.raises(ControllerError, match=message):
@@ -174,7 +173,7 @@ SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--cha
 def run_folder(tmp_path_factory):
     """What `python train.py --config rover.yaml` leaves, small."""
     out = tmp_path_factory.mktemp("rover")
-    assert train.main(["--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
+    assert commands.train(["--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
     return out / "small"
 
 
@@ -182,10 +181,10 @@ def test_train_writes_the_comparison(run_folder):
     result = json.loads((run_folder / "comparison.json").read_text())
     assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "ppo_identified"}
     for metrics in result["controllers"].values():
-        assert set(metrics) == set(ROVER_METRICS)
+        assert set(metrics) == {*METRICS, *OF_ROVERS}
         assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())
     assert (run_folder / "comparison.png").stat().st_size > 1000
-    assert train.main(["--resume", str(run_folder)]) == 0
+    assert commands.train(["--resume", str(run_folder)]) == 0
 
 
 def test_the_config_records_the_rover_and_nothing_that_was_not_run(run_folder):
@@ -198,7 +197,7 @@ def test_the_config_records_the_rover_and_nothing_that_was_not_run(run_folder):
 @pytest.mark.parametrize("given", [["--oracle_courses", "5"], ["--oracle_courses", "50"], ["--scenario", "two_lines"]])
 def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
     """Also where it is what a wheel has by default."""
-    assert train.main(["--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
+    assert commands.train(["--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
     said = capsys.readouterr().err
     assert f"{given[0][2:]} = " in said and "expected none beside rover = 'mars_rover'" in said
     assert said.count("\n") == 1
@@ -223,40 +222,13 @@ def test_an_agent_of_a_rover_does_not_drive_a_wheel(run_folder):
 
 def test_a_critic_is_refused(tmp_path, capsys):
     command = ["--config", "rover.yaml", "--runs", str(tmp_path), "--ppo.critic", "true_soil", *SMALL]
-    assert train.main(command) == 2
+    assert commands.train(command) == 2
     assert "expected none for a rover" in capsys.readouterr().err
 
 
 def test_the_columns_are_explained_beside_the_table(run_folder):
     _, said = comparing.table(json.loads((run_folder / "comparison.json").read_text()))
-    assert "wheel force [%]: largest |torque|/radius of a wheel over its share of the weight" in said
-
-
-def test_study_counts_seeds_as_members(scenario):
-    controller = make_rover_controller("soft_start", scenario)
-    once = run_courses(controller, scenario, 5, 8)
-    other = replace(once, cause=np.roll(once.cause, 3))
-    result = comparing.comparison(scenario, 5, {"ppo_blind": [once, other], "soft_start": [once]}, 0, {})
-    assert result["members"] == {"ppo_blind": 2, "soft_start": 1}
-    assert result["paired"]["ppo_blind"]["soft_start"]["finished"]["value"] == pytest.approx(0.0)
-    assert "| ppo_blind (2 seeds) |" in rover_study.page(result)
-
-
-def test_study_has_a_training_for_each_agent_and_seed(tmp_path):
-    trainings = rover_study.configs("field_rover", tmp_path, 2, 1000)
-    assert {name: [c.seed for c in own] for name, own in trainings.items()} == dict.fromkeys(
-        ("ppo_blind", "ppo_identified", "ppo_true"), [0, 1]
-    )
-    configs = [c for own in trainings.values() for c in own]
-    assert all(isinstance(c, TrainConfig) and c.rover == "field_rover" for c in configs)
-    hyperparameters = read_yaml(config_dir() / "rover.yaml")["ppo"]
-    assert all({key: getattr(c.ppo, key) for key in hyperparameters} == hyperparameters for c in configs)
-
-
-def test_a_study_of_no_rover_is_refused(tmp_path, capsys):
-    assert rover_study.main(["--rover", "", "--out", str(tmp_path / "study")]) == 2
-    assert "rover = '': expected a name or the path of a YAML file" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    assert "force [%]: largest |torque|/radius of a wheel over its share of the weight" in said
 
 
 @pytest.mark.parametrize("which", [{"rover": "mars_rover"}, {}])

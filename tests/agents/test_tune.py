@@ -1,4 +1,4 @@
-"""`python -m agents.tune`: what it writes is what train.py and agents.evaluate take."""
+"""`soil-env tune`: train.py and soil-env evaluate take the settings that it writes."""
 
 import pytest
 import yaml
@@ -21,16 +21,18 @@ def small(monkeypatch):
     monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
 
 
-def test_what_is_written_serves_as_settings_of_the_package(tmp_path, small, monkeypatch, capsys):
+def test_the_written_file_serves_as_settings_of_the_package(tmp_path, small, monkeypatch, capsys):
     out = tmp_path / "made"
     asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
+    drives, drive = [], tuning.run_courses
+    monkeypatch.setattr(tuning, "run_courses", lambda *a, **k: drives.append(1) or drive(*a, **k))
     assert tune.main(asked) == 0
     written = (out / "mixed.yaml").read_text()
     content = yaml.safe_load(written)
     assert content["courses"] == 2 and content["trials"] == 2 and list(content["settings"]) == ["torque", "wheel_speed"]
-    assert "soft_start" in capsys.readouterr().out
-    assert tune.main(asked) == 0  # from the log
-    assert (out / "mixed.yaml").read_text() == written
+    assert "soft_start" in capsys.readouterr().out and len(drives) == 8
+    assert tune.main(asked) == 0  # from the journal
+    assert (out / "mixed.yaml").read_text() == written and len(drives) == 8
 
     (tmp_path / "tuned").mkdir()
     (tmp_path / "tuned" / "mixed.yaml").write_text(written)
@@ -42,12 +44,7 @@ def test_what_is_written_serves_as_settings_of_the_package(tmp_path, small, monk
 
 
 @pytest.mark.parametrize(
-    "asked, said",
-    [
-        (["--actions=torqe"], "torque"),
-        (["--scenario=mixd"], "mixed"),
-        (["--courses=0"], "--courses = 0"),
-    ],
+    "asked, said", [(["--actions=torqe"], "torque"), (["--scenario=mixd"], "mixed"), (["--courses=1e9"], "--courses")]
 )
 def test_bad_input_is_refused_with_one_line(tmp_path, capsys, asked, said):
     assert tune.main([*asked, f"--out={tmp_path / 'x'}"]) == 2

@@ -1,15 +1,15 @@
 """Tuning by Optuna: spaces are strict, the best trial is kept, an interrupted tuning ends as one without a break."""
 
-import json
-
 import pytest
 import yaml
 
 from agents.controllers import CONTROLLERS, make_controller
+from agents.controllers.rover import ROVER_CONTROLLERS
 from agents.evaluate import TUNING_SET, run_courses, tuning
-from agents.evaluate.tuning import Range, kept_settings, load_spaces, shipped_settings, tuned_settings
+from agents.evaluate.tuning import Range, load_spaces, shipped_settings, tuned_settings
 from soil_env._io.loading import ParameterError, config_dir
 from soil_env.parameters import load_scenario
+from soil_env.vehicle import load_rover
 
 pytest.importorskip("optuna")
 SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 12.0}}
@@ -99,40 +99,41 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few
     )  # the defaults are tried first
 
 
-def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path):
-    names = ("soft_start", "constant_speed")
-    whole = tuned_settings(short, 6, names, quiet, anew=True)
-    log, told = tmp_path / "tuning.jsonl", []
+def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path, monkeypatch):
+    """Interrupted in the middle of a drive, in which a trial is left running, and killed between two trials."""
+    names, log, drive = ("soft_start", "constant_speed"), tmp_path / "tuning.log", tuning.run_courses
+    whole, driven = tuned_settings(short, 6, names, quiet, anew=True), []
 
-    def until_the_ninth(count, name):
-        told.append(name)
-        if len(told) == 9:
+    def until_the_ninth(*args, **options):
+        if len(driven) in (0, 4, 8):
+            driven.append("interrupted")
             raise KeyboardInterrupt
+        driven.append("driven")
+        return drive(*args, **options)
 
-    with pytest.raises(KeyboardInterrupt):
-        tuned_settings(short, 6, names, until_the_ninth, log=log, anew=True)
-    kept = log.read_text()
-    assert len(kept.splitlines()) == 9
+    monkeypatch.setattr(tuning, "run_courses", until_the_ninth)
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            tuned_settings(short, 6, names, quiet, log=log, anew=True)
     assert tuned_settings(short, 6, names, quiet, log=log, anew=True) == whole
-    assert log.read_text().startswith(kept) and len(log.read_text().splitlines()) == 12
+    assert driven.count("driven") == 12  # every trial once
+    assert tuned_settings(short, 6, names, quiet, log=log, anew=True) == whole and len(driven) == 15
 
 
-def test_a_log_of_another_tuning_is_refused(short, few, tmp_path):
-    log = tmp_path / "tuning.jsonl"
-    tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True)
-    lines = [json.loads(line) for line in log.read_text().splitlines()]
-    lines[0]["result"]["share"] += 0.1
-    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    with pytest.raises(ParameterError, match="another tuning"):
-        tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True)
+def test_another_tuning_in_the_same_log_is_another_one(short, few, tmp_path):
+    log = tmp_path / "tuning.log"
+    first = tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True)
+    other = tuned_settings(short, 4, ("constant_torque",), quiet, log=log, anew=True)
+    assert other == tuned_settings(short, 4, ("constant_torque",), quiet, anew=True)
+    assert tuned_settings(short, 2, ("constant_torque",), quiet, log=log, anew=True) == first
 
 
-def test_kept_settings_are_found_once(short, few, tmp_path, monkeypatch):
-    path = tmp_path / "a" / "tuned.json"
-    first = kept_settings(path, short, 2, ("constant_torque",), quiet)
-    assert [p.name for p in path.parent.iterdir()] == ["tuned.json"]
-    monkeypatch.setattr(tuning, "tuned_settings", None)  # would be a TypeError
-    assert kept_settings(path, short, 2, ("constant_torque",), quiet) == first
+def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
+    rover = load_rover("lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}})
+    chosen, tried = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"), quiet)
+    spaces = load_spaces().controllers
+    assert {n: set(c) for n, c in chosen.items()} == {n: set(spaces[ROVER_CONTROLLERS[n].of_wheel]) for n in chosen}
+    assert all(len(trials) == 2 for trials in tried.values())
 
 
 # --- settings that come with the package ------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Work for the engines of `agents.studies`: in a module that imports little, as every worker imports it."""
+"""Work for the engines of `agents.cells`: in a module that imports little, as every worker imports it."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ from soil_env._io.loading import ParameterError
 
 
 def double(x):
-    """Work that dies once if told so: (number, file that says it has)."""
+    """Work that dies once: (number, file that it leaves before, empty: never)."""
     number, mark = x
     if mark and not os.path.exists(mark):
         Path(mark).write_text("killed")

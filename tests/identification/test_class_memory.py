@@ -57,13 +57,6 @@ def test_a_class_not_met_is_the_prior(one):
     assert PRIOR[memory.PULL] == identifier_numbers(SCENARIO).prior_pull[0]
 
 
-def test_one_patch_tells_what_its_estimate_does(one):
-    one.remember(1, 4, ESTIMATE, SD)
-    np.testing.assert_allclose(one.of(1), (ESTIMATE, SD), rtol=1e-9)
-    np.testing.assert_allclose(one.of(2), (PRIOR, WIDE), rtol=1e-12)
-    assert list(one.kept.patches[0]) == [0, 1, 0]
-
-
 def test_a_later_estimate_on_the_same_patch_replaces_the_earlier(one):
     one.remember(1, 4, PRIOR - WIDE, SD)
     one.remember(1, 4, ESTIMATE, 0.5 * SD)
@@ -102,12 +95,6 @@ def test_a_new_course_begins_with_the_prior(one):
     np.testing.assert_allclose(one.of(0), (PRIOR, WIDE), rtol=1e-12)
     one.remember(0, 0, ESTIMATE, SD)
     np.testing.assert_allclose(one.of(0), (ESTIMATE, SD), rtol=1e-9)
-
-
-def test_estimates_are_kept_away_from_borders():
-    length = NUMBERS.border
-    for since, left, clear in ((0.85, 0.55, True), (0.85, 0.45, False), (0.8, 9.0, False), (9.0, 9.0, True)):
-        assert memory.clear_of_borders(since * length, left * length, NUMBERS) == clear
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():

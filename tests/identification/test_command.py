@@ -1,4 +1,4 @@
-"""`python -m soil_env.identification`; the code of docs/identify.md."""
+"""`soil-env identify`; the code of docs/identify.md."""
 
 import json
 import subprocess
@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from soil_env._io.files import replace_files
-from soil_env.identification.__main__ import main
+from soil_env.cli import main
 from tests.identification.test_table import EXAMPLE, NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_command_line(tmp_path):
-    command = [sys.executable, "-m", "soil_env.identification", str(EXAMPLE / "single_wheel.csv")]
+    command = [sys.executable, "-m", "soil_env.cli", "identify", str(EXAMPLE / "single_wheel.csv")]
     command += ["--setup", str(EXAMPLE / "setup.yaml"), "--out", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=EXAMPLE.parent.parent)
     assert done.returncode == 0, done.stderr
@@ -32,11 +32,11 @@ def test_command_line(tmp_path):
 def test_command_line_refuses_in_one_line(tmp_path, capsys):
     (tmp_path / "data.csv").write_text("slip,load,sinkage\n0.1,100,30\n")
     out = tmp_path / "out"
-    assert main([str(tmp_path / "data.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(out)]) == 2
+    assert main(["identify", str(tmp_path / "data.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(out)]) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and "row 2, sinkage = 30" in said.err and not out.exists()
     file = str(tmp_path / "data.csv")
-    assert main([str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", file]) == 2
+    assert main(["identify", str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", file]) == 2
     assert "expected a folder" in capsys.readouterr().err
 
 
@@ -44,7 +44,7 @@ def test_command_line_refuses_in_one_line(tmp_path, capsys):
 def test_writes_both_files_or_none(tmp_path, capsys, blocked):
     (tmp_path / blocked).mkdir()
     assert (
-        main([str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(tmp_path)]) == 2
+        main(["identify", str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(tmp_path)]) == 2
     )
     assert f"{blocked}: is a folder" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == [blocked]

@@ -94,27 +94,6 @@ def test_a_steady_wheel_mobilises_the_sinkage_coefficient_of_undisturbed_soil(na
     np.testing.assert_allclose(torque, [s.torque for s in steady], rtol=1e-5, atol=1e-5 * load * R)
 
 
-def test_without_cohesion_forces_are_in_proportion_to_the_load():
-    x = cases(3)
-    x[COHESION] = 0.0
-    one, three = reactions(x, 60.0), reactions(x, 180.0)
-    np.testing.assert_allclose(three[:2, VALUE], 3.0 * one[:2, VALUE], rtol=1e-9)
-    np.testing.assert_allclose(three[2, VALUE] - one[2, VALUE], math.log(3.0), rtol=1e-9)
-    np.testing.assert_allclose(three[:2, 1 + COHESION], one[:2, 1 + COHESION], rtol=1e-9)
-
-
-def test_without_shear_strength_the_wheel_is_only_pushed_back():
-    """No torque; the load and the resistance are those of the normal stress alone."""
-    x = cases(4)
-    x[TANGENT] = x[COHESION] = 0.0
-    pull, torque, _ = reactions(x, 100.0)[:, VALUE]
-    np.testing.assert_allclose(torque, 0.0, atol=1e-9)
-    assert np.all(pull < 0.0)
-    no_slip = x.copy()
-    no_slip[SLIP] = 0.3
-    np.testing.assert_allclose(reactions(no_slip, 100.0)[0, VALUE], pull, rtol=1e-9)
-
-
 @pytest.mark.parametrize("depth", [1e-3, 0.01, 1.0, 1.9])
 def test_all_is_finite_from_the_surface_to_the_top_of_the_wheel(depth):
     """Also under no load, at the wildest soils that nodes may be at; the filter keeps sinkages within these."""

@@ -107,12 +107,6 @@ def test_nothing_is_lost_or_added(given_points):
         assert np.all((curve.bins[:, SLIP] >= low - 1e-9) & (curve.bins[:, SLIP] <= high + 1e-9))
 
 
-def test_like_points_are_averaged_and_unlike_ones_are_not():
-    curve = Curve(point(0.2), point(0.203), point(0.4), point(0.2, sinkage=0.04))
-    assert curve.count == 3
-    np.testing.assert_allclose(curve.bins[0, [SLIP, KEY, READINGS, SLIP_WEIGHT]], [0.2015, 0.2015, 16.0, 2e4])
-
-
 def test_the_slip_that_groups_is_not_the_reading():
     """Points of one slip whose readings scatter come into one bin, others of one reading do not."""
     one, other = point(0.25), point(0.15)
@@ -120,12 +114,6 @@ def test_the_slip_that_groups_is_not_the_reading():
     assert Curve(one, other).count == 1
     other[SLIP], other[KEY] = 0.25, 0.4
     assert Curve(one, other).count == 2
-
-
-def test_a_mean_is_weighted_by_precision():
-    curve = Curve(point(0.2, pull_weight=1.0), point(0.2, pull=20.0, pull_weight=3.0))
-    assert curve.count == 1
-    assert curve.bins[0, PULL] == pytest.approx(18.5) and curve.bins[0, PULL_WEIGHT] == pytest.approx(4.0)
 
 
 def test_a_channel_that_is_not_measured_at_all_stays_so():

@@ -1,6 +1,5 @@
-"""Inputs and network of the warning of immobilisation, against plain numpy and properties."""
+"""Warning of immobilisation: its inputs by their definitions, its network against numpy."""
 
-import json
 import math
 
 import numpy as np
@@ -10,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from soil_env.env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
 from soil_env.identification.online.identifier import SensorReading
-from soil_env.parameters import ParameterError, load_scenario
+from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
 
 SIZE = len(im.INPUTS)
@@ -45,14 +44,12 @@ def test_probabilities_are_probabilities_and_grow_with_the_horizon(values, seed)
     assert (found[:, 1] >= found[:, 0]).all()
 
 
-def test_the_network_is_the_one_of_matrices():
-    net, rng = im.shipped_network(), np.random.default_rng(1)
-    inputs = net.mean + 3.0 * rng.normal(size=(200, SIZE)) / net.scale
-    x = np.clip((inputs - net.mean) * net.scale, -im.LARGEST, im.LARGEST)
-    hidden = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
-    hazard = 1.0 / (1.0 + np.exp(-(hidden @ net.last + net.last_bias)))
-    survives = (1.0 - hazard[:, 0]) * (1.0 - hazard[:, 1])
-    np.testing.assert_allclose(im.score_inputs(inputs, net), np.stack([hazard[:, 0], 1.0 - survives], 1), rtol=1e-10)
+def test_the_compiled_network_is_the_one_of_matrices():
+    warning, rng, k = im.ImmobilisationWarning(load_scenario("mixed")), np.random.default_rng(1), np.arange(200)
+    recent = np.abs(rng.normal(size=(200, im.MEMORY)))
+    estimate, sd = 0.3 * rng.normal(size=(200, 5)), np.abs(rng.normal(size=(200, 5)))
+    expected = im.score_inputs(warning.inputs(k, recent, estimate, sd), im.shipped_network())
+    np.testing.assert_allclose(warning.probabilities(k, recent, estimate, sd), expected, rtol=1e-10)
 
 
 def test_averages_answer_a_step_with_their_time_constants():
@@ -130,13 +127,6 @@ def test_margins_of_a_view_are_over_the_grade_of_their_line():
     assert seen(VIEW._replace(since=1.5, left=0.9), 0.45) == pytest.approx(found)  # lengths by the radius
 
 
-def test_a_patch_out_of_sight_tells_nothing():
-    found = seen(VIEW._replace(seen=False, chosen=True))
-    for name in ("ahead_seen", "line_chosen", "grade_change", "line_margin", "line_met", "beside_margin", "beside_met"):
-        assert found[name] == 0.0
-    assert found["here_margin"] == seen(VIEW)["here_margin"]
-
-
 def views(scenario, steps):
     """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
     env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)
@@ -181,19 +171,6 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
-
-
-@pytest.mark.parametrize("change, words", [
-    ({"inputs": ["slip"]}, "inputs of other code"),
-    ({"first": [[1.0]]}, "first: expected finite numbers of shape"),
-    ({"last_bias": [0.0, float("nan")]}, "last_bias: expected finite numbers"),
-    ({"mean": "x"}, "expected 'inputs' and the arrays"),
-])  # fmt: skip
-def test_weights_of_another_kind_are_refused_in_one_line(change, words):
-    content = json.loads(im.FILE.read_text(encoding="utf-8")) | change
-    with pytest.raises(ParameterError, match=words) as error:
-        im.network(content, "mine.json")
-    assert str(error.value).startswith("mine.json: ") and "\n" not in str(error.value)
 
 
 def test_the_sensors_are_followed_only_where_they_are_asked_for():

@@ -140,26 +140,6 @@ def test_driving_with_varied_slip_finds_the_soil():
         assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
 
 
-def test_a_wheel_at_one_slip_knows_less_than_one_whose_slip_varies():
-    """Ln K hides behind the friction angle there."""
-    constant, varied = [np.median([driven(seed, 150, command)[0].worlds.ids.sd[0, :2] for seed in range(6)], axis=0)
-                        for command in (lambda k: 0.3, excited)]  # fmt: skip
-    assert np.all(varied < constant) and varied[1] < 0.7 * constant[1]
-
-
-def test_most_drives_on_one_soil_converge_and_hold_the_truth():
-    """24 drives on one soil: how many are CONVERGED, and how often the truth lies beyond the stated errors."""
-    converged, outside = 0, []
-    for seed in range(24):
-        sim, truth = driven(seed, 0, excited)
-        ids = sim.worlds.ids
-        for k in range(150):
-            sim.step(0, excited(k))
-            outside.append(not near(ids, truth))
-        converged += ids.status[0] == Status.CONVERGED
-    assert converged >= 14 and np.mean(outside) < 0.08
-
-
 def test_a_border_between_soils_is_noticed():
     """By the forces alone, on the level: one metre into dry sand the estimate is that of it, not of lunar regolith."""
     sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})

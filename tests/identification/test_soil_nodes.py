@@ -27,7 +27,6 @@ from soil_env.identification.online.soil_nodes import (
     TRIANGLE,
     UNKNOWNS,
     begin_next_soil,
-    begin_soil,
     below_diagonal,
     fit_is_sound,
     gather,
@@ -263,14 +262,3 @@ def test_behind_a_border_the_likelier_soil_is_taken(filled, same, stays):
         mean = (w @ new[:STAYS]) / w.sum()
         sd = math.sqrt((w @ (new[:STAYS] - mean) ** 2) / w.sum())
         assert centre == pytest.approx(mean) and half == pytest.approx(REACH * sd, rel=1e-6)
-
-
-def test_a_fit_that_is_not_finite_is_not_sound():
-    banks, numbers = new_banks(1), filter_numbers(SCENARIOS["plain"])
-    restart(banks, 0, numbers)
-    for place in range(GAUSSIAN):
-        begin_soil(banks, 0, numbers)
-        assert fit_is_sound(banks, 0)
-        banks.known[0, place] = math.nan if place % 2 else math.inf
-        assert not fit_is_sound(banks, 0)
-    assert below_diagonal(3, 1) == 7

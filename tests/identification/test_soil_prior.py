@@ -11,24 +11,18 @@ from soil_env._io.loading import to_dict
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online.soil_prior import (
-    COHESION,
-    EXPONENT,
-    GAIN,
-    KNOWN,
-    LN_K,
     PRESSURE,
     TANGENT,
     depth_of,
     moments,
     of_library,
-    plain,
     prior_of_belief,
     published_prior,
     soil_prior,
     widths,
 )
 from soil_env.logs.mapping import read_map
-from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, scenario_names
+from soil_env.parameters import Belief, ParameterError, load_scenario, scenario_names
 from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
 from tests.logs.bags import write_map
@@ -79,34 +73,6 @@ def test_the_library_is_what_the_world_draws():
     assert np.abs(np.corrcoef(rows) - covariance / np.outer(sd, sd)).max() < 0.1
 
 
-def test_a_plain_belief_gives_its_own_numbers():
-    told = {
-        "friction_angle_deg": 33.0, "friction_sd_deg": 4.0, "shear_modulus": 0.02, "shear_modulus_sd": 0.5,
-        "sinkage_coefficient": 2e6, "sinkage_coefficient_sd": 0.4, "cohesion": 700.0, "cohesion_sd": 300.0,
-        "sinkage_exponent": 1.1, "sinkage_exponent_sd": 0.05, "dig_gain_sd": 0.6, "friction_cohesion": -0.5,
-        "friction_stiffness": 0.4, "stiffness_shear_modulus": -0.3,
-    }  # fmt: skip
-    mean, covariance = published_prior(believing(**told))
-    np.testing.assert_allclose(mean, [math.radians(33.0), math.log(0.02), math.log(2e6), 700.0, 0.0])
-    sd = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(sd, [math.radians(4.0), 0.5, 0.4, 300.0, 0.6], rtol=1e-9)
-    r = covariance / np.outer(sd, sd)
-    np.testing.assert_allclose([r[0, 3], r[0, 2], r[1, 2]], [-0.5, 0.4, -0.3], rtol=1e-9)
-    np.testing.assert_allclose([r[0, 1], r[0, 4], r[3, 4]], 0.0, atol=1e-12)
-    inner, whole = prior_of_belief(believing(**told))
-    assert inner[EXPONENT] == 1.1 and whole[EXPONENT, EXPONENT] == pytest.approx(0.05**2)
-    assert inner[PRESSURE] == pytest.approx(math.log(2e6 * depth_of(load_scenario("mixed")) ** 1.1))
-
-
-def test_what_is_not_doubted_is_nearly_known():
-    scenario = believing(cohesion_sd=0.0, sinkage_exponent_sd=0.0, dig_gain_sd=0.0)
-    covariance = plain(scenario)[2]
-    assert covariance[GAIN, GAIN] == pytest.approx(KNOWN**2) == covariance[EXPONENT, EXPONENT]
-    pressure = scenario.weight / (scenario.wheel.radius * scenario.wheel.width)
-    assert covariance[COHESION, COHESION] == pytest.approx((KNOWN * pressure) ** 2)
-    assert np.linalg.eigvalsh(covariance / np.outer(*[np.sqrt(np.diag(covariance))] * 2)).min() > 0.0
-
-
 @pytest.mark.parametrize("scenario", every_scenario(), ids=lambda s: s.name)
 def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
     """Symmetric, positive definite, and as wide as soils differ: neither sure nor without any idea."""
@@ -145,23 +111,6 @@ def test_pressures_are_compared_at_one_depth():
     assert at == pytest.approx(0.4 * math.log(depth_of(one)))
 
 
-def test_a_library_scatters_as_the_soils_of_the_courses_unless_told_otherwise():
-    names = {"soils": dict(load_scenario("mixed").soils)}
-    told, other = SoilSpread(shear_modulus=0.7, dig_gain=0.8), SoilSpread(shear_modulus=0.2, dig_gain=0.8)
-    own, same, narrow = (prior_of_belief(believing(**names, spread=spread))[1] for spread in (None, told, other))
-    np.testing.assert_array_equal(own, same)
-    assert narrow[LN_K, LN_K] < own[LN_K, LN_K] and narrow[TANGENT, TANGENT] == own[TANGENT, TANGENT]
-
-
-def test_soils_are_weighed():
-    only, one = believing(soils={"dry_sand": 1e9, "quartz_sand": 1e-6}), believing(soils={"dry_sand": 3.0})
-    for a, b in zip(prior_of_belief(only), prior_of_belief(one), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
-    even = prior_of_belief(believing(soils={"dry_sand": 2.0, "quartz_sand": 2.0}))[0]
-    alone = [prior_of_belief(believing(soils={name: 1.0}))[0] for name in ("dry_sand", "quartz_sand")]
-    np.testing.assert_allclose(even, np.mean(alone, axis=0), rtol=1e-12)
-
-
 def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
     """As a change, in a file of a scenario and in the map of a log; a saved belief with the defaults is taken."""
     belief, path = {"soils": {"dry_sand": 1.0}, "cohesion_sd": 9.0}, tmp_path / "own.yaml"
@@ -172,15 +121,6 @@ def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
             read()
     saved = to_dict(load_scenario("mixed").belief)
     assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
-
-
-def test_an_unknown_soil_of_the_belief_is_refused():
-    with pytest.raises(ParameterError, match="belief.soils"):
-        load_scenario("mixed", {"belief": {"soils": {"dry_sandd": 1}}})
-
-
-def test_widths_of_a_gaussian_are_those_of_its_standard_deviations():
-    np.testing.assert_allclose(widths([plain(believing())]), 1.0, atol=1e-6)
 
 
 def test_widths_of_a_library_hold_68_percent_of_it():

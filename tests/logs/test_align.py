@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.logs.align import Bins, ChannelCount, aligned, interpolated
+from soil_env.logs.align import Channel, align, interpolated
 from soil_env.logs.fields import uphill
 
 NS = 1_000_000_000
@@ -13,12 +13,12 @@ NS = 1_000_000_000
 
 def axis(samples, max_gap=0.5, period=0.1, constants=None):
     """Aligned readings of {name: [(seconds, value)]}."""
-    bins = Bins(list(samples), period)
-    rows = [(t, k, v) for k, points in enumerate(samples.values()) for t, v in points]
-    for t, k, v in rows:
-        bins.add(k, round(t * NS), v)
-    counts = {n: ChannelCount(n) for n in (*samples, *(constants or {}))}
-    return aligned(bins, counts, constants or {}, period, max_gap)
+    channels = {n: Channel(n) for n in (*samples, *(constants or {}))}
+    for name, points in samples.items():
+        for t, v in points:
+            channels[name].times.append(round(t * NS))
+            channels[name].values.append(v)
+    return align(channels, constants or {}, period, max_gap)
 
 
 def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
@@ -29,7 +29,7 @@ def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
     inner = slice(2, 18)
     assert log.readings["wheel_speed"][inner] == pytest.approx(2.0 + (4.95 + log.time[inner] - 5.0), abs=0.0051)
     assert log.readings["speed"][6] == pytest.approx(25.0 * (0.1 * round((log.time[6] - 0.05) / 0.1)), abs=2.6)
-    assert log.counts["speed"].interpolated > 0.6 and log.counts["wheel_speed"].interpolated == 0.0
+    assert log.channels["speed"].interpolated > 0.6 and log.channels["wheel_speed"].interpolated == 0.0
     assert np.all(log.readings["load"] == 150.0)
 
 
@@ -48,23 +48,14 @@ def test_a_long_silence_is_a_jump_in_time_not_rows():
     assert log.time == pytest.approx([0.0, 0.1, 0.2, 1e6, 1e6 + 0.1])
 
 
-def test_readings_in_any_order_and_in_rows_or_singly_are_the_same():
+def test_readings_in_any_order_are_the_same():
     rng = np.random.default_rng(0)
-    times = rng.integers(0, 300 * NS, 2000)
-    values = rng.normal(size=(2000, 2))
-    values[rng.random((2000, 2)) < 0.3] = math.nan
-    one, other, rows = (Bins(["a", "b"], 0.1) for _ in range(3))
-    for bins, order in ((one, np.arange(2000)), (other, np.r_[0, 1 + rng.permutation(1999)])):
-        for i in order:
-            for k in range(2):
-                bins.add(k, int(times[i]), values[i, k]) if np.isfinite(values[i, k]) else bins._place(int(times[i]))
-    for part in np.array_split(np.arange(2000), 7):
-        rows.add_rows(times[part], values[part])
-    steps, means = one.means()
-    for bins in (other, rows):
-        found = bins.means()
-        assert np.array_equal(found[0], steps)
-        assert found[1] == pytest.approx(means, nan_ok=True, rel=1e-12, abs=1e-12)
+    points = [(t, v) for t, v in zip(rng.uniform(0.0, 300.0, 2000), rng.normal(size=2000), strict=True)]
+    one, other = (axis({"wheel_speed": rows, "speed": points}) for rows in (points, points[::-1]))
+    assert np.array_equal(one.time, other.time)
+    for name, values in one.readings.items():
+        assert other.readings[name] == pytest.approx(values, nan_ok=True, rel=1e-12, abs=1e-12)
+    assert 1900 < len(one) and np.isnan(one.readings["speed"]).sum() == 0
 
 
 @pytest.mark.parametrize("pitch", [-0.4, 0.0, 0.3])

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
+from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
-from soil_env.logs.__main__ import main
-from soil_env.logs.align import Aligned, ChannelCount
-from soil_env.logs.grounds import advice, commands, files, grounds, how_found, setup_text
-from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, what_can_be_told
+from soil_env.logs.align import Aligned, Channel
+from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
+from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
 from soil_env.logs.report import contents
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.online import OnlineIdentifier, Status
@@ -120,14 +120,14 @@ def test_what_is_told_is_what_was_learnt(log_map):
     part = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
     assert part.learnt()["friction_angle_deg"] > 0.6  # correlations of the belief
     assert part.learnt()["sinkage_coefficient"] < 0.8
-    assert len(what_can_be_told(part, log)) > len(what_can_be_told(replay(log, log_map), log))
+    assert len(findings(part, log)) > len(findings(replay(log, log_map), log))
     del kept["sinkage"]
     blind = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
     assert min(blind.learnt().values()) == pytest.approx(1.0, abs=0.15)
     seen = {n: v for n, v in log.readings.items() if n != "sinkage"}
     unseen = replay(Aligned(0, log.time, seen, {}, log.period), log_map)
     assert unseen.learnt()["shear_modulus"] < 0.5
-    assert any(line.startswith("No sinkage") and "follows" in line for line in what_can_be_told(unseen, log))
+    assert any(line.startswith("No sinkage") and "follows" in line for line in findings(unseen, log))
 
 
 def test_a_motor_torque_without_inertia_is_left_out(log_map):
@@ -138,11 +138,11 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
     bare = replay(motor, log_map)
     without = replay(Aligned(0, log.time, readings, {}, log.period), log_map)
     assert np.array_equal(bare.values["shear_modulus"], without.values["shear_modulus"])
-    assert sum("wheel.inertia" in line for line in what_can_be_told(bare, motor)) == 1
+    assert sum("wheel.inertia" in line for line in findings(bare, motor)) == 1
     known = dataclasses.replace(log_map, wheel=dataclasses.replace(log_map.wheel, inertia=0.5))
     found = replay(motor, known)
     assert found.learnt()["shear_modulus"] < 0.7 * bare.learnt()["shear_modulus"]
-    assert not any("wheel.inertia" in line for line in what_can_be_told(found, motor))
+    assert not any("wheel.inertia" in line for line in findings(found, motor))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
         return dataclasses.replace(estimate, **{name: value}) if far else estimate
 
     monkeypatch.setattr(OnlineIdentifier, "update", absurd)
-    log.counts.update({n: ChannelCount(n) for n in log.readings})
+    log.channels.update({n: Channel(n) for n in log.readings})
     found = replay(log, log_map)
     written = contents("a.csv", log, log_map, found, steady_windows(log, log_map, found.ground))
     refused = [line for line in found.warnings if "refused" in line]
@@ -171,18 +171,18 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
 @pytest.mark.xfail(strict=True, reason="a sinkage without the digging that is believed in is taken for another soil")
 def test_a_short_log_of_a_sand_without_slip_sinkage_tells_something(log_map):
     log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": told" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in findings(replay(log, log_map), log)) >= 2
 
 
 def test_nothing_is_told_by_readings_that_contradict(log_map):
     """A wheel speed in rpm that is taken for rad/s: no estimate is current, and no parameter is said to be told."""
     log = made(log_map, [(s, 4.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": told" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in findings(replay(log, log_map), log)) >= 2
     log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
     wrong = replay(log, log_map)
     assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
-    said = what_can_be_told(wrong, log)
-    assert not any(": told" in line for line in said) and any("0 % of the steps" in line for line in said)
+    said = findings(wrong, log)
+    assert not any(": identified" in line for line in said) and any("0% of the steps" in line for line in said)
 
 
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
@@ -233,8 +233,8 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     assert [fits["ground1"].value, fits["ground2"].value] == pytest.approx(truth, rel=0.4)
     run = commands(parts, steady, tmp_path)
     assert len(run) == 4 and not any("steady.csv" in line for line in run)
-    assert parts[1].differs > 0.8 and "Grounds found: 2, of" in how_found(found)
-    assert any("16." in line and "one ground at a time" in line for line in advice(parts, steady))
+    assert parts[1].differs > 0.8 and "Grounds found: 2, of" in advice(found, parts, steady)[0]
+    assert any("16." in line and "one ground at a time" in line for line in advice(found, parts, steady))
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
@@ -290,13 +290,13 @@ def test_a_ground_with_one_slip_has_no_table(without_digging):
     steady = steady_windows(log, log_map, found.ground)
     parts = grounds(found, steady)
     assert len(steady.rows) > 3 and not files(parts, steady, log_map, found.prior) and not commands(parts, steady)
-    assert "two slips" in advice(parts, steady)[0]
+    assert "two slips" in advice(found, parts, steady)[1]
 
 
 def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap")
     (tmp_path / "out").mkdir()
-    assert main([str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")]) == 0
+    assert main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")]) == 0
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert {name for name in written if not name.startswith("ground")} == {
         "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png", "steady.csv", "setup.yaml",
@@ -312,7 +312,7 @@ def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
     for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
         (tmp_path / "out" / name).write_text("")
-    assert main([str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
+    assert main(["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
     left = {p.name for p in (tmp_path / "out").iterdir()}  # nothing of the other log
     assert left == {"mine.csv", "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png"}
 
@@ -320,7 +320,7 @@ def test_command(tmp_path, capsys):
 def test_command_refuses_in_one_line(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap", steps=5)
     changed = {"speed": {"topic": "/odom", "field": "twist.y"}}
-    assert main([str(bag), "--map", str(write_map(tmp_path, changed)), "--out", str(tmp_path / "out")]) == 2
+    assert main(["logs", str(bag), "--map", str(write_map(tmp_path, changed)), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "twist.y" in said and "/odom" in said
     assert not (tmp_path / "out").exists()

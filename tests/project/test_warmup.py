@@ -1,4 +1,4 @@
-"""After `soil-env-warmup` the commands, the renderer and the controllers compile nothing."""
+"""After `soil-env warmup` the commands, the renderer and the controllers compile nothing."""
 
 import os
 import subprocess
@@ -26,16 +26,15 @@ def noted(once, signature):
 cache._Once.__call__ = noted
 
 folder = Path(sys.argv[1])
-from soil_env.identification.__main__ import main as identify
+from soil_env.cli import main
 from soil_env.discrepancy import calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.logs.__main__ import main as logs
 from soil_env.measurement.table import read_setup, read_table
 from agents.controllers import make_controller
 from soil_env.parameters import load_scenario
 
 table, setup = "examples/data/single_wheel.csv", "examples/data/setup.yaml"
-assert identify([table, "--setup", setup]) == 0
+assert main(["identify", table, "--setup", setup]) == 0
 known = read_setup(setup)
 calibrate.calibrate(prepare(read_table(table, known.wheel), known))
 rows = "".join(f"{0.1 * k},2,{0.27 - 0.02 * (k // 20 % 2)},0.02,5\\n" for k in range(80))
@@ -43,7 +42,7 @@ rows = "".join(f"{0.1 * k},2,{0.27 - 0.02 * (k // 20 % 2)},0.02,5\\n" for k in r
 names = "wheel_speed", "speed", "sinkage", "torque"
 channels = "".join(f"  {n}: {{column: {n}}}\\n" for n in names)
 (folder / "map.yaml").write_text("wheel: planetary_rover\\ntime: {column: t}\\nchannels:\\n" + channels)
-assert logs([str(folder / "a.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "out")]) == 0
+assert main(["logs", str(folder / "a.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "out")]) == 0
 envs = gymnasium.make_vec("SoilWheel-v0", 8, "vector_entry_point")
 observations, _ = envs.reset(seed=0)
 for name in ("best_slip_identified", "best_slip_true"):

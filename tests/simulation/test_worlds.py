@@ -17,8 +17,7 @@ from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.sensors import sense
 from soil_env.simulation.world.terrain import rut_factor
 from soil_env.simulation.world.wheel import WheelState
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
 from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.terramechanics.reaction import ground_under
 from soil_env.terramechanics.residual import ResidualTerm

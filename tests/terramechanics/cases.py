@@ -1,7 +1,6 @@
 """Values of the named effects for tests: every form of every effect, and several together."""
 
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, pack_effects
 from soil_env.terramechanics.model import ModelWheel
 from soil_env.terramechanics.residual import ResidualTerm
 

@@ -7,8 +7,7 @@ import pytest
 
 from soil_env.parameters import SoilState, soils
 from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.catalogue import CATALOGUE
-from soil_env.terramechanics.effects import NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, grousers, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, residual_law
 from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
@@ -124,7 +123,7 @@ def test_bulldozing_resists_the_travel(v, sign):
 def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
     """A wheel in reverse that spins pushes itself backward; at no slip the blades do nothing."""
     found, wheel = axle("grousers-blades", v=v, u=u, blades=30.0), wheel_with("grousers-blades")
-    thrust = 30.0 * math.tanh(slip / effects.BLADE_SLIP)
+    thrust = 30.0 * math.tanh(slip / grousers.BLADE_SLIP)
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull + thrust)
     assert found.torque == pytest.approx(FLAT.torque + thrust * (R + 0.5 * LUG))
     assert wheel.rim_ratio == wheel.shear_ratio == 1.0

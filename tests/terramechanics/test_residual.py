@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -69,14 +68,6 @@ def test_groups_are_held_inside_their_range(x, held):
     assert value([term], (x, *POINT[1:]))[2] == pytest.approx(2.0 * held)
 
 
-def test_a_range_belongs_to_its_own_term():
-    terms = [
-        ResidualTerm("torque", 1.0, {"slip": 1.0}, {"slip": [0.0, 0.1]}),
-        ResidualTerm("torque", 1.0, {"slip": 1.0}),
-    ]
-    assert value(terms)[2] == pytest.approx(0.1 + 0.3)
-
-
 def test_downhill_and_rest():
     """Whole powers keep the sign of a grade; where a power has no value, the term is 0, never inf or nan."""
     downhill = (*POINT[:6], -0.1)
@@ -102,13 +93,6 @@ def test_a_term_survives_yaml_and_packing(coefficient, powers, channel):
     assert residual_at(law, POINT)[CHANNELS.index(channel)] == pytest.approx(expected)
 
 
-def test_no_terms_add_nothing():
-    law = residual_law([])
-    assert law.powers.shape == (0, len(GROUPS))
-    assert residual_at(law, POINT) == (0.0, 0.0, 0.0)
-    assert residual_law([ResidualTerm("torque", 1.0)]).high.tolist() == [[np.inf] * len(GROUPS)]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -125,8 +109,3 @@ def test_wrong_terms_are_refused_in_one_line(arguments, message):
     with pytest.raises(ParameterError, match=message) as error:
         ResidualTerm(*arguments)
     assert "\n" not in str(error.value)
-
-
-def test_the_channel_is_checked_on_loading():
-    with pytest.raises(ParameterError, match="channel = 'pull': expected one of"):
-        load(ResidualTerm, {"channel": "pull", "coefficient": 1.0})

@@ -1,4 +1,4 @@
-"""The result of the workflow as files (report.json, report.html, model.yaml) and on the terminal."""
+"""Result of the workflow as files (report.json, report.html, model.yaml) and on the terminal."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from rich.text import Text
 from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_outputs, replace_files
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.report import blocks, cautions, tables, words
+from soil_env.discrepancy.report import equations, sentences, tables
 from soil_env.discrepancy.report.content import content
-from soil_env.discrepancy.report.numbers import p_value
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
 
@@ -26,18 +25,6 @@ __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 FILES = ("report.json", "report.html", "model.yaml")
 COLOURS = {"named": "green", "none": "green"}
 _SHOWN = 8  # candidates of the ranking on the terminal
-_STYLE = """
-body { max-width: 66rem; } p, ul { max-width: 50rem; }
-.summary { border-left: 6px solid #1f6f8b; background: #eef5f7; padding: .8rem 1.1rem; font-size: 1.08rem;
-           max-width: none; }
-.ambiguous, .unlisted, .partly, .undetermined { border-color: #c2871a; background: #fbf5e6; }
-.check { border-color: #b3261e; background: #fbeceb; margin-bottom: .8rem; }
-.verdict { font-size: .78rem; font-weight: 600; letter-spacing: .06em; text-transform: uppercase; color: #555;
-           display: block; }
-.eq { font: 1.12rem/1.5 Cambria, "STIX Two Text", "Times New Roman", serif; margin: .2rem 0 .2rem 1.2rem;
-      max-width: none; }
-.eq sub, .eq sup { font-size: .72em; line-height: 0; }
-"""
 
 
 def check_folder(folder: Path) -> None:
@@ -63,41 +50,45 @@ def write(report: Report, folder: Path) -> None:
 
 
 def page(report: Report, values: dict[str, Any]) -> str:
-    """report.html, which needs no other file; `values` is `content(report)`."""
+    """Return report.html, which needs no other file; `values` is `content(report)`."""
     images = {name: Markup(html_image(svg, CAPTIONS[name], "svg+xml")) for name, svg in pictures(report).items()}
-    names = ", ".join(words.title(e.name) for e in report.effects)
+    names = ", ".join(sentences.title(e.name) for e in report.effects)
     mathematics = {
-        "equation": lambda text: Markup(blocks.mathematics(text)),
-        "meaning": lambda text: Markup(blocks.leading_mathematics(text)),
+        "equation": lambda text: Markup(equations.mathematics(text)),
+        "meaning": lambda text: Markup(equations.leading_mathematics(text)),
     }
     body = render(f"{__name__}:report.html", images=images, values=values, **mathematics, **_common(report))
-    return html_page(f"{report.verdict}: {names}" if names else report.verdict, body, _STYLE)
+    style = render(f"{__name__}:report.css")
+    return html_page(f"{report.verdict}: {names}" if names else report.verdict, body, style)
 
 
 def text(report: Report) -> str:
-    """The report for the terminal, below its summary."""
+    """Return the report for the terminal, below its summary."""
     return render(f"{__name__}:report.txt", shown=_SHOWN, **_common(report))
 
 
 def _common(report: Report) -> dict[str, Any]:
-    """What both templates take."""
+    """Values of both templates."""
     return {
         "report": report,
-        "words": words,
+        "sentences": sentences,
         "tables": tables,
-        "blocks": blocks.blocks(report),
-        "check_first": cautions.check_first(report),
-        "cautions": cautions.cautions(report),
-        "where": [(words.disagreement(report, d), p_value(d.p_value)) for d in report.where],
-        "next_tests": [words.next_test(report, t) for t in report.next_tests],
+        "blocks": equations.blocks(report),
+        "cautions": sentences.cautions(report),
+        "where": [
+            (sentences.disagreement(report, d), "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}")
+            for d in report.where
+        ],
+        "next_tests": [sentences.next_test(report, t) for t in report.next_tests],
     }
 
 
 def show(report: Report, console: Console) -> None:
     """Print the conclusion with its tables."""
-    first, colour = cautions.check_first(report), COLOURS.get(report.verdict, "yellow")
-    if first:
-        console.print(Panel(Text(" ".join(first)), title="[bold]check first[/]", title_align="left", style="red"))
+    colour = COLOURS.get(report.verdict, "yellow")
+    if report.doubts:
+        doubts = Text(" ".join(report.doubts))
+        console.print(Panel(doubts, title="[bold]check first[/]", title_align="left", style="red"))
     title = f"[bold]{report.verdict}[/]"
-    console.print(Panel(Text(words.summary(report)), title=title, title_align="left", style=colour))
+    console.print(Panel(Text(sentences.summary(report)), title=title, title_align="left", style=colour))
     console.print(Text(text(report)))

@@ -11,11 +11,10 @@ import scipy
 from soil_env import __version__
 from soil_env._io.files import plain
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.report import cautions, words
-from soil_env.discrepancy.report.blocks import blocks
-from soil_env.discrepancy.report.equations import SYMBOLS
+from soil_env.discrepancy.report import sentences
+from soil_env.discrepancy.report.equations import blocks
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
@@ -23,20 +22,21 @@ LEAST = 1e-3  # probability below which a hypothesis is not listed
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in blocks(report)]
-    first = cautions.check_first(report)
+    first = list(report.doubts)
     noise = {name: CHANNELS.index(name) for name in report.channels}
     return plain({
         "verdict": report.verdict,
-        "summary": words.summary(report),
+        "summary": sentences.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
              "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
-             "alternatives": e.alternatives, "symbols": SYMBOLS[e.name], **block}
+             "alternatives": e.alternatives,
+             "symbols": {p.name: p.symbol for p in CATALOGUE[e.name].parameters if p.symbol}, **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
             {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd, "p_value": d.p_value,
-             "words": words.disagreement(report, d)}
+             "words": sentences.disagreement(report, d)}
             for d in report.where
         ],
         "ranking": [r._asdict() for r in report.ranking],
@@ -53,7 +53,7 @@ def content(report: Report) -> dict[str, Any]:
         },
         "next_tests": [
             {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
-             "expected_sigma": t.expected_sigma, "words": words.next_test(report, t)}
+             "expected_sigma": t.expected_sigma, "words": sentences.next_test(report, t)}
             for t in report.next_tests
         ],
         "residual": _law(report, shown),
@@ -73,7 +73,7 @@ def content(report: Report) -> dict[str, Any]:
         "noise": {name: {"sd": report.noise.sd[j], "origin": report.noise.origin[j]} for name, j in noise.items()},
         "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
         "check_first": first,
-        "cautions": [*first, *cautions.cautions(report)],
+        "cautions": [*first, *sentences.cautions(report)],
         "validity": {name: list(pair) for name, pair in report.model.validity.items()},
         "rows": len(report.problem.data.table),
         "settings": vars(report.settings),

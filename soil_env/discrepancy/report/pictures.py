@@ -1,4 +1,4 @@
-"""The plots of a report, as SVG; the same report gives the same bytes."""
+"""Plots of a report, as SVG; the same report gives the same bytes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from soil_env.discrepancy.data import CHANNELS, WHEEL
-from soil_env.discrepancy.report.words import TITLES, UNITS, fixed, title
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
 
 BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
 LIGHT = "#7fb2c2"
@@ -24,19 +23,16 @@ CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
     "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
     "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
-    "residual": "Held-out residuals over slip in standard deviations of the noise; grey: twice the noise.",
     "ranking": "Probability of each effect, and that nothing listed is missing. Dark: stated; light: alternatives.",
-    "shares": "The gap: mean square of the held-out error above the noise that the base model leaves, as what each "
-    "stated effect, or the law, closes and what remains.",
 }
 _STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
           "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
 
 
 def pictures(report: Report, form: str = "svg") -> dict[str, bytes]:
-    """{name: picture} of "shares", "predicted", "slip", "residual" and "ranking"; `form` is "svg" or "png"."""
+    """{name: picture} of "predicted", "slip" and "ranking"; `form` is "svg" or "png"."""
     with matplotlib.rc_context(_STYLE):
-        drawn = {"shares": _shares, "predicted": _predicted, "slip": _slip, "residual": _residual, "ranking": _ranking}
+        drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
         return {name: _saved(draw(report), form) for name, draw in drawn.items()}
 
 
@@ -81,7 +77,7 @@ def _predicted(report: Report) -> Figure:
 
 
 def _both(report: Report, before, after):
-    """What is drawn for each model; only the base model where nothing was added."""
+    """(values, colour, label) of each model; the base model alone where nothing was added."""
     yield before, BEFORE, "base model" if report.corrected else "calibrated model"
     if report.corrected:
         yield after, AFTER, "corrected model"
@@ -95,12 +91,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """
     data, varied = report.problem.data, report.problem.data.varied
     others = [c for name, c in varied.items() if name != "slip"]
-    label = np.zeros(data.rows.slip.size, dtype=int)
-    if others:
-        label = np.unique(np.stack([c.level for c in others]), axis=1, return_inverse=True)[1].ravel()
     found = []
-    for k in range(int(label.max()) + 1):
-        rows = np.flatnonzero(label == k)
+    for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
             off = (data.y - report.held_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
@@ -114,9 +106,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
 
 
 def _value(name: str, x: float) -> str:
-    unit = {"load": " N", "speed": " m/s", "grade_deg": " deg grade", "wheel_radius": " m radius",
-            "wheel_width": " m width", "grouser_height": " m grousers"}  # fmt: skip
-    return f"pass {x:.0f}" if name == "pass" else f"{round(x, 1) if name == 'grade_deg' else x:.3g}{unit[name]}"
+    label, unit = CONDITIONS[name]
+    return f"{label} {round(x, 1) if name == 'grade_deg' else x:.3g}{unit}"
 
 
 def _slip(report: Report) -> Figure:
@@ -160,36 +151,6 @@ def _slip(report: Report) -> Figure:
     return figure
 
 
-def _residual(report: Report) -> Figure:
-    """Held-out residuals over slip in standard deviations of the noise, before and after."""
-    both = list(_both(report, report.held_before, report.held_after))
-    figure, axes = _columns(report, 0.8 + 2.0 * len(both), len(both), sharex=True, sharey="col")
-    data = report.problem.data
-    about = [CATALOGUE[e.name].varies for e in report.effects]
-    by = next((n for n in (*about, "load", "speed", "pass", "grade_deg", *WHEEL) if n in data.varied), None)
-    shade = data.varied[by].scaled if by else np.zeros(data.rows.slip.size)
-    drawn = None
-    for axis, name in zip(axes[0], report.channels, strict=True):
-        axis.set_title(TITLES[name])
-    for axis in axes[-1]:
-        axis.set_xlabel("slip")
-    for (held, _, label), line in zip(both, axes, strict=True):
-        for name, ax in zip(report.channels, line, strict=True):
-            j = CHANNELS.index(name)
-            off = (data.y - held)[:, j] / report.problem.noise[j]
-            ax.axhspan(-2.0, 2.0, color="0.92", zorder=-1, lw=0)
-            ax.axhline(0.0, color="0.6", lw=0.7, zorder=0)
-            drawn = ax.scatter(data.rows.slip, off, c=shade, cmap="viridis", s=11, lw=0, rasterized=off.size > MANY,
-                               vmin=-1.2, vmax=1.2)  # fmt: skip
-        line[0].set_ylabel(f"{label}\nresidual/noise")
-    if by:
-        value = data.varied[by].value
-        bar = figure.colorbar(drawn, ax=axes, shrink=0.6, ticks=[-1.0, 1.0])
-        bar.ax.set_yticklabels([_value(by, float(value[np.argmin(shade)])), _value(by, float(value[np.argmax(shade)]))])
-        bar.outline.set_visible(False)
-    return figure
-
-
 def _ranking(report: Report) -> Figure:
     """Probability of each effect, and of nothing and something unlisted."""
     finding, named = report.finding, {e.name for e in report.effects}
@@ -205,31 +166,4 @@ def _ranking(report: Report) -> Figure:
     for k, share in enumerate(shares):
         ax.text(share, k, f" {fixed(share, 3)}", va="center", fontsize=8)
     ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    return figure
-
-
-def _shares(report: Report) -> Figure:
-    """The gap of each channel in its parts, over the noise."""
-    figure = _figure(7.0, 0.9 + 0.42 * len(report.channels))
-    ax = figure.subplots()
-    closed = [max(e.share or 0.0, 0.0) for e in report.effects]
-    parts = [(title(e.name), c) for e, c in zip(report.effects, closed, strict=True)]
-    if report.model.residual:
-        parts.append(("a law without a name", 1.0))
-    weight = sum(c for _, c in parts) or 1.0
-    for k, (name, g) in enumerate(list(report.gap.items())[::-1]):
-        left = min(
-            report.remainder[name].rms ** 2 / g.noise_floor**2, whole := max(g.before**2 / g.noise_floor**2 - 1.0, 0.0)
-        )
-        at = 0.0
-        for n, (label, c) in enumerate(parts):
-            size = (whole - left) * c / weight
-            ax.barh(
-                k, size, left=at, color=(AFTER, LIGHT, "#b7cfd8")[n % 3], height=0.6, label=label if k == 0 else None
-            )
-            at += size
-        ax.barh(k, left if parts else whole, left=at, color="0.8", height=0.6, label="remains" if k == 0 else None)
-    ax.set_yticks(range(len(report.gap)), [TITLES[name] for name in list(report.gap)[::-1]])
-    ax.set_xlabel("mean square above the noise, in noise variances (held out)")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure

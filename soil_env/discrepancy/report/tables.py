@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from soil_env._io.document import Table
 from soil_env.discrepancy.judgement import Interval
-from soil_env.discrepancy.report.cautions import not_tiny
-from soil_env.discrepancy.report.numbers import figures, fixed, times
-from soil_env.discrepancy.report.words import SOIL, TITLES, amount, title
+from soil_env.discrepancy.report.sentences import SOIL, TITLES, amount, figures, fixed, not_tiny, percent, times, title
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.catalogue import CATALOGUE
+from soil_env.terramechanics.effects import CATALOGUE
 
 
 def effects(report: Report) -> Table:
     """Every parameter of the named effects."""
     rows = []
     for e in report.effects:
-        label = f"{title(e.name)} ({e.name})"
+        label = title(e.name)
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
+        label += "" if e.share is None else f" (closes {percent(e.share)})"
         for name, p in e.parameters.items():
             unit = CATALOGUE[e.name].parameter(name).unit
             there = figures(report.model.effects[e.name][name])
@@ -27,7 +26,7 @@ def effects(report: Report) -> Table:
 
 
 def soil(report: Report) -> Table:
-    """The soil: what is believed of it, and what the corrected model has."""
+    """Soil parameters with their intervals, and those of the corrected model."""
     rows, fitted = [], report.fit.parameters()
     for name, p in report.soil.items():
         label, unit = SOIL[name]
@@ -63,7 +62,7 @@ def ranking(report: Report, most: int | None = None) -> Table:
 
 
 def untestable(report: Report) -> Table:
-    """The effects that the table cannot show, and why."""
+    """Effects that the table cannot show, with the reason."""
     return Table(("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()])
 
 
@@ -72,5 +71,5 @@ def detectable(report: Report) -> Table:
     rows = []
     for name, d in report.finding.detectable.items():
         unit = CATALOGUE[name].parameter(d.parameter).unit
-        rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, f"{100.0 * d.power:.0f} %"))
+        rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power)))
     return Table(("effect", "parameter", "smallest", "unit", "larger before the table"), rows)

@@ -1,6 +1,6 @@
-"""The online identifier: what a wheel's readings tell of the soil under it, reading by reading.
+"""The filter of the online identifier: the soil under a wheel by its readings, one set after the other.
 
-Readings are averaged to points, over times in which little changes; a quantity that two sensors tell is their mean by
+Readings are averaged to points, over times in which little changes; a quantity of two sensors is their mean by
 precision. The forces of the points are gathered as a traction curve (`curve`), to which friction angle, cohesion,
 exponent and shear deformation modulus are fitted (`curve_fit`, `soil_nodes`). Sinkage coefficient and gain of digging
 follow from how the sinkage changes (`sinkage_filter`). Where the grade changes, or the forces of a few points are less
@@ -20,6 +20,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env._numba.rows import zero_column
 from soil_env.identification.online.border import (
     cross_here,
     cross_where_the_grade_changes,
@@ -71,7 +72,7 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 #: the laws, and one above `_ANOTHER_SOIL` the soil.
 CONTRADICTION_OF_POINTS = 10.0
 _ANOTHER_SOIL = 7.0
-# Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
+# Points of a soil up to which readings contradict the laws, not the soil; where the grade shows no borders.
 _SHORT, _SHORTER = 12.0, 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample, 0.7 is seldom.
@@ -79,8 +80,10 @@ _SINKAGE_EXPECTED, _OF_SINKAGE, _MOST_OF_SINKAGE = 0.7, 3.0, 5.0
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
-_LATER = 12.0  # `_BEGINS` where only forces tell of borders, which are found after they have spoilt the fit
-_slopes = scratch(3 * len(Slopes._fields) * COUNT)
+_LATER = 12.0  # `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
+_FIELDS = len(Slopes._fields)
+_PULL, _TORQUE, _LN_S = 0, _FIELDS, 2 * _FIELDS  # rows of `_slopes`
+_slopes = scratch(3 * _FIELDS * COUNT)
 
 
 # --- readings to points -----------------------------------------------------------------------------------------------
@@ -104,75 +107,94 @@ def _advance_clocks(p, k, reading, numbers):
 
 
 @compiled_inline
-def _collect(p, k, r, turned, numbers):
-    """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
-    sd, u = numbers.noise, r.rim_speed
-    travel = r.speed / u
+def _slip_of_speeds(r, noise):
+    """(slip, its sd) by travel and rim speed."""
+    travel = r.speed / r.rim_speed
     if travel <= 1.0:
-        of_speeds, rate = 1.0 - travel, 1.0
+        slip, rate = 1.0 - travel, 1.0
     else:
-        of_speeds, rate = 1.0 / travel - 1.0, 1.0 / (travel * travel)
-    error = rate * math.hypot(sd[5], min(travel, 2.0) * sd[6]) / u
+        slip, rate = 1.0 / travel - 1.0, 1.0 / (travel * travel)
+    return slip, rate * math.hypot(noise[5], min(travel, 2.0) * noise[6]) / r.rim_speed
+
+
+@compiled_inline
+def _collect(o, p, k, r, turned, numbers):
+    """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
+    sd = numbers.noise
+    if o.readings[k] == 0.0:
+        o.first_slip[k], o.first_rim[k], o.first_place[k] = r.slip, r.rim_speed, p.place[k]
+    slip, error = _slip_of_speeds(r, sd)
     a, b = 1.0 / (sd[0] * sd[0]), 1.0 / (error * error)
-    p.slip[k] += r.slip * a + of_speeds * b
-    p.slip_weight[k] += a + b
+    o.slip[k] += r.slip * a + slip * b
+    o.slip_weight[k] += a + b
     mass = p.mass[k] if p.mass[k] > 0.0 else max(r.load, 0.0) / (numbers.gravity * math.cos(r.pitch))
     a, b = 1.0 / (sd[2] * sd[2]), 1.0 / (mass * sd[9]) ** 2 if mass > 0.0 else 0.0
-    p.pull[k] += r.drawbar_pull * a + mass * r.acceleration * b
-    p.pull_weight[k] += a + b
+    o.pull[k] += r.drawbar_pull * a + mass * r.acceleration * b
+    o.pull_weight[k] += a + b
     excess = max(turned * turned - 2.0 * sd[6] * sd[6], 0.0)
     accelerated = _TURNED * numbers.inertia / (numbers.radius * numbers.period)
     a, b = 1.0 / (sd[4] * sd[4]), 1.0 / (sd[8] * sd[8] + accelerated * accelerated * excess)
-    p.torque[k] += r.torque * a + r.motor_torque * b
-    p.torque_weight[k] += a + b
+    o.torque[k] += r.torque * a + r.motor_torque * b
+    o.torque_weight[k] += a + b
     a, b = 1.0 / (sd[1] * sd[1]), 1.0 / (sd[3] * sd[3])
-    p.sinkage[k] += r.sinkage * a
-    p.sinkage_weight[k] += a
-    p.load[k] += r.load * b
-    p.load_weight[k] += b
-    p.pitch[k] += r.pitch
-    p.path_sum[k] += p.path[k]
-    p.sliding_sum[k] += p.sliding[k]
-    p.shock_sum[k] += p.shock[k]
-    p.time_sum[k] += p.time[k]
-    place = p.place[k] - p.first_place[k]
-    p.place_sum[k] += place
-    p.place_square[k] += place * place
-    p.length[k] += abs(r.speed) * numbers.period
-    p.readings[k] += 1.0
+    o.sinkage[k] += r.sinkage * a
+    o.sinkage_weight[k] += a
+    o.load[k] += r.load * b
+    o.load_weight[k] += b
+    o.pitch[k] += r.pitch
+    o.path[k] += p.path[k]
+    o.sliding[k] += p.sliding[k]
+    o.shock[k] += p.shock[k]
+    o.time[k] += p.time[k]
+    place = p.place[k] - o.first_place[k]
+    o.place[k] += place
+    o.place_square[k] += place * place
+    o.length[k] += abs(r.speed) * numbers.period
+    o.readings[k] += 1.0
+
+
+@compiled_inline
+def _is_finite(r):
+    """True if all readings are numbers of a plausible size."""
+    total = r.slip + r.sinkage + r.drawbar_pull + r.load + r.torque + r.speed
+    return abs(total + r.rim_speed + r.pitch + r.motor_torque + r.acceleration) < 1e12
+
+
+@compiled_inline
+def _is_steady(p, k, r, turned, numbers):
+    """True if the wheel drives on the ground without spinning, locking or changing its speed much."""
+    drives = r.rim_speed >= SLOWEST and _LOCKED <= r.slip <= _SPINNING
+    touches = r.sinkage >= 1e-3 * numbers.radius and (p.mass[k] > 0.0 or r.load >= _LIFTED * numbers.weight)
+    return drives and touches and turned <= _THROWN * numbers.gravity * numbers.period
+
+
+@compiled_inline
+def _ends_point(o, k, r, on_border, numbers):
+    """True if a reading is too unlike the open point to join it, or the point is long enough."""
+    faster = abs(r.rim_speed - o.first_rim[k]) > _RIM_RANGE * max(o.first_rim[k], 2.5 * SLOWEST)
+    slips = abs(r.slip - o.first_slip[k]) > _SLIP_RANGE
+    most = _ON_BORDER if on_border else 1.0
+    return faster or slips or o.readings[k] >= most * _READINGS or o.length[k] > most * _LENGTH * numbers.radius
 
 
 @compiled_inline
 def take(banks, k, reading, numbers):
     """Take one set of readings; True if it completed a point, with which bank k was renewed."""
-    p, done = banks.point, False
-    known = reading.slip + reading.sinkage + reading.drawbar_pull + reading.load + reading.torque + reading.speed
-    known += reading.rim_speed + reading.pitch + reading.motor_torque + reading.acceleration
-    if not abs(known) < 1e12:
+    o, p, done = banks.open, banks.point, False
+    if not _is_finite(reading):
         return False
     turned = abs(reading.rim_speed - p.last_rim[k])
-    if p.crossing[k] > 0.0 or p.readings[k] >= _READINGS - 1.0:  # likely to be needed
+    if p.crossing[k] > 0.0 or o.readings[k] >= _READINGS - 1.0:  # likely to be needed
         fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
         note_grade(banks, k, reading.pitch, numbers)
-    useless = reading.rim_speed < SLOWEST or reading.sinkage < 1e-3 * numbers.radius
-    useless = useless or (p.mass[k] == 0.0 and reading.load < _LIFTED * numbers.weight)
-    useless = useless or reading.slip > _SPINNING or reading.slip < _LOCKED
-    useless = useless or turned > _THROWN * numbers.gravity * numbers.period
-    if p.readings[k] > 0.0:
-        other = abs(reading.rim_speed - p.first_rim[k]) > _RIM_RANGE * max(p.first_rim[k], 2.5 * SLOWEST)
-        other = other or abs(reading.slip - p.first_slip[k]) > _SLIP_RANGE
-        most = _ON_BORDER if p.crossing[k] > 0.0 else 1.0
-        long = p.readings[k] >= most * _READINGS or p.length[k] > most * _LENGTH * numbers.radius
-        if useless or other or long:
-            _complete(banks, k, numbers)
-            done = True
-    if useless:
-        return done
-    if p.readings[k] == 0.0:
-        p.first_slip[k], p.first_rim[k], p.first_place[k] = reading.slip, reading.rim_speed, p.place[k]
-    _collect(p, k, reading, turned, numbers)
+    steady = _is_steady(p, k, reading, turned, numbers)
+    if o.readings[k] > 0.0 and (not steady or _ends_point(o, k, reading, p.crossing[k] > 0.0, numbers)):
+        _complete(banks, k, numbers)
+        done = True
+    if steady:
+        _collect(o, p, k, reading, turned, numbers)
     return done
 
 
@@ -203,24 +225,22 @@ class Point(NamedTuple):
 
 
 @compiled_inline
-def _close(p, k, numbers):
+def _close(o, p, k, numbers):
     """The open point of bank k as `Point`; the next is empty."""
-    n = p.readings[k]
-    path, sliding, shock, middle = p.path_sum[k] / n, p.sliding_sum[k] / n, p.shock_sum[k] / n, p.time_sum[k] / n
-    place = p.place_sum[k] / n
+    n = o.readings[k]
+    path, sliding, shock, middle = o.path[k] / n, o.sliding[k] / n, o.shock[k] / n, o.time[k] / n
+    place = o.place[k] / n
     point = Point(
-        n, min(max(p.slip[k] / p.slip_weight[k], -0.5), 0.97), 1.0 / p.slip_weight[k],
-        min(max(p.sinkage[k] / p.sinkage_weight[k], 1e-3 * numbers.radius), 1.9 * numbers.radius),
-        1.0 / p.sinkage_weight[k], p.pull[k] / p.pull_weight[k], 1.0 / p.pull_weight[k],
-        p.torque[k] / p.torque_weight[k], 1.0 / p.torque_weight[k], p.load[k] / p.load_weight[k],
-        1.0 / p.load_weight[k], math.cos(min(max(p.pitch[k] / n, -1.5), 1.5)), p.first_place[k] + place,
-        math.sqrt(max(p.place_square[k] / n - place * place, 0.0)),
+        n, min(max(o.slip[k] / o.slip_weight[k], -0.5), 0.97), 1.0 / o.slip_weight[k],
+        min(max(o.sinkage[k] / o.sinkage_weight[k], 1e-3 * numbers.radius), 1.9 * numbers.radius),
+        1.0 / o.sinkage_weight[k], o.pull[k] / o.pull_weight[k], 1.0 / o.pull_weight[k],
+        o.torque[k] / o.torque_weight[k], 1.0 / o.torque_weight[k], o.load[k] / o.load_weight[k],
+        1.0 / o.load_weight[k], math.cos(min(max(o.pitch[k] / n, -1.5), 1.5)), o.first_place[k] + place,
+        math.sqrt(max(o.place_square[k] / n - place * place, 0.0)),
         path - p.path_at[k], sliding - p.sliding_at[k], shock - p.shock_at[k], middle - p.time_at[k],
     )  # fmt: skip
     p.path_at[k], p.sliding_at[k], p.shock_at[k], p.time_at[k] = path, sliding, shock, middle
-    p.slip[k] = p.slip_weight[k] = p.sinkage[k] = p.sinkage_weight[k] = p.pull[k] = p.pull_weight[k] = 0.0
-    p.torque[k] = p.torque_weight[k] = p.load[k] = p.load_weight[k] = p.pitch[k] = p.length[k] = p.readings[k] = 0.0
-    p.path_sum[k] = p.sliding_sum[k] = p.shock_sum[k] = p.time_sum[k] = p.place_sum[k] = p.place_square[k] = 0.0
+    zero_column(o, k)
     return point
 
 
@@ -246,11 +266,23 @@ def _short(numbers):
 
 
 @compiled_inline
-def _complete(banks, k, numbers):
-    """Close the open point, see whether a border begins or ends with it, and renew bank k by it."""
+def _doubt_soil_or_laws(banks, k, numbers):
+    """Begin another soil, or a form error of the laws, where the last points contradict the soil so far."""
     p = banks.point
-    first = p.first_place[k]
-    point, begun = _close(p, k, numbers), p.mass[k] > 0.0
+    if p.misfit[k] <= _ANOTHER_SOIL or p.points[k] <= 2.0 or p.crossing[k] > 0.0:
+        return
+    if p.points[k] > _short(numbers):
+        cross_here(banks, k, numbers)
+    elif p.misfit[k] > CONTRADICTION_OF_POINTS:
+        p.misfit[k], p.flagged[k] = 0.0, 1.0
+        p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
+
+
+@compiled_inline
+def _complete(banks, k, numbers):
+    """Close the open point, begin or end a border with it, and renew bank k by it."""
+    p, first = banks.point, banks.open.first_place[k]
+    point, begun = _close(banks.open, p, k, numbers), p.mass[k] > 0.0
     load = _weigh(p, k, point, numbers)
     if not begun:
         unsure = _SINKAGE_DOUBT * numbers.radius
@@ -258,12 +290,7 @@ def _complete(banks, k, numbers):
     if p.crossing[k] == 0.0:
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
             cross_where_the_grade_changes(banks, k, numbers)
-        if p.misfit[k] > _ANOTHER_SOIL and p.points[k] > 2.0 and p.crossing[k] == 0.0:
-            if p.points[k] > _short(numbers):
-                cross_here(banks, k, numbers)
-            elif p.misfit[k] > CONTRADICTION_OF_POINTS:
-                p.misfit[k], p.flagged[k] = 0.0, 1.0
-                p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
+        _doubt_soil_or_laws(banks, k, numbers)
     else:
         follow_border(banks, k, numbers)
         if first > p.border[k] + 0.5 * numbers.border:
@@ -289,14 +316,10 @@ def ground_of(banks, k, share):
 
 
 @compiled_inline
-def _keep(slopes, into, row):
-    to_array(slopes.value, into, row * COUNT)
-    to_array(slopes.by_tangent, into, (row + 1) * COUNT)
-    to_array(slopes.by_cohesion, into, (row + 2) * COUNT)
-    to_array(slopes.by_exponent, into, (row + 3) * COUNT)
-    to_array(slopes.by_ln_K, into, (row + 4) * COUNT)
-    to_array(slopes.by_sinkage, into, (row + 5) * COUNT)
-    to_array(slopes.by_slip, into, (row + 6) * COUNT)
+def _store(slopes, into, row):
+    """Store `Slopes` in lanes, a row a field."""
+    for i in range(_FIELDS):
+        to_array(slopes[i], into, (row + i) * COUNT)
 
 
 @compiled_inline
@@ -309,7 +332,6 @@ def _one(rows, row, lane):
     )  # fmt: skip
 
 
-_PULL, _TORQUE, _LN_S = 0, 7, 14  # rows of `_slopes`
 _HERE = 3  # the lane at the slip of the point
 
 
@@ -328,7 +350,7 @@ _lane_numbers = scratch(COUNT)
 
 @compiled_inline
 def _key(rows, point, load, numbers):
-    """The slip that slip, pull and torque of a point tell together under the soil so far."""
+    """Most likely slip by slip, pull and torque of a point together, under the soil so far."""
     error = _KEY_ERROR * load
     of_pull = 1.0 / (point.pull_variance + error * error)
     of_torque = 1.0 / (point.torque_variance + (error * numbers.radius) ** 2)
@@ -365,42 +387,56 @@ def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     return (tt * a * a - 2.0 * pt * a * b + pp * b * b) / (pp * tt - pt * pt)
 
 
-@compiled_part
-def _renew(banks, k, point, load, numbers):
-    """Renew what is known of the soil and the sinkage of wheel k by a point."""
-    p, s, rows, r = banks.point, banks.sinkage[k], _slopes(), numbers.radius
-    share, by_place = share_here(banks, k, point.place, point.spread, numbers)
-    soil = ground_of(banks, k, share)
-    depth = max(mean(s, DEPTH), 2e-3 * r)
+@compiled_inline
+def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
+    """`Slopes` of pull, torque and ln s at the slips of a point into `rows`; those by the soil into the bank."""
+    p = banks.point
     lanes = GroundSoil(fill(soil.tangent), fill(soil.cohesion), fill(soil.exponent), fill(soil.ln_K))
-    found = reaction(lanes, fill(depth), _slips(point), load, r, numbers.width)
-    _keep(found.pull, rows, _PULL)
-    _keep(found.torque, rows, _TORQUE)
-    _keep(found.ln_s, rows, _LN_S)
+    found = reaction(lanes, fill(depth), _slips(point), load, numbers.radius, numbers.width)
+    _store(found.pull, rows, _PULL)
+    _store(found.torque, rows, _TORQUE)
+    _store(found.ln_s, rows, _LN_S)
     of_s = _one(rows, _LN_S, _HERE)
     p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_ln_K[k] = of_s.by_tangent, of_s.by_cohesion, of_s.by_ln_K
     p.ln_s_exponent[k] = of_s.by_exponent + math.log(depth)
-    ground = Ground(of_s.value, depth, of_s.by_sinkage * depth, soil.exponent, share, by_place, p.border_variance[k])
+    return of_s
+
+
+@compiled_inline
+def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numbers):
+    """Add a point to the traction curve: (bin that changed, bin that another took the place of, or -1)."""
+    p, new = banks.point, new_point()
+    new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
+    new[SINKAGE], new[SINKAGE_WEIGHT] = sinkage, 1.0 / variance
+    new[PULL], new[PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
+    new[TORQUE], new[TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
+    new[LOAD], new[PLACE], new[SPREAD], new[KEY] = load, point.place, point.spread, key
+    new[ON_BORDER] = 1.0 if on_border else 0.0
+    count, changed, replaced = add(banks.bins[k], int(p.bins[k]), new, numbers.border)
+    if replaced >= 0 or count > int(p.bins[k]):
+        begin_bin(banks, k, replaced if replaced >= 0 else changed, key)
+    p.bins[k], p.points[k] = count, p.points[k] + 1.0
+    return changed, replaced
+
+
+@compiled_part
+def _renew(banks, k, point, load, numbers):
+    """Renew soil and sinkage of wheel k by a point."""
+    p, s, rows, least = banks.point, banks.sinkage[k], _slopes(), 2e-3 * numbers.radius
+    share, by_place = share_here(banks, k, point.place, point.spread, numbers)
+    soil, before = ground_of(banks, k, share), max(mean(s, DEPTH), least)
+    of_s = _predict_forces(banks, k, soil, before, point, load, rows, numbers)
+    ground = Ground(of_s.value, before, of_s.by_sinkage * before, soil.exponent, share, by_place, p.border_variance[k])
     motion = Motion(point.path, point.sliding, point.shock, point.time, point.sinkage, point.sinkage_variance)
     of_sinkage = follow(banks, k, ground, motion, numbers)
-    after, variance = max(mean(s, DEPTH), 2e-3 * r), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
+    after, variance = max(mean(s, DEPTH), least), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
     if p.points[k] > 0.0 and p.crossing[k] == 0.0:
-        surprise = _surprise(banks, k, rows, point, load, after - depth, variance, numbers)
+        surprise = _surprise(banks, k, rows, point, load, after - before, variance, numbers)
         if p.points[k] > _short(numbers):
             surprise += min(_OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), _MOST_OF_SINKAGE)
         p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED, 0.0)
-    new = new_point()
-    new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
-    new[SINKAGE], new[SINKAGE_WEIGHT] = after, 1.0 / variance
-    new[PULL], new[PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
-    new[TORQUE], new[TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
-    new[LOAD], new[PLACE], new[SPREAD] = load, point.place, point.spread
-    new[KEY] = _key(rows, point, load, numbers)
-    new[ON_BORDER] = 1.0 if share < 0.999 else 0.0
-    count, changed, replaced = add(banks.bins[k], int(p.bins[k]), new, numbers.border)
-    if replaced >= 0 or count > int(p.bins[k]):
-        begin_bin(banks, k, replaced if replaced >= 0 else changed, new[KEY])
-    p.bins[k], p.points[k] = count, p.points[k] + 1.0
+    key = _key(rows, point, load, numbers)
+    changed, replaced = _add_to_curve(banks, k, point, load, after, variance, key, share < 0.999, numbers)
     if p.same[k] == 0.0:
         renew_prior(banks, k, numbers)
     _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers)

@@ -1,4 +1,4 @@
-"""Memory of the filter (`filter`), and what it takes from a scenario."""
+"""Memory of the filter (`filter`), and the numbers that it takes from a scenario."""
 
 from __future__ import annotations
 
@@ -20,14 +20,18 @@ from soil_env.parameters import Scenario
 from soil_env.readings import sensor_noise
 
 CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
+#: Sums over the readings of the point that is still open; a weighted sum beside its weights.
+OpenPoint: type[Rows] = rows(
+    "OpenPoint",
+    "readings", "slip", "slip_weight", "sinkage", "sinkage_weight", "pull", "pull_weight", "torque", "torque_weight",
+    "load", "load_weight", "pitch", "place", "place_square", "path", "sliding", "shock", "time",
+    "length",  # [m] travelled
+    "first_slip", "first_rim", "first_place",  # of its first reading
+)  # fmt: skip
 #: Scalars of each wheel.
 FilterPoint: type[Rows] = rows(
     "FilterPoint",
-    # the open point: readings, sums over them (of a quantity with weights, and of these) and where it begins
-    "readings", "slip", "slip_weight", "sinkage", "sinkage_weight", "pull", "pull_weight", "torque", "torque_weight",
-    "load", "load_weight", "pitch", "place_sum", "place_square", "path_sum", "sliding_sum", "shock_sum", "time_sum",
-    "length", "first_slip", "first_rim", "first_place",
-    # clocks: integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l; time [s]; and what they were at the last point
+    # clocks: integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l; time [s]; and their values at the last point
     "path", "sliding", "shock", "time", "path_at", "sliding_at", "shock_at", "time_at",
     "last_speed", "last_rim",
     "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; ground beyond or before is fresh
@@ -38,9 +42,10 @@ FilterPoint: type[Rows] = rows(
     "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
     "pull_share", "pull_by_share",  # on a border: share of the new soil where the pull was renewed; its derivative
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
-    # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]; 1 if forces told
-    # of it, 1 if anything but the grade did
-    "crossing", "border", "border_variance", "rise", "by_forces", "told",
+    # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]
+    "crossing", "border", "border_variance", "rise",
+    "by_forces",  # 1 if the forces have found it
+    "fixed",  # 1 if the forces or another wheel have found it: the grade does not move its place
     "next_share", "next_square",  # mean and mean square of the share of a soil that may begin here
     "grade", "grades",  # [rad] of this soil; readings of it
     "nearest",  # [m] first of the places of a border that are tested
@@ -52,11 +57,12 @@ class FilterBanks(NamedTuple):
     """Memory of many filters, a row a wheel; eight numbers, one a node or one a filter of the sinkage, lie side by
     side."""
 
+    open: Rows  # OpenPoint
     point: Rows  # FilterPoint
     nodes: np.ndarray  # [wheels, NODE_ROWS x 8] `soil_nodes`
     bins: np.ndarray  # [wheels, (BINS + 1) x FIELDS] `curve`
     fits: np.ndarray  # [wheels, BINS x FIT_ROWS x 8] `curve_fit`
-    known: np.ndarray  # [wheels, 2 x GAUSSIAN] what the forces tell of the new and the old soil
+    known: np.ndarray  # [wheels, 2 x GAUSSIAN] Gaussians of the new and the old soil, by the forces
     prior: np.ndarray  # [wheels, PRIOR_SIZE] `soil_nodes`
     old_prior: np.ndarray  # [wheels, PRIOR_SIZE]
     sinkage: np.ndarray  # [wheels, SINKAGE_ROWS x 8] `sinkage_filter`
@@ -65,7 +71,7 @@ class FilterBanks(NamedTuple):
 
 
 class FilterNumbers(NamedTuple):
-    """What the filter takes from a `Scenario`."""
+    """Numbers of a `Scenario` that the filter needs."""
 
     radius: float
     width: float
@@ -106,23 +112,16 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
 
 def new_banks(wheels: int) -> FilterBanks:
     """Empty banks; `restart` sets one to the prior."""
-    return FilterBanks(
-        FilterPoint(wheels),
-        np.zeros((wheels, NODE_ROWS * COUNT)),
-        np.zeros((wheels, (BINS + 1) * FIELDS)),
-        np.zeros((wheels, BINS * FIT_ROWS * COUNT)),
-        np.zeros((wheels, 2 * GAUSSIAN)),
-        np.zeros((wheels, PRIOR_SIZE)),
-        np.zeros((wheels, PRIOR_SIZE)),
-        np.zeros((wheels, SINKAGE_ROWS * COUNT)),
-        np.zeros((wheels, COUNT)),
-        np.zeros((wheels, 2 * CANDIDATES)),
-    )
+    sizes = (
+        NODE_ROWS * COUNT, (BINS + 1) * FIELDS, BINS * FIT_ROWS * COUNT, 2 * GAUSSIAN, PRIOR_SIZE, PRIOR_SIZE,
+        SINKAGE_ROWS * COUNT, COUNT, 2 * CANDIDATES,
+    )  # fmt: skip
+    return FilterBanks(OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes))
 
 
 @compiled_inline
 def fetch_bank(banks, k):
-    """Bring what a point needs into the cache: with many wheels it is elsewhere."""
+    """Bring the memory that a point needs into the cache: with many wheels it is elsewhere."""
     for i in range(0, NODE_ROWS * COUNT, COUNT):
         fetch(banks.nodes[k], i)
     for i in range(0, int(banks.point.bins[k]) * FIT_ROWS * COUNT, COUNT):
@@ -134,6 +133,7 @@ def fetch_bank(banks, k):
 @compiled_part
 def restart(banks, k, numbers):
     """Set bank k back to its prior: nothing known of mass and sinkage either."""
+    zero_column(banks.open, k)
     zero_column(banks.point, k)
     banks.candidates[k, :] = 0.0
     banks.sinkage[k, :] = 0.0

@@ -32,7 +32,7 @@ _OF_PRESSURE, _OF_GAIN = (0.03, 0.65), (0.2, 1.5)
 def _of_forces(banks, k, share, by_place, prior, out):
     """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border.
 
-    Where the grade has not told of a border yet, of that with the `prior` as far as it may be on one.
+    Away from borders it is a blend with the `prior`, as far as the grade makes a next soil likely.
     """
     known = banks.known[k]
     if share >= 1.0:
@@ -59,80 +59,92 @@ def _of_forces(banks, k, share, by_place, prior, out):
             out[n] = w * w * known[n] + v * v * known[OLD + n] + spread * apart * (known[j] - known[OLD + j])
 
 
-@compiled_part
-def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
-    """Of the soil under the wheel: mean [5], standard deviations [5], covariance [5, 5] of (phi, ln K, ln S, c, ln g).
+@compiled_inline
+def _publish_forces(g, slopes, of_load, along, estimate, covariance):
+    """Mean and covariance of (phi, ln K, c) from the Gaussian `g` by the forces; variance of ln(s z^n) by them.
 
-    And, if `anew`, `pull` [2]: best drawbar pull of the load and its standard deviation.
-
-    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage. What is not known
-    of the load scales all strengths.
+    `along` [SOIL]: covariance of the unknowns with ln(s z^n), whose derivatives are `slopes` [SOIL]. `of_load`:
+    relative variance of the load, which scales all strengths.
     """
-    p, g = banks.point, _ground()
-    share, by_place = share_here(banks, k, p.place[k], 0.0, numbers)
-    _of_forces(banks, k, share, by_place, numbers.prior.forces, g)
     tangent, c = g[_TANGENT], SOIL
     rate = 1.0 / (1.0 + tangent * tangent)
-    estimate[PHI], estimate[LN_K], estimate[COHESION] = (
-        math.atan(max(tangent, _LEAST_TANGENT)),
-        g[_LN_K],
-        max(g[_C], 0.0),
-    )
-    of_load = p.mass_variance[k] / max(p.mass[k] * p.mass[k], 1e-300)
+    estimate[PHI], estimate[LN_K] = math.atan(max(tangent, _LEAST_TANGENT)), g[_LN_K]
+    estimate[COHESION] = max(g[_C], 0.0)
     covariance[PHI, PHI] = rate * rate * (g[c] + of_load * tangent * tangent)
     covariance[COHESION, PHI] = rate * (g[c + 1] + of_load * tangent * g[_C])
     covariance[COHESION, COHESION] = g[c + 2] + of_load * g[_C] * g[_C]
     covariance[LN_K, PHI], covariance[COHESION, LN_K] = rate * g[c + 6], g[c + 7]
     covariance[LN_K, LN_K] = g[c + 9]
-    slopes, along = (p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_exponent[k], p.ln_s_ln_K[k]), _product()
     variance = 0.0
     for i in range(SOIL):
         along[i] = 0.0
         for j in range(SOIL):
             along[i] += g[c + below_diagonal(max(i, j), min(i, j))] * slopes[j]
         variance += along[i] * slopes[i]
-    y, gain, yy, yg, gg = _of_sinkage(banks.sinkage[k], share, by_place * by_place * p.border_variance[k])
-    if share >= 1.0 and p.next_square[k] > 0.0:
-        prior, m, q = numbers.prior, p.next_share[k], p.next_square[k]
-        off, lag = prior.sinkage[0] - y, prior.sinkage[1] - gain
-        y, gain = y + m * off, gain + m * lag
-        left, apart = 1.0 - 2.0 * m + q, q - m * m
-        yy = left * yy + q * prior.sinkage_covariance[0] + apart * off * off
-        yg = left * yg + q * prior.sinkage_covariance[1] + apart * off * lag
-        gg = left * gg + q * prior.sinkage_covariance[3] + apart * lag * lag
-    depth = p.bearing[k] if p.bearing[k] > 1e-6 else numbers.depth
-    n, bearing = g[_N], math.log(depth)
-    pressure = y + n * (bearing - math.log(numbers.depth))
-    estimate[LN_S] = pressure - numbers.exponent * bearing
-    estimate[LN_GAIN] = gain
-    covariance[LN_S, LN_S], covariance[LN_GAIN, LN_S], covariance[LN_GAIN, LN_GAIN] = yy + variance + of_load, yg, gg
     covariance[LN_S, PHI], covariance[LN_S, LN_K] = rate * (along[_TANGENT] + of_load * tangent), along[_LN_K]
     covariance[COHESION, LN_S] = along[_C] + of_load * g[_C]
-    for i in range(LN_GAIN):
-        if i != LN_S:
-            covariance[LN_GAIN, i] = 0.0
-    of_exponent, doubt = (
-        g[c + 5],
-        (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (_CONTRADICTED if p.flagged[k] > 0.0 else 1.0),
-    )
-    covariance[LN_S, LN_S] += _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
-    covariance[LN_GAIN, LN_GAIN] += _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
-    widths = numbers.prior.widths
+    return variance
+
+
+@compiled_inline
+def _with_next_soil(found, prior, m, q):
+    """`_of_sinkage` of ground that is of a next soil by a share of mean m and mean square q."""
+    y, gain, yy, yg, gg = found
+    off, lag = prior.sinkage[0] - y, prior.sinkage[1] - gain
+    y, gain = y + m * off, gain + m * lag
+    left, apart = 1.0 - 2.0 * m + q, q - m * m
+    yy = left * yy + q * prior.sinkage_covariance[0] + apart * off * off
+    yg = left * yg + q * prior.sinkage_covariance[1] + apart * off * lag
+    gg = left * gg + q * prior.sinkage_covariance[3] + apart * lag * lag
+    return y, gain, yy, yg, gg
+
+
+@compiled_inline
+def _widen(doubt, widths, covariance, sd):
+    """Scale the lower triangle of the covariance by `doubt` and `widths` [5], mirror it, and fill `sd` [5]."""
     for i in range(PUBLISHED):
         for j in range(i + 1):
             covariance[i, j] *= doubt * doubt * widths[i] * widths[j]
             covariance[j, i] = covariance[i, j]
         sd[i] = math.sqrt(max(covariance[i, i], _LEAST_VARIANCE))
+
+
+@compiled_part
+def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
+    """Estimate of the ground under the wheel: mean [5], sd [5] and covariance [5, 5] of (phi, ln K, ln S, c, ln g).
+
+    `pull` [2], best drawbar pull of the load and its sd, is computed `anew` or follows the share of the new soil.
+    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
+    """
+    p, g, along, prior = banks.point, _ground(), _product(), numbers.prior
+    share, by_place = share_here(banks, k, p.place[k], 0.0, numbers)
+    _of_forces(banks, k, share, by_place, prior.forces, g)
+    slopes = (p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_exponent[k], p.ln_s_ln_K[k])
+    of_load = p.mass_variance[k] / max(p.mass[k] * p.mass[k], 1e-300)
+    variance = _publish_forces(g, slopes, of_load, along, estimate, covariance)
+    found = _of_sinkage(banks.sinkage[k], share, by_place * by_place * p.border_variance[k])
+    if share >= 1.0 and p.next_square[k] > 0.0:
+        found = _with_next_soil(found, prior, p.next_share[k], p.next_square[k])
+    y, gain, yy, yg, gg = found
+    depth = p.bearing[k] if p.bearing[k] > 1e-6 else numbers.depth
+    bearing, of_exponent = math.log(depth), g[SOIL + 5]
+    pressure = y + g[_N] * (bearing - math.log(numbers.depth))
+    estimate[LN_S], estimate[LN_GAIN] = pressure - numbers.exponent * bearing, gain
+    covariance[LN_S, LN_S] = yy + variance + of_load + _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
+    covariance[LN_GAIN, LN_GAIN] = gg + _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
+    covariance[LN_GAIN, PHI] = covariance[LN_GAIN, LN_K] = covariance[LN_GAIN, COHESION] = 0.0
+    covariance[LN_GAIN, LN_S] = yg
+    doubt = (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (_CONTRADICTED if p.flagged[k] > 0.0 else 1.0)
+    _widen(doubt, prior.widths, covariance, sd)
     if anew:
-        load = p.mass[k] * numbers.gravity
-        along = _change()
-        _across(banks, k, share, along)
+        load, across = p.mass[k] * numbers.gravity, _change()
+        _across(banks, k, share, across)
         pull[0], of_pull, p.pull_by_share[k] = best_pull(
-            banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, along, numbers
+            banks.steady[k], g, slopes, pressure, gain, (yy, yg, gg), depth, load, across, numbers
         )
-        p.pull_share[k] = share
         away = _AWAY * p.form_error[k]
         pull[1] = OF_PULL * doubt * math.sqrt(max(of_pull + away * away, _LEAST_VARIANCE))
+        p.pull_share[k] = share
     elif share < 1.0:
         pull[0] += p.pull_by_share[k] * (share - p.pull_share[k])
         p.pull_share[k] = share
@@ -156,11 +168,8 @@ def _of_sinkage(s, share, place):
     """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
     w, own = share, weights(s)
     y, gain = from_array(s, PRESSURE * COUNT), from_array(s, GAIN * COUNT)
-    yy, yg, gg = (
-        from_array(s, cell(PRESSURE, PRESSURE)),
-        from_array(s, cell(GAIN, PRESSURE)),
-        from_array(s, cell(GAIN, GAIN)),
-    )
+    yy, yg = from_array(s, cell(PRESSURE, PRESSURE)), from_array(s, cell(GAIN, PRESSURE))
+    gg = from_array(s, cell(GAIN, GAIN))
     if share < 1.0:
         v = 1.0 - w
         old_y, old_gain = from_array(s, OLD_PRESSURE * COUNT), from_array(s, OLD_GAIN * COUNT)
@@ -169,11 +178,8 @@ def _of_sinkage(s, share, place):
         yg = (w * a) * yg + (v * b) * from_array(s, cell(OLD_GAIN, OLD_PRESSURE))
         yy = (w * w) * yy + (v * v) * from_array(s, cell(OLD_PRESSURE, OLD_PRESSURE))
         yy = yy + (2.0 * v * w) * from_array(s, cell(OLD_PRESSURE, PRESSURE))
-        gg = (
-            a * a * gg
-            + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN))
-            + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
-        )
+        gg = a * a * gg + b * b * from_array(s, cell(OLD_GAIN, OLD_GAIN))
+        gg = gg + 2.0 * a * b * from_array(s, cell(OLD_GAIN, GAIN))
         apart, faster = y - old_y, gain - old_gain
         yy = yy + place * apart * apart
         yg = yg + place * apart * faster

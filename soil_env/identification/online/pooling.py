@@ -1,11 +1,10 @@
-"""What several wheels of a rover that run over the same ground know of it together.
+"""Joint knowledge of the wheels of a rover that run over the same ground.
 
-Each wheel has a filter of its own (`filter`), which finds borders by itself; here they learn of each other. The soil
-between two borders is a stretch (`stretches`). Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, so
-that one further ahead tells those behind
+Each wheel has a filter of its own (`filter`), which finds borders by itself. The soil between two borders is a stretch
+(`stretches`). Of each stretch a wheel keeps its estimate of (phi, ln K, c), so that those behind receive
 
-- where a border is: their filters begin with the new soil there (`border.begin_told`), and do not take it for the old;
-- what the soil is. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior (m_p, P_p), which
+- the place of a border: their filters begin with the new soil there (`border.begin_known_border`);
+- the soil. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior (m_p, P_p), which
   both have counted, the own posterior (m, P) becomes
 
       P'^-1 = P^-1 + P_o^-1 - P_p^-1,    P'^-1 m' = P^-1 m + P_o^-1 m_o - P_p^-1 m_p,
@@ -39,8 +38,8 @@ from soil_env.identification.online.stretches import (
     UNKNOWNS,
     WHICH,
     copy_belief,
+    hand_over_border,
     take_own,
-    tell,
 )
 from soil_env.terramechanics.ground import share_of_next
 
@@ -54,7 +53,7 @@ _NEARLY = 0.999  # share of the prior's information that a posterior must exceed
 _LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
 _old, _new, _ground = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
-_gain, _prior = scratch(BELIEF), scratch(BELIEF)
+_gain, _prior, _rest = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
 _posterior, _product = scratch(UNKNOWNS * UNKNOWNS), scratch(UNKNOWNS)
 
 
@@ -71,7 +70,7 @@ def _soil_at(pools, first, x):
 
 @compiled_inline
 def _find(pools, o, k, soil, numbers, belief):
-    """What wheel o knows of the soil that lies from soil[0] to soil[1] [m], by its newest stretch there."""
+    """Store the belief of wheel o on the soil from soil[0] to soil[1] [m], of its newest stretch there; True if any."""
     low, high = soil[0] - numbers.border, soil[1] + numbers.border
     latest = high - 2.0 * numbers.border  # a stretch that begins later is of the next soil
     if pools.crossing[o] == 0.0 and pools.points[o] >= (LAG if o < k else 1) and low <= pools.start[o] < latest:
@@ -87,20 +86,35 @@ def _find(pools, o, k, soil, numbers, belief):
 
 
 @compiled_inline
-def _information(belief, shrunk, out):
-    """Inverse of the covariance of a belief times `shrunk`, and that times its mean, into out [12]; False if none."""
-    a, b, c = shrunk * belief[3], shrunk * belief[4], shrunk * belief[5]
-    d, e, f = shrunk * belief[7], shrunk * belief[8], shrunk * belief[11]
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * A + b * B + c * C
+def _at(i, j):
+    """Offset of element (i, j) of the matrix of a belief, or of information [12]."""
+    return SHARED * (i + 1) + j
+
+
+@compiled_inline
+def _cofactor(belief, i, j):
+    """Cofactor (i, j) of the matrix [3, 3] of a belief."""
+    r, s, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    return belief[_at(r, c)] * belief[_at(s, d)] - belief[_at(r, d)] * belief[_at(s, c)]
+
+
+@compiled_inline
+def _determinant(belief):
+    first, second = belief[3] * _cofactor(belief, 0, 0), belief[4] * _cofactor(belief, 0, 1)
+    return first + second + belief[5] * _cofactor(belief, 0, 2)
+
+
+@compiled_inline
+def _information(belief, out):
+    """Inverse of the covariance of a belief, and that times its mean, into out [12]; False if singular."""
+    det = _determinant(belief)
     if not det > 0.0:
         return False
-    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
-    out[3], out[4], out[5], out[6], out[7], out[8] = A / det, B / det, C / det, B / det, D / det, E / det
-    out[9], out[10], out[11] = C / det, E / det, F / det
     for i in range(SHARED):
-        j = SHARED * (i + 1)
-        out[i] = out[j] * belief[0] + out[j + 1] * belief[1] + out[j + 2] * belief[2]
+        out[i] = 0.0
+        for j in range(SHARED):
+            out[_at(i, j)] = _cofactor(belief, i, j) / det
+            out[i] += out[_at(i, j)] * belief[j]
     return True
 
 
@@ -123,20 +137,22 @@ def _read(mean, P, first, column1, column2, value, precision):
 
 
 @compiled_inline
-def _is_positive(g, prior, share):
-    """Whether information g [12] less a share of the prior's is positive definite."""
-    a, b, c = g[3] - share * prior[3], g[4] - share * prior[4], g[5] - share * prior[5]
-    d, e, f = g[7] - share * prior[7], g[8] - share * prior[8], g[11] - share * prior[11]
-    minor = a * d - b * b
-    return a > 0.0 and minor > 0.0 and f * minor - a * e * e + 2.0 * b * c * e - c * c * d > 0.0
+def _is_positive(g, prior, share, rest):
+    """True if information g [12] less a share of the prior's is positive definite; `rest` [12] is scratch."""
+    for i in range(SHARED, BELIEF):
+        rest[i] = g[i] - share * prior[i]
+    return rest[3] > 0.0 and _cofactor(rest, 2, 2) > 0.0 and _determinant(rest) > 0.0
 
 
 @compiled_inline
-def _less_the_prior(g, prior):
-    """Take the prior's information out of g [12]; half, a quarter ... of it, where a posterior is wider than the prior
-    in some direction, as those of mixtures and of nonlinear models may be."""
-    share = 1.0
-    while share > _LEAST_SHARE and not _is_positive(g, prior, _NEARLY * share):
+def _remove_prior(g, prior):
+    """Subtract the prior's information from g [12] in place.
+
+    Half of it, a quarter ..., where the posterior is wider than the prior in some direction, as those of mixtures and
+    of nonlinear models may be.
+    """
+    share, rest = 1.0, _rest()
+    while share > _LEAST_SHARE and not _is_positive(g, prior, _NEARLY * share, rest):
         share *= 0.5
     share = share if share > _LEAST_SHARE else 0.0
     for i in range(BELIEF):
@@ -145,26 +161,31 @@ def _less_the_prior(g, prior):
 
 @compiled_inline
 def _absorb(mean, P, g):
-    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D."""
-    d, e, f = g[7], g[8], g[11]
-    y1, y2 = g[1], g[2]
-    if g[3] > 0.0:
-        l1, l2 = g[4] / g[3], g[5] / g[3]
-        _read(mean, P, 0, l1, l2, g[0] / g[3], g[3])
-        d, e, f = d - l1 * g[4], e - l1 * g[5], f - l2 * g[5]
-        y1, y2 = y1 - l1 * g[0], y2 - l2 * g[0]
-    if d > 0.0:
-        l2 = e / d
-        _read(mean, P, 1, l2, 0.0, y1 / d, d)
-        f, y2 = f - l2 * e, y2 - l2 * y1
-    if f > 0.0:
-        _read(mean, P, 2, 0.0, 0.0, y2 / f, f)
+    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D.
+
+    g is overwritten.
+    """
+    for i in range(SHARED):
+        row = SHARED * (i + 1)
+        d = g[row + i]
+        if d > 0.0:
+            one = g[row + i + 1] / d if i < 2 else 0.0
+            two = g[row + i + 2] / d if i < 1 else 0.0
+            _read(mean, P, i, one, two, g[i] / d, d)
+            for j in range(i + 1, SHARED):
+                share = g[row + j] / d
+                g[j] -= share * g[i]
+                for m in range(j, SHARED):
+                    g[SHARED * (j + 1) + m] -= share * g[row + m]
 
 
 @compiled_inline
 def _known_by(pools, o, k, first, numbers, ground):
-    """Into `ground` what wheel o knows of the ground under wheel k; whether that is anything, and by how much more the
-    prior knows of the ground than of one soil: on a border it is a blend of two."""
+    """Store the belief of wheel o on the ground under wheel k into `ground`.
+
+    Returns (True if there is one, covariance of the prior of this ground over that of one soil): on a border the ground
+    is a blend of two soils.
+    """
     x, length, old, new = pools.place[k], numbers.border, _old(), _new()
     here = _soil_at(pools, first, x)
     if pools.crossing[k] > 0.0:
@@ -193,7 +214,7 @@ def _disagreement(mean, P, belief, both):
             n = SHARED * (i + 1) + j
             both[n] = belief[n] + P[UNKNOWNS * WHICH[i] + WHICH[j]]
     d0, d1, d2, inverse = both[0], both[1], both[2], _new()
-    if not _information(both, 1.0, inverse):
+    if not _information(both, inverse):
         return 1.0
     return (d0 * inverse[0] + d1 * inverse[1] + d2 * inverse[2]) / SHARED
 
@@ -213,14 +234,16 @@ def pool(pools, ids, k, first, axles, numbers):
         if o == k:
             continue
         known, spread = _known_by(pools, o, k, first, numbers, ground)
-        if known and _information(ground, 1.0, gain) and _information(numbers.prior, spread, prior):
+        if known and _information(ground, gain) and _information(numbers.prior, prior):
+            for i in range(BELIEF):
+                prior[i] /= spread
             apart = _disagreement(mean, P, ground, _old())
             if apart > 1.0:
                 for i in range(UNKNOWNS * UNKNOWNS):
                     P[i] *= apart
             else:
                 apart = 1.0
-            _less_the_prior(gain, prior)
+            _remove_prior(gain, prior)
             for i in range(BELIEF):
                 gain[i] /= apart
             _absorb(mean, P, gain)
@@ -236,7 +259,7 @@ def pool(pools, ids, k, first, axles, numbers):
 
 @compiled_inline
 def share(pools, ids, first, axles, outcome, numbers, identifier):
-    """After a set of readings of each wheel of a rover, and `note` of each: let them tell each other what they know.
+    """Exchange the knowledge of the wheels of a rover, after a set of readings and `note` of each.
 
     `first`: row of the front wheel; `outcome`: the furthest of `observe` of its wheels. Where no filter was renewed,
     only wheels on a border are on other ground than before.
@@ -244,7 +267,7 @@ def share(pools, ids, first, axles, outcome, numbers, identifier):
     if outcome == HELD:
         return
     for a in range(1, axles):
-        tell(pools, ids, first + a * COUNT, first, numbers, identifier)
+        hand_over_border(pools, ids, first + a * COUNT, first, numbers, identifier)
     for a in range(axles):
         if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
             pool(pools, ids, first + a * COUNT, first, axles, numbers)

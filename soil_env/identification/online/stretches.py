@@ -1,8 +1,8 @@
-"""The stretches of one soil that the wheels of a rover have run over, and what each knew of them.
+"""Stretches of one soil that the wheels of a rover have run over, with the estimate of each wheel.
 
-The soil between two borders is a stretch. Of each a wheel keeps what it knew of (phi, ln K, c) when it left it, for the
-wheels that come after it (`pooling`), and these are told where the wheel ahead has found a border: their filters begin
-with the new soil there (`border.begin_told`), and do not first take it for the old.
+The soil between two borders is a stretch. When it leaves one, a wheel keeps its estimate of (phi, ln K, c) for the
+wheels that come after it (`pooling`). These also receive the border that the front wheel has found: their filters begin
+with the new soil there (`border.begin_known_border`), and do not first take it for the old.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online.border import begin_told
+from soil_env.identification.online.border import begin_known_border
 from soil_env.identification.online.identifier import RENEWED, IdentifierNumbers, identifier_numbers
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
 from soil_env.identification.online.status import Status
@@ -58,7 +58,7 @@ class Pools(NamedTuple):
 
 
 class PoolNumbers(NamedTuple):
-    """What `share` takes from a `Scenario`."""
+    """Numbers of a `Scenario` that `pooling.share` needs."""
 
     prior: np.ndarray  # [12] belief before any reading
     sd: np.ndarray  # [5] of it
@@ -103,7 +103,7 @@ def forget_stretches(pools, ids, k):
 
 @compiled_inline
 def take_own(pools, ids, k):
-    """What wheel k knows by its own filter, as what is pooled of the ground under it."""
+    """Set the pooled estimate of wheel k to that of its own filter."""
     for i in range(UNKNOWNS):
         pools.estimate[k, i], pools.sd[k, i] = ids.estimate[k, i], ids.sd[k, i]
     pools.best_pull[k, 0], pools.best_pull[k, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]
@@ -128,7 +128,7 @@ def copy_belief(source, target):
 
 @compiled_inline
 def _leave(pools, k, end):
-    """Wheel k has come to the end of a stretch [m]."""
+    """Store the stretch that wheel k leaves at `end` [m]."""
     if pools.left[k] == STRETCHES:
         for s in range(STRETCHES - 1):
             pools.begins[k, s], pools.ends[k, s] = pools.begins[k, s + 1], pools.ends[k, s + 1]
@@ -148,7 +148,7 @@ def _leave(pools, k, end):
 def note(pools, ids, k, x, outcome, in_rut, numbers):
     """Follow the filter of wheel k at x [m] over stretches and borders; `outcome` of its `observe`.
 
-    `in_rut`: whether it runs behind other wheels.
+    `in_rut`: True if it runs behind other wheels.
     """
     p, pools.place[k] = ids.banks.point, x
     if ids.status[k] == _NO_DATA:  # as at the start, and where the filter has just begun anew
@@ -172,7 +172,7 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
 
 
 @compiled_inline
-def tell(pools, ids, k, first, numbers, identifier):
+def hand_over_border(pools, ids, k, first, numbers, identifier):
     """Begin with the new soil where wheel `first` has found a border that wheel k behind it has come to."""
     length, p, x = numbers.border, ids.banks.point, pools.place[k]
     if p.crossing[k] > 0.0 or ids.status[k] == _NO_DATA:
@@ -181,12 +181,12 @@ def tell(pools, ids, k, first, numbers, identifier):
         border = pools.ends[first, s]
         if border > pools.start[k] + length and x > border - 0.5 * length:
             sd = _PLACE_SD * length
-            begin_told(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd)
+            begin_known_border(ids.banks, k, identifier.filter, p.place[k] + border - x, sd * sd)
             return
 
 
 @compiled_inline
 def _loosen(ids, k, numbers):
-    """The floor of a rut has another sinkage coefficient from place to place."""
+    """Widen ln S: the floor of a rut has another sinkage coefficient from place to place."""
     for i in range(cell(PRESSURE, PRESSURE), cell(PRESSURE, PRESSURE) + COUNT):
         ids.banks.sinkage[k, i] += numbers.rut_drift * numbers.rut_drift

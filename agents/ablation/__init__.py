@@ -1,1 +1,0 @@
-"""Does the identifier help? Agents of several variants, trained and compared on several scenarios."""

@@ -1,0 +1,268 @@
+"""A trained agent: its file, and its actions on observations in their units.
+
+The file is a zip of Stable-Baselines3 with one more member, soil_env.json: settings of the network, normalisation and
+names of the observations, and the resolved scenario. Loading reads this member and the weights (torch, weights only).
+The pickles that SB3 keeps beside them are never opened, so loading a file runs no code of it.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import nn
+
+from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env.env import action_space
+from soil_env.parameters import Scenario
+from soil_env.rover_env import rover_action_space
+from soil_env.simulation.rover.task import rover_layout
+from soil_env.simulation.task import ObservedNumber, layout
+from soil_env.simulation.task.scaling import Scaling
+from soil_env.vehicle import RoverScenario
+
+from . import inputs
+from .asymmetric import AsymmetricPolicy
+from .config import NAMES, PPOConfig
+from .history import History
+from .sb3 import privileged
+
+INFO, WEIGHTS, OPTIMIZER = "soil_env.json", "policy.pth", "policy.optimizer.pth"  # members of the zip
+MOST_BYTES = 500_000_000  # of a member, unpacked
+_MOST_TEXT = 50_000_000  # of a JSON member
+
+
+@dataclass(frozen=True)
+class Info(Checked):
+    """Content of soil_env.json."""
+
+    algorithm: Literal["ppo", "recurrent_ppo"]
+    observation: Literal["blind", "identified", "true_soil"]
+    observation_names: tuple[str, ...]
+    ppo: PPOConfig
+    timesteps: int
+    mean: tuple[float, ...]  # of the network's input, history and privileged entries included
+    var: tuple[float, ...]
+    count: float
+    return_mean: float
+    return_var: float
+    return_count: float
+    clip: float = quantity("", 0.0)  # of a normalised input
+    scenario: dict = field(default_factory=dict)  # resolved
+    model: dict = field(default_factory=dict)  # model.yaml of the world of the training; empty: no effects
+
+    @cached_property
+    def task(self) -> Scenario | RoverScenario:
+        """The scenario that the agent was trained on."""
+        kind = RoverScenario if "vehicle" in self.scenario else Scenario
+        return load(kind, self.scenario, "scenario")
+
+    @cached_property
+    def history(self) -> History | None:
+        """Past readings that the network sees, if any."""
+        return History(self.observation_names, self.ppo.history) if self.ppo.history else None
+
+
+def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[ObservedNumber, ...]:
+    """Entries of an observation variant, of a wheel or of a rover."""
+    if isinstance(scenario, RoverScenario):
+        return rover_layout(variant, scenario.axles)
+    return layout(variant, scenario.course)
+
+
+def network(algorithm: str, config: PPOConfig, scenario: Scenario | RoverScenario) -> tuple[type, dict]:
+    """(policy class of SB3 or sb3-contrib, its arguments)."""
+    common = {"log_std_init": config.log_std_init}
+    if algorithm == "recurrent_ppo":
+        policy = contrib().policy_aliases["MlpLstmPolicy"]
+        lstm = {"lstm_hidden_size": config.layer, "shared_lstm": True, "enable_critic_lstm": False}
+        return policy, common | lstm | {"net_arch": [config.layer]}
+    activation = {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation]
+    common |= {"net_arch": [config.layer, config.layer], "activation_fn": activation}
+    if config.critic:
+        return AsymmetricPolicy, common | {"privileged": len(privileged(config.critic, scenario.course))}
+    return ActorCriticPolicy, common
+
+
+def contrib() -> type:
+    """RecurrentPPO of sb3-contrib; ParameterError where it is not installed."""
+    try:
+        from sb3_contrib import RecurrentPPO
+    except ImportError:
+        raise ParameterError("recurrent_ppo: needs sb3-contrib; expected: pip install 'soil_env[recurrent]'") from None
+    return RecurrentPPO
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+
+
+def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
+    """A member of a model's zip, None where the zip has no such member; ParameterError in one line."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if name not in archive.namelist():
+                return None
+            if archive.getinfo(name).file_size > most:
+                raise ParameterError(f"{path}: {name}: too large to be that of a model")
+            return archive.read(name)
+    except ParameterError:
+        raise
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected a model") from None
+    except Exception as error:  # a broken zip fails in a dozen ways
+        raise ParameterError(f"{path}: not a model of Stable-Baselines3 ({one_line(error)})") from None
+
+
+def read_mapping(path: Path, name: str) -> dict | None:
+    """A JSON member of a model's zip as a mapping, None where the zip has no such member."""
+    content = read_member(path, name, _MOST_TEXT)
+    if content is None:
+        return None
+    try:
+        mapping = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise ParameterError(f"{path}: {name}: not a model: expected JSON ({one_line(error)})") from None
+    if not isinstance(mapping, dict):
+        raise ParameterError(f"{path}: {name}: expected a mapping, got {type(mapping).__name__}")
+    return mapping
+
+
+def one_line(error: BaseException) -> str:
+    """The first line of an error's message, not too long."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
+def read_info(path: Path) -> Info:
+    """The checked soil_env.json of a model; ParameterError if the file is missing, broken or of another program."""
+    path = Path(path)
+    mapping = read_mapping(path, INFO)
+    if mapping is None:
+        raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
+    info = load(Info, mapping, f"{path}: {INFO}")
+    try:
+        size = network_scaling(info).space.shape[0] + (info.history.size if info.history else 0)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {INFO}: {error}") from None
+    except ValueError as error:
+        raise ParameterError(f"{path}: trained on another observation layout: {error}") from None
+    check_layout(info, path)
+    for key in ("mean", "var"):
+        values = np.array(getattr(info, key))
+        if values.size != size or not np.isfinite(values).all() or (key == "var" and (values < 0.0).any()):
+            raise ParameterError(f"{path}: {INFO}: {key}: expected {size} finite numbers, not below 0 for var")
+    return info
+
+
+def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
+    """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
+    task = info.task
+    scenario = task if scenario is None else scenario
+    if isinstance(task, RoverScenario) != isinstance(scenario, RoverScenario):
+        own, other = ("rover", "wheel") if isinstance(task, RoverScenario) else ("wheel", "rover")
+        raise ParameterError(f"{where}: an agent of a {own}, for scenario {scenario.name!r} of a {other}")
+    expected, found = [e.name for e in entries_of(scenario, info.observation)], list(info.observation_names)
+    if found != expected:
+        differing = sorted(set(found) ^ set(expected)) or ["their order"]
+        raise ParameterError(
+            f"{where}: trained on another observation layout: {len(found)} numbers, here {info.observation!r} has "
+            f"{len(expected)}; differing: {', '.join(differing)}"
+        )
+
+
+def network_scaling(info: Info) -> Scaling:
+    """Scaling of the entries that the network receives before the history: observation, then privileged entries."""
+    extra: Sequence[ObservedNumber] = privileged(info.ppo.critic, info.task.course) if info.ppo.critic else ()
+    return Scaling((*entries_of(info.task, info.observation), *extra))
+
+
+def load_weights(path: Path, name: str, into) -> None:
+    """Load a member of tensors `into` a module or an optimizer; ParameterError in one line."""
+    try:
+        content = read_member(path, name)
+        if content is None:
+            raise ValueError("it is missing")
+        into.load_state_dict(torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
+    except ParameterError:
+        raise
+    except Exception as error:  # torch has no error class of its own for a broken file
+        raise ParameterError(f"{path}: {name}: cannot be loaded as weights ({one_line(error)})") from None
+
+
+def load_agent(path: str | Path) -> Agent:
+    """Load an agent from its zip or its run folder; ParameterError in one line if it cannot be used."""
+    if not isinstance(path, (str, Path)):
+        raise ParameterError(f"path = {path!r:.60}: expected that of a run folder or of its model.zip")
+    path = Path(path) / "model.zip" if Path(path).is_dir() else Path(path)
+    info = read_info(path)
+    box = network_scaling(info).space
+    box = info.history.space(box) if info.history else box
+    rover = isinstance(info.task, RoverScenario)
+    cls, arguments = network(info.algorithm, info.ppo, info.task)
+    policy = cls(box, rover_action_space(info.task.axles) if rover else action_space(), lambda _: 0.0, **arguments)
+    load_weights(path, WEIGHTS, policy)
+    policy.set_training_mode(False)
+    return Agent(policy, info)
+
+
+# --- its actions ------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Agent:
+    """A trained agent. It takes observations in their units, whatever it was trained on.
+
+    The units are those of the tables of `SoilWheel-v0` and `SoilRover-v0`: an environment made with `scaled=False`
+    observes them, `env.unwrapped.physical(observation)` gives them back where it was not.
+    """
+
+    policy: ActorCriticPolicy
+    info: Info = field(repr=False)
+
+    def __post_init__(self):
+        self.variant, self.timesteps, self.history = self.info.observation, self.info.timesteps, self.info.history
+        self.mean, self.sd = np.array(self.info.mean), np.sqrt(np.array(self.info.var) + 1e-8)
+        self.clip, self.name = self.info.clip, NAMES[self.variant]
+        entries = entries_of(self.info.task, self.variant)
+        self.scaling, self._layout = Scaling(entries), inputs.Layout(entries, self.variant)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions for observations [n, D] or [D] in their units, and the memory for the next call; as SB3's predict.
+
+        `state`: result of the last call for these n courses, None at first. `episode_start` [n] bool: courses that
+        begin, where nothing is remembered.
+
+        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout, and for a `state` or
+        `episode_start` of another size. Most scaled observations have an entry out of these bounds; one that has none
+        cannot be distinguished from values in units and gives a wrong action.
+        """
+        seen = self._layout.observed(observation)
+        batch = self.scaling(np.atleast_2d(seen))
+        count, fresh = len(batch), inputs.starts(episode_start, len(batch), state is None)
+        kept, memory = None, state
+        if self.history is not None:
+            if state is not None and not (isinstance(state, (tuple, list)) and len(state) == 2):
+                raise ParameterError(f"state = {state!r:.60}: expected the pair that the last predict returned")
+            kept, memory = (None, None) if state is None else state
+            shape = count, self.history.kept
+            kept = np.zeros(shape, dtype=np.float32) if kept is None else inputs.memory([kept], [shape])[0]
+            batch, kept = self.history.observe(batch, kept, fresh)
+        if memory is not None and (of_lstm := getattr(self.policy, "lstm_hidden_state_shape", None)):
+            memory = tuple(inputs.memory(memory, [(of_lstm[0], count, of_lstm[2])] * 2))
+        action, memory = self.policy.predict(self._normalised(batch), memory, fresh, inputs.switch(deterministic))
+        return (action[0] if seen.ndim == 1 else action), (memory if kept is None else (kept, memory))
+
+    def _normalised(self, seen: np.ndarray) -> np.ndarray:
+        """Input of the network [n, D'] for scaled observations [n, D]; zeros for the privileged entries."""
+        acting = seen.shape[-1]
+        out = np.zeros((len(seen), len(self.mean)), dtype=np.float32)
+        out[:, :acting] = np.clip((seen - self.mean[:acting]) / self.sd[:acting], -self.clip, self.clip)
+        return out

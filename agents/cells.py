@@ -1,0 +1,279 @@
+"""Resumable work: the folder of a study, one file for each finished cell, and the engines that do the cells.
+
+A study is a list of hashable cells whose results follow from the cell alone. A study that was interrupted or killed
+does the cells whose files are missing, and every engine gives the same results.
+
+An engine takes a picklable function and cells, and yields (cell, result) in the order in which they are done, each cell
+once. A worker that dies loses its cell, which is done again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import socket
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+
+import yaml
+
+import soil_env
+from soil_env._io.files import is_unused, make_folder, replace_file
+from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
+
+from .progress import console
+
+STUDY = "study.yaml"
+ATTEMPTS = 4  # at a cell whose worker has died
+_SINGLE_THREADED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (cell, result)
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of soil_env with a hash of its code and weights and of this package."""
+    here, there = Path(soil_env.__file__).parent, Path(__file__).parent
+    files = [*sorted(here.rglob("*.py")), *sorted(here.rglob("immobilisation.json")), *sorted(there.rglob("*.py"))]
+    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
+
+
+def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
+    """True if `folder` holds this study (a dataclass) already; `ignored` fields may differ. Makes the folder.
+
+    ParameterError where it holds another study or other files.
+    """
+    path = Path(folder) / STUDY
+    if not path.exists():
+        if not is_unused(folder):
+            raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
+        make_folder(folder)
+        return False
+    begun, asked = read_yaml(path), yaml.safe_load(yaml.safe_dump(to_dict(study)))
+    other = [key for key in asked if key not in ignored and begun.get(key) != asked[key]]
+    if other:
+        raise ParameterError(f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out")
+    return True
+
+
+def save_study(study, folder: Path) -> None:
+    """Write the study.yaml of a study."""
+    replace_file(Path(folder) / STUDY, yaml.safe_dump(to_dict(study), sort_keys=False))
+
+
+def load_study(cls, folder: Path):
+    """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of other code."""
+    path = Path(folder) / STUDY
+    if not Path(folder).is_dir():
+        raise ParameterError(f"{path}: no such folder; expected one that a study has written")
+    study = load(cls, read_yaml(path), str(path))
+    if study.version != code_version():
+        raise ParameterError(
+            f"{path}: begun with soil_env {study.version}, this is {code_version()}; give another --out"
+        )
+    return study
+
+
+def cell_file(folder: Path, cell: Hashable) -> Path:
+    """File of a finished cell."""
+    return Path(folder) / "cells" / f"{str(cell).replace('/', '-')}.json"
+
+
+def read_cell(folder: Path, cell: Hashable, parse: Callable):
+    """`parse` of the content of a finished cell; ParameterError where the file is damaged."""
+    path = cell_file(folder, cell)
+    try:
+        return parse(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ParameterError(f"{path}: is damaged ({error}); delete it to have it done again") from None
+
+
+def fill(work: Callable, cells: Iterable, folder: Path, engine: Engine, progress: Callable[[Hashable], None]) -> None:
+    """Do the cells without a file; `progress` receives every finished cell, also those that were there already."""
+    missing = []
+    for cell in cells:
+        if cell_file(folder, cell).is_file():
+            progress(cell)
+        else:
+            missing.append(cell)
+    (Path(folder) / "cells").mkdir(parents=True, exist_ok=True)
+    with contextlib.closing(engine(work, missing)) as results:
+        for cell, content in results:
+            replace_file(cell_file(folder, cell), json.dumps(content, allow_nan=False))
+            progress(cell)
+
+
+# --- engines ----------------------------------------------------------------------------------------------------------
+
+
+def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
+    """The engine of the options of `cli.engine_options`; without `workers`, "local" is this process.
+
+    ParameterError where the options do not fit together, or where there is no Ray or no cluster.
+    """
+    if workers is not None and workers < 1:
+        raise ParameterError(f"--workers {workers}: expected a whole number >= 1")
+    if engine == "ray":
+        if address is not None and workers is not None:
+            raise ParameterError("--workers: only without --address, whose cluster has its own")
+        check_ray(address)
+        return partial(on_ray, address=address, workers=workers)
+    if engine != "local":
+        raise unknown_value(engine, ("local", "ray"), "--engine")
+    if address is not None:
+        raise ParameterError("--address: only with --engine ray")
+    return in_process if workers is None else partial(processes, workers=workers)
+
+
+def in_process(work: Callable, cells: Iterable) -> Iterator[tuple]:
+    """One cell after the other in this process."""
+    for cell in cells:
+        yield cell, work(cell)
+
+
+class _Worker:
+    """State of a worker process."""
+
+    work: Callable
+    busy = False
+
+
+def _begin(work: Callable) -> None:
+    """Begin a worker process: only its parent interrupts it, by SIGTERM, so that a training writes its checkpoint."""
+
+    def interrupt(*_) -> None:
+        if _Worker.busy:
+            raise KeyboardInterrupt
+
+    console.quiet, _Worker.work = True, work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, interrupt)
+
+
+def _call(cell):
+    _Worker.busy = True
+    try:
+        return _Worker.work(cell)
+    finally:
+        _Worker.busy = False
+
+
+def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tuple]:
+    """`workers` processes of this machine, each single-threaded."""
+    for name in _SINGLE_THREADED:
+        os.environ.setdefault(name, "1")  # of the processes to come
+    left, deaths = deque(cells), Counter()
+    while left:
+        others, running = multiprocessing.active_children(), {}
+        pool = ProcessPoolExecutor(min(workers, len(left)), multiprocessing.get_context("spawn"), _begin, (work,))
+        try:
+            while left or running:
+                while left and len(running) < workers:
+                    future = pool.submit(_call, left[0])
+                    running[future] = left.popleft()
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    yield running.pop(future), result
+        except BrokenProcessPool:
+            deaths.update(running.values())
+            left.extendleft(running.values())
+            for cell in left:
+                if deaths[cell] >= ATTEMPTS:
+                    raise ParameterError(f"--workers: {cell}: its process died {ATTEMPTS} times") from None
+        finally:
+            if running:
+                for child in set(multiprocessing.active_children()) - set(others):
+                    child.terminate()
+            pool.shutdown(cancel_futures=True)
+
+
+# --- Ray --------------------------------------------------------------------------------------------------------------
+
+
+def check_ray(address: str | None = None) -> None:
+    """ParameterError with one line if Ray is not installed or nothing listens at `address` or RAY_ADDRESS.
+
+    Ray itself tries an address for minutes.
+    """
+    try:
+        import ray  # noqa: F401
+    except ImportError:
+        raise ParameterError("--engine ray: Ray is not installed; expected: pip install 'soil_env[ray]'") from None
+    address = address or os.environ.get("RAY_ADDRESS")
+    if address in (None, "", "auto", "local"):
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+    except (OSError, ValueError) as error:
+        raise ParameterError(f"--engine ray: no cluster at {address} ({error}); expected HOST:PORT") from None
+
+
+def on_ray(
+    work: Callable, cells: Iterable, *, address: str | None = None, workers: int | None = None
+) -> Iterator[tuple]:
+    """Tasks of Ray Core on the cluster at `address`, else on that of RAY_ADDRESS, else on one started here.
+
+    Every node needs this version of soil_env, and the modules of controllers given as module:Class. Each cell takes one
+    CPU. `workers` limits the CPUs of a cluster started here.
+    """
+    check_ray(address)
+    import ray
+
+    ours = not ray.is_initialized()
+    if ours:
+        options = {"log_to_driver": False, "logging_level": "ERROR"}
+        if address is not None or not os.environ.get("RAY_ADDRESS"):
+            options["address"] = address or "local"  # "auto" tries a cluster that died here for minutes
+        if workers is not None:
+            options["num_cpus"] = workers
+        try:
+            ray.init(**options)
+        except (ConnectionError, ValueError, RuntimeError, OSError) as error:
+            raise ParameterError(
+                f"--engine ray: no cluster at {address or 'this machine'} ({_line(error, 0)})"
+            ) from None
+    running: dict = {}
+    try:
+        shared = ray.put(work)
+        remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(_on_node)
+        running = {remote.remote(shared, code_version(), cell): cell for cell in cells}
+        while running:
+            (done,), _ = ray.wait(list(running), num_returns=1)
+            cell = running.pop(done)
+            try:
+                result = ray.get(done)
+            except ray.exceptions.RayTaskError as error:
+                if isinstance(error.cause, ParameterError):
+                    raise ParameterError(str(error.cause)) from None
+                raise ParameterError(f"--engine ray: {cell} failed ({_line(error, -1)})") from None
+            except ray.exceptions.RayError as error:
+                raise ParameterError(f"--engine ray: {cell} was lost ({_line(error, 0)})") from None
+            yield cell, result
+    finally:
+        for reference in running:
+            ray.cancel(reference, force=True)
+        if ours:
+            ray.shutdown()
+
+
+def _line(error: Exception, which: int) -> str:
+    return (str(error).strip().splitlines() or [""])[which][:200]
+
+
+def _on_node(work: Callable, version: str, cell):
+    if version != code_version():
+        raise ParameterError(f"a worker has soil_env {code_version()}, the study {version}")
+    return work(cell)

@@ -1,0 +1,84 @@
+"""Comparison at the end of a training: the agent and the classical controllers on the same held-out courses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from soil_env.parameters import Scenario
+from soil_env.vehicle import RoverScenario
+
+from . import plots
+from .agent import Agent
+from .config import NAMES, TrainConfig
+from .controllers.oracle import Oracle
+from .evaluate import HELD_OUT_SET, comparing, limit, run_courses
+from .evaluate.tables import percent, points
+from .evaluate.tuning import shown_on, tuned_settings
+from .progress import Bar, show
+
+_TUNING = "tuning.log"  # trials of the tuning, until the comparison is finished
+_WITH_TRUE_SOIL = ("best_slip_true", "ppo_true")
+
+
+def written(config: TrainConfig) -> tuple[str, ...]:
+    """Files that `compare` writes into a run folder; the course in detail is drawn of a wheel only."""
+    names = ("comparison.json", "comparison.csv", "comparison.png", "course.png")
+    return names[:3] if config.rover else names
+
+
+def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent) -> dict:
+    """Drive the held-out courses with every controller and the agent, write the results, print the table."""
+    folder, world = Path(folder), config.world
+    chosen, tried = tuned_settings(scenario, config.tuning_courses, model=world, log=folder / _TUNING)
+    settings: dict = {name: {**chosen[name], "tried": tried.get(name, [])} for name in chosen}
+    settings["tuning_courses"] = config.tuning_courses
+    classical = comparing.controllers(scenario, chosen)
+    contestants = classical | {agent.name: agent}
+    hard = min(config.oracle_courses, config.courses)
+    with Bar("Comparing", config.courses * len(contestants) + hard, "courses") as bar:
+        drivers = {name: [one] for name, one in contestants.items()}
+        runs = comparing.driven(drivers, scenario, HELD_OUT_SET, config.courses, shown_on(bar), world)
+        oracle = None
+        if hard:
+            progress = lambda count: bar.update(advance=count, note=limit.ORACLE)  # noqa: E731
+            oracle = run_courses(
+                Oracle(scenario), scenario, HELD_OUT_SET, hard, progress=progress, batch=limit.BLOCK, model=world
+            )
+    result = comparing.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
+    if world is not None:
+        result["model"] = world.content()
+    comparing.save(result, folder)
+    plots.comparison_figure(result, folder / "comparison.png")
+    if not config.rover:
+        best = max(classical, key=lambda n: result["controllers"][n]["finished"]["value"])
+        hard_for = runs["full_throttle"][0].metric("finished") < 0.5
+        course = int(np.argmax(hard_for & (runs[agent.name][0].metric("finished") > 0.5)))  # the first one, else 0
+        drawn = {best: contestants[best], agent.name: agent}
+        plots.course_figure(scenario, HELD_OUT_SET, course, drawn, folder / "course.png", world)
+    (folder / _TUNING).unlink(missing_ok=True)
+    show(*comparing.table(result), *limit.lines(result))
+    show(*(verdict(result, name) for name in result["controllers"] if name in NAMES.values()))
+    return result
+
+
+def verdict(result: dict, name: str) -> str:
+    """Courses finished by the agent, against the best controller that does not know the true soil.
+
+    Gives the difference on the same courses, both rates alone, and the references that know the true soil. "More" and
+    "fewer" are said only where the intervals of the two alone do not overlap.
+    """
+    rows = result["controllers"]
+    best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
+    agent, other = rows[name]["finished"], rows[best]["finished"]
+    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
+    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    difference = points(result["paired"][name][best]["finished"])
+    apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
+    text = f"{name} {f'finishes {apart} courses than' if apart else 'against'} {best}, the best of the others without "
+    text += f"the true soil: {difference} percentage points of courses finished, on the same courses; each alone "
+    text += f"{percent(agent)} and {percent(other)}" + ("" if apart else ", intervals that overlap")
+    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
+    text += f". With the true soil: {references}" if references else ""
+    return f"{text}. One training seed; the intervals are over courses."

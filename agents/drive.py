@@ -1,0 +1,90 @@
+"""`soil-env drive`: one course under a controller or an agent, as numbers, a picture or a video."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import gymnasium
+import numpy as np
+
+from soil_env._io.files import check_outputs
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import PATH, WholeNumber, seed_option
+from soil_env.parameters import DEFAULT_SCENARIO
+
+from .evaluate.contestants import parse
+from .evaluate.loading import load
+
+_SUFFIXES = (".png", ".gif", ".mp4")
+
+
+@click.command("drive")
+@click.option(
+    "--controller", default="best_slip_identified", metavar="NAME", help="Name, run folder, .onnx or m:Class."
+)
+@click.option(
+    "--scenario", default=DEFAULT_SCENARIO, metavar="NAME", help=f"Name or YAML (default {DEFAULT_SCENARIO})."
+)
+@seed_option("the course")
+@click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
+@click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")
+@click.option("--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy).")
+def command(controller: str, scenario: str, seed: int, frame: int | None, every: int, out: Path | None) -> None:
+    """Drive one course and save a picture or a video.
+
+    \b
+    soil-env drive --seed 3
+    soil-env drive --seed 3 --frame 200 --out wheel.png
+    soil-env drive --controller runs/two_lines --out drive.gif
+    """
+    if out is not None:
+        if out.suffix not in _SUFFIXES:
+            raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
+        check_outputs(out.parent, [out.name])
+    contestants = list(parse(controller).values())
+    if len(contestants) != 1:
+        raise ParameterError(f"--controller {controller}: expected one, got {len(contestants)}")
+    options: dict[str, Any] = {"repeat": 1, "scaled": False, "render_mode": "rgb_array" if out else None}
+    plain = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario)
+    driver = load(contestants[0], plain.unwrapped.scenario)
+    plain.close()
+    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, **options)
+    video = out is not None and out.suffix != ".png"
+    frames, info, steps = _drive(env, driver, seed, frame if out and not video else None, every if video else 0)
+    if out is not None:
+        _save(out, frames or [env.render()], every * env.unwrapped.scenario.control.period)
+    env.close()
+    state = info["state"]
+    print(f"{controller}: {info['cause']} at {state['x']:.2f} m after {steps} control periods")
+    if out is not None:
+        print(f"written: {out}")
+
+
+def _drive(env: gymnasium.Env, driver: Any, seed: int, last: int | None, every: int) -> tuple[list, dict, int]:
+    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most `last`."""
+    observation, info = env.reset(seed=seed)
+    frames, memory, start, steps, over = [], None, np.array([True]), 0, False
+    while not over and (last is None or steps < last):
+        action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
+        observation, _, terminated, truncated, info = env.step(action[0])
+        start, over, steps = np.array([False]), terminated or truncated, steps + 1
+        if every and (steps % every == 0 or over):
+            frames.append(env.render())
+    return frames, info, steps
+
+
+def _save(path: Path, frames: list[np.ndarray], duration: float) -> None:
+    """Save one frame as a picture, several as a video in which each lasts `duration` [s]."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".mp4":
+        from moviepy import ImageSequenceClip
+
+        ImageSequenceClip(frames, fps=1.0 / duration).write_videofile(str(path), logger=None)
+        return
+    from PIL import Image
+
+    images = [Image.fromarray(frame).quantize(64) if len(frames) > 1 else Image.fromarray(frame) for frame in frames]
+    more = {"save_all": True, "append_images": images[1:], "duration": 1000.0 * duration, "loop": 0}
+    images[0].save(path, **(more if path.suffix == ".gif" else {}))

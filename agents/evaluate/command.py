@@ -1,0 +1,144 @@
+"""`soil-env evaluate`: controllers and agents on the same courses, with confidence intervals."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from soil_env._io.loading import ParameterError, unknown_key
+from soil_env.cli.running import PATH, WholeNumber
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
+
+from .. import cells
+from ..cli import WITH_KEYS, as_options, continued_by, engine_options, keys_argument, overrides
+from ..progress import Bar, show
+from . import contestants, evaluation, report
+from .driving import HELD_OUT_SET, TUNING_SET
+from .evaluation import Evaluation
+from .tuning import tuned_settings
+
+_TUNING_COURSES = 200  # as train.py
+_TUNING = "tuning.log"  # trials of a tuning that is not finished
+
+
+@click.command("evaluate", context_settings=WITH_KEYS)
+@click.option("--controllers", metavar="LIST", help="Names with commas, see above.")
+@click.option("--out", type=PATH, metavar="OUT", help="Folder of the results, made if missing.")
+@click.option("--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it.")
+@click.option(
+    "--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML file (default {DEFAULT_SCENARIO})."
+)
+@click.option("--model", metavar="YAML", default="", help="model.yaml with the effects of this world.")
+@click.option("--courses", type=WholeNumber(), default=1000, metavar="N", help="Courses of each (default 1000).")
+@click.option(
+    "--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Set of courses (default: held out)."
+)
+@click.option("--tuning-courses", type=WholeNumber(), metavar="N", help="For untuned controllers; 0: do not tune.")
+@click.option("--oracle-courses", type=WholeNumber(), default=0, metavar="N", help="Courses of the oracle (default 0).")
+@click.option("--block", type=WholeNumber(), default=100, metavar="N", help="Courses side by side (default 100).")
+@click.option("--resamples", type=WholeNumber(), default=2000, metavar="N", help="Bootstrap redraws (default 2000).")
+@engine_options
+@keys_argument
+def command(
+    resume: Path | None, engine: str, workers: int | None, address: str | None, keys: tuple, **given: Any
+) -> None:
+    """Compare controllers and agents on the same courses.
+
+    An entry of the list is a classical controller (full_throttle, fixed_slip, ...), a run folder or model.zip, a
+    policy.onnx, or my.module:Thing with predict(obs, state, episode_start, deterministic). NAME=ENTRY names it; a glob
+    makes one algorithm of several seeds. Models of others are unpickled and modules imported: name what you trust.
+
+    \b
+    soil-env evaluate --controllers full_throttle,best_slip_identified --out evaluation
+    soil-env evaluate --controllers 'soft_start,ppo=runs/seed_*' --workers 2 --out evaluation
+    soil-env evaluate --controllers mine=mine:Ramp --changes.course.length 20 --out e2
+    soil-env evaluate --resume evaluation
+
+    --changes.KEY VALUE sets a key of the scenario, --settings.NAME.KEY VALUE one of a controller.
+    """
+    options = SimpleNamespace(**given)
+    folder = resume or options.out
+    chosen = cells.choose(engine, workers, address)
+    if resume is None:
+        asked = _asked(options, keys)
+        evaluation.check_controllers(asked)
+    else:
+        source = click.get_current_context().get_parameter_source
+        if keys or any(source(name) != ParameterSource.DEFAULT for name in given):
+            raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
+        asked = cells.load_study(Evaluation, resume)
+        evaluation.check_controllers(asked)
+    with continued_by(f"soil-env evaluate --resume {folder}"):
+        asked = _begin(asked, folder) if resume is None else _tuned(asked, folder)
+        job = evaluation.Job(asked, None if chosen is cells.in_process else 1, ship=engine == "ray")
+        with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
+            runs = evaluation.run(asked, folder, chosen, job, lambda count: bar.update(advance=count))
+        result = evaluation.result(asked, runs)
+        written = report.write(result, runs, folder)
+    report.print_table(result)
+    show(f"Written to {folder}: {', '.join(written)}")
+
+
+def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
+    """The evaluation of the command line."""
+    extra = overrides(keys)
+    for key in extra:
+        if key not in ("changes", "settings"):
+            known = [str(p.name).replace("_", "-") for p in command.params if p.name != "keys"]
+            raise unknown_key(key.replace("_", "-"), [*known, "changes", "settings"], "command line")
+    if options.controllers is None or options.out is None:
+        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
+    for key in ("changes", "settings"):
+        if not isinstance(extra.get(key, {}), dict):
+            raise ParameterError(f"--{key}: expected --{key}.KEY VALUE")
+    settings = extra.get("settings", {})
+    for name, values in settings.items():
+        if not isinstance(values, dict):
+            raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
+    if options.tuning_courses and options.seed == TUNING_SET:
+        raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+    tuning = options.tuning_courses
+    if tuning is None:
+        tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
+    scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
+    controllers = contestants.parse(options.controllers, settings)
+    with as_options():
+        return Evaluation(
+            scenario=scenario,
+            controllers=controllers,
+            courses=options.courses,
+            seed=options.seed,
+            block=options.block,
+            resamples=options.resamples,
+            tuning_courses=tuning,
+            oracle_courses=options.oracle_courses,
+            model=WheelSoilModel.load(options.model).content() if options.model else {},
+        )
+
+
+def _begin(asked: Evaluation, folder: Path) -> Evaluation:
+    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned."""
+    if cells.is_begun(asked, folder, ignored=("tuned",)):
+        asked = cells.load_study(Evaluation, folder)
+    else:
+        cells.save_study(asked, folder)
+    return _tuned(asked, folder)
+
+
+def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
+    """`asked` with settings of the classical controllers that have none by --settings, under their own name."""
+    if asked.tuned or not asked.tuning_courses:
+        return asked
+    own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
+    names, log = [c.name for c in own], folder / _TUNING
+    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, model=asked.world, log=log)
+    asked = dataclasses.replace(asked, tuned=tuned)
+    cells.save_study(asked, folder)
+    log.unlink(missing_ok=True)
+    return asked

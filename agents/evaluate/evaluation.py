@@ -1,0 +1,183 @@
+"""Configuration of an evaluation, and its cells: blocks of courses of one controller.
+
+The folder holds study.yaml (the whole task, resolved) and a file in cells/ for each block that is driven. Blocks are
+cut the same way by every engine, so that all engines and any number of interruptions give the same files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from soil_env._io.loading import ParameterError, quantity
+from soil_env.parameters import Scenario
+
+from ..cells import Engine, code_version, fill, read_cell
+from ..config import OfWorld
+from ..controllers import make_controller
+from ..controllers.oracle import Oracle
+from . import loading
+from .comparing import comparison
+from .contestants import Contestant, digest, model_files
+from .driving import HELD_OUT_SET, Runs, run_courses
+from .limit import BLOCK, ORACLE
+
+
+@dataclass(frozen=True)
+class Evaluation(OfWorld):
+    """Controllers that are compared, and their courses."""
+
+    scenario: Scenario
+    controllers: dict[str, Contestant]  # by `Contestant.key`
+    courses: int = quantity("", 1, 100_000, default=1000)
+    seed: int = quantity("", 0, 2**63 - 1, default=HELD_OUT_SET, doc="names the set of courses")
+    block: int = quantity("courses driven side by side", 1, 100_000, default=100)
+    resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
+    tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
+    oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
+    tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
+    model: dict = field(default_factory=dict)  # content of the model.yaml of the world's effects; empty = none
+    version: str = field(default_factory=code_version)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.oracle_courses > self.courses:
+            raise ParameterError(
+                f"Evaluation.oracle_courses = {self.oracle_courses}: expected at most {self.courses}, the courses "
+                "compared"
+            )
+
+    def contestants(self) -> dict[str, Contestant]:
+        """The controllers with the settings they are driven with."""
+        return {
+            key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings})
+            for key, c in self.controllers.items()
+        }
+
+    def blocks(self) -> list[Block]:
+        """All cells; block by block, so that an interrupted evaluation has all controllers."""
+        firsts = range(0, self.courses, self.block)
+        own = [Block(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
+        return own + [
+            Block(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in range(0, self.oracle_courses, BLOCK)
+        ]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Courses `first` ... `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`."""
+
+    controller: str
+    first: int
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.controller}-{self.first}"
+
+
+def check_controllers(asked: Evaluation) -> None:
+    """Load and try every controller; ParameterError for the first that cannot be used."""
+    for contestant in asked.contestants().values():
+        if contestant.kind == "model" and digest(contestant.source) != contestant.digest:
+            raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
+        loading.check(contestant, asked.scenario, asked.world)
+
+
+class Job:
+    """Drives blocks of an evaluation; can be sent to other processes and machines.
+
+    `ship`: take the models along, for machines that do not have the files.
+    """
+
+    def __init__(self, asked: Evaluation, threads: int | None = 1, ship: bool = False):
+        self.asked, self.threads, self.controllers = asked, threads, asked.contestants()
+        self.files = {key: model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
+        self._loaded: dict[str, object] = {}
+
+    def __getstate__(self):
+        return {**self.__dict__, "_loaded": {}}
+
+    def __call__(self, block: Block) -> dict[str, list]:
+        """The columns of the `Runs` of a block."""
+        asked = self.asked
+        try:
+            runs = run_courses(
+                self._controller(block.controller), asked.scenario, asked.seed, block.count, block.first,
+                batch=block.count, model=asked.world, threads=self.threads, detailed=True,
+            )  # fmt: skip
+        except ParameterError as error:
+            text, label = str(error), block.controller
+            if label in self.controllers:
+                label = self.controllers[label].label
+            raise ParameterError(
+                text if text.startswith("controllers: ") else f"controllers: {label}: {text}"
+            ) from None
+        return runs.columns()
+
+    def _controller(self, key: str):
+        if key == ORACLE:
+            return Oracle(self.asked.scenario)
+        contestant = self.controllers[key]
+        if contestant.kind == "class":  # an object may keep things in itself: a new one for every block
+            return loading.load(contestant, self.asked.scenario)
+        if key not in self._loaded:
+            self._loaded[key] = loading.load(contestant, self.asked.scenario, self.files.get(key))
+        return self._loaded[key]
+
+
+def run(asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]) -> dict:
+    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it drives.
+
+    `progress` receives numbers of courses done.
+    """
+    fill(job, asked.blocks(), folder, engine, lambda block: progress(block.count))
+
+    def of(key: str) -> Runs:
+        return Runs.join([read_cell(folder, b, _parse(b)) for b in asked.blocks() if b.controller == key])
+
+    out: dict[str, list[Runs]] = {}
+    for key, contestant in asked.controllers.items():
+        out.setdefault(contestant.name, []).append(of(key))
+    return {**out, ORACLE: [of(ORACLE)]} if asked.oracle_courses else out
+
+
+def _parse(block: Block) -> Callable[[dict], Runs]:
+    def parse(content: dict) -> Runs:
+        runs = Runs.from_columns(content)
+        if runs.cause.size != block.count:
+            raise ValueError(f"{runs.cause.size} courses, expected {block.count}")
+        return runs
+
+    return parse
+
+
+def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
+    """The content of evaluation.json: a `comparison`, with how each controller was made.
+
+    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen": {name: "given",
+    "tuned" or "untuned", of the settings}.
+    """
+    oracle = runs.get(ORACLE, [None])[0]
+    own = {name: rows for name, rows in runs.items() if name != ORACLE}
+    contestants = asked.contestants()
+    settings = {
+        c.name: make_controller(c.source, asked.scenario, **c.settings).settings
+        for c in contestants.values()
+        if c.kind == "classical"
+    }
+    chosen = {
+        c.name: "given" if c.settings else "tuned" if c.name in asked.tuned else "untuned"
+        for c in asked.controllers.values()
+        if settings.get(c.name)
+    }
+    return {
+        **comparison(asked.scenario, asked.seed, own, settings, oracle, asked.resamples),
+        "sources": {name: [c.source for c in contestants.values() if c.name == name] for name in own},
+        "chosen": chosen,
+        "tuning_courses": asked.tuning_courses,
+        "block": asked.block,
+        "resamples": asked.resamples,
+        "version": asked.version,
+        **({"model": asked.model} if asked.model else {}),
+    }

@@ -1,0 +1,77 @@
+"""Runs the exported policy beside this file. Needs numpy and onnxruntime, nothing else.
+
+    python run_policy.py            drives the recorded steps of course.npz: difference from the agent, time a step
+    python run_policy.py --serve    a line of numbers (an observation) on stdin -> a line (the action) on stdout; after
+                                    an empty line a new course begins
+
+The order, units and bounds of the numbers are in policy.yaml.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+HERE = Path(__file__).resolve().parent
+
+
+class Policy:
+    """The policy of an ONNX file, on one thread."""
+
+    def __init__(self, path=HERE / "policy.onnx"):
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3  # errors
+        self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.states = {x.name: x for x in self.session.get_inputs() if x.name not in ("observation", "new_course")}
+        self.outputs = ["action", *(f"next_{name}" for name in self.states)]
+
+    def zeros(self, count):
+        """Hidden states {name: [count, size]} before the first step."""
+        kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+        return {name: np.zeros((count, *x.shape[1:]), kinds[x.type]) for name, x in self.states.items()}
+
+    def act(self, observation, memory=None, new_course=None):
+        """(actions [n, 1] in [-1, 1], hidden states) for float32 observations [n, D]; `memory`: the last hidden states.
+
+        `new_course` [n] bool: rows where a course begins; all of them where there is no memory.
+        """
+        feeds = {"observation": observation}
+        if self.states:
+            fresh = np.full(len(observation), memory is None) if new_course is None else new_course
+            feeds |= {"new_course": fresh, **(self.zeros(len(observation)) if memory is None else memory)}
+        action, *states = self.session.run(self.outputs, feeds)
+        return action, dict(zip(self.states, states, strict=True)) or None
+
+
+def serve(policy):
+    """Answer each line of stdin with a line on stdout."""
+    memory = None
+    for line in sys.stdin:
+        if line.strip():
+            action, memory = policy.act(np.array([line.split()], dtype=np.float32), memory)
+            print(*action[0], flush=True)
+        else:
+            memory = None
+
+
+def compared(policy, course):
+    """(largest difference of the actions on the steps of course.npz, times of a step of one wheel [us])."""
+    memory, worst, times = None, 0.0, []
+    for seen, fresh, expected in zip(course["observation"], course["new_course"], course["action"], strict=True):
+        start = time.perf_counter()
+        action, memory = policy.act(seen[None], None if fresh else memory)
+        times.append(1e6 * (time.perf_counter() - start))
+        worst = max(worst, float(abs(action[0] - expected).max()))
+    return worst, np.array(times)
+
+
+if __name__ == "__main__":
+    if "--serve" in sys.argv:
+        serve(Policy())
+    else:
+        worst, times = compared(Policy(), np.load(HERE / "course.npz"))
+        print(f"{len(times)} steps: largest difference {worst:.1e}, {np.median(times):.0f} us a step, "
+              f"99 % within {np.percentile(times, 99):.0f} us")  # fmt: skip

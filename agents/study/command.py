@@ -1,0 +1,78 @@
+"""`soil-env study`: arms compared over training seeds and scenarios."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import PATH, WholeNumber
+
+from .. import cells
+from ..cli import (
+    WITH_KEYS,
+    as_options,
+    config_file,
+    continued_by,
+    engine_options,
+    keys_argument,
+    needing_training,
+    overrides,
+)
+from ..progress import show
+from . import config, results, work
+
+
+@click.command("study", context_settings=WITH_KEYS)
+@click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder of the study, made if missing.")
+@click.option("--config", "file", type=PATH, metavar="YAML", help="The study (default: that of OUT).")
+@click.option("--seeds", type=WholeNumber(1), metavar="N", help="Trainings of each agent on each scenario.")
+@click.option("--report", is_flag=True, help="Write only the results of the finished cells.")
+@engine_options
+@keys_argument
+def command(
+    out: Path,
+    file: Path | None,
+    seeds: int | None,
+    report: bool,
+    engine: str,
+    workers: int | None,
+    address: str | None,
+    keys: tuple[str, ...],
+) -> None:
+    """Compare agents and controllers (arms) over training seeds and scenarios.
+
+    \b
+    soil-env study --config study_smoke.yaml --out runs/smoke     # a minute, numbers without meaning
+    soil-env study --config study.yaml --out runs/study --workers 2
+    soil-env study --config study.yaml --out runs/short --seeds 2 --train.timesteps 1e6
+    soil-env study --out runs/study                               # continue
+
+    Any key of the YAML file is an option, too. Trainings continue from their last checkpoint, tunings from their last
+    trial; a larger --seeds adds to the finished cells. OUT gets study.json, study.md and study.png. Keys of the file:
+    docs/guide/study.md.
+    """
+    chosen = cells.choose(engine, workers, address)
+    if file is None:
+        if keys:
+            raise ParameterError(f"{keys[0]}: only with --config")
+        asked = cells.load_study(config.Study, out)
+    else:
+        asked = config.read_config(config_file(file), overrides(keys, "--config"))
+    if seeds is not None:
+        with as_options():
+            asked = dataclasses.replace(asked, seeds=seeds)
+    if any(not arm.controller for arm in asked.arms.values()):
+        with needing_training():
+            from .. import training  # noqa: F401
+    if not report:
+        with continued_by(f"soil-env study --out {out}"):
+            work.begin(asked, out)
+            work.fill(asked, out, chosen, elsewhere=engine == "ray")
+    content = results.result(asked, out)
+    if not content["scenarios"]:
+        raise ParameterError(f"{out}: no cell is done; expected a study that has run")
+    written = results.write(content, out)
+    show(results.table(content, bounds=False), f"Written to {out}: {', '.join(written)}")

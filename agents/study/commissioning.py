@@ -1,0 +1,348 @@
+"""Commissioning drives of a wheel in a world that the simulation does not know, and the effects found in their log.
+
+The drives go over one bed of a known kind of soil, prepared uniformly: a preset, scattered once as the soils of the
+scenario scatter (its digging stays that of the preset, and counts as known). Each drive has one payload and one grade,
+which sets the drawbar pull and with it the slip, and stretches of several rim speeds, held by the loop of
+`constant_speed`. The sensors are those of the scenario.
+
+The log becomes a table of steady points, and `soil_env.discrepancy` finds what the simulation lacks. In a steady drive
+the grade is a function of slip and load, so the table has no grade: every effect that acts through slip could pass for
+one of grade. `load` and `drawbar_pull` are those that the soil gives at the wheel, perpendicular to and along the
+ground: the weight along a slope is not in them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from scipy.stats import chi2
+
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.discrepancy import run as find_discrepancy
+from soil_env.driving.wheels import IDLE, STEP, Simulation
+from soil_env.measurement.table import Prior
+from soil_env.parameters import Scenario, Soil, load_scenario, soils
+from soil_env.simulation.task import Cause
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+from ..controllers import ConstantSpeed
+from ..evaluate.tables import save_csv
+from ..progress import Bar, show
+
+_RUNNING = Cause.RUNNING.value
+#: Readings in the log: the first columns of the blind observation.
+READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
+CHANNELS = ("sinkage", "drawbar_pull", "torque")
+COLUMNS = ("slip", "load", "speed", "run", "time", *CHANNELS)
+LEAST_REPEATS = 6  # differences of repeats that the noise is computed from
+
+
+def found_world(
+    scenario: Scenario, hidden: WheelSoilModel, plan: Commissioning, folder: Path, seed: int = 0
+) -> WheelSoilModel:
+    """The world that the workflow finds in the log of drives in the `hidden` one, kept in found.yaml of `folder`.
+
+    Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
+    that it was fitted with, and is left behind.
+    """
+    data, setup_file, kept = folder / "table.csv", folder / "setup.yaml", folder / "found.yaml"
+    if kept.is_file():
+        return WheelSoilModel.load(kept)
+    folder.mkdir(parents=True, exist_ok=True)
+    if not setup_file.is_file():
+        points = steady_points(drive_all(scenario, hidden, plan, seed), scenario, plan)
+        content = setup(scenario, hidden.wheel, plan, points)
+        write_table(points, data)
+        replace_file(setup_file, yaml.safe_dump(content, sort_keys=False))
+    show(f"{folder.name}: discrepancy workflow")
+    for left in (folder / "discrepancy", *folder.glob(".report-*")):  # by a run that was killed
+        shutil.rmtree(left, ignore_errors=True)
+    report = find_discrepancy(data, setup_file, folder / "discrepancy", seed=seed)
+    named = report.model.effects if report.effects else {}
+    model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
+    model.save(kept)
+    show(f"{folder.name}: found {', '.join(named) or 'no effect'}")
+    return model
+
+
+@dataclass(frozen=True)
+class Commissioning(Checked):
+    """Plan of the commissioning drives, and limits of steady driving."""
+
+    soil: str = "lunar_simulant_hit_lss1"  # preset of the bed
+    scatter: float = quantity("of the scenario's spread, of the bed about its preset", 0.0, 3.0, default=0.5)
+    grades_deg: tuple[float, ...] = (-16, -12, -9, -6, -4, -2, 0, 2, 4, 6, 8, 10, 12, 14, 17)
+    payloads: tuple[float, ...] = (0.0, 5.0, 10.0)  # [kg]
+    rim_speeds: tuple[float, ...] = (0.06, 0.13, 0.28)  # of the top rim speed
+    repeats: int = quantity("drives of each grade and payload", 2, 100, default=2)
+    hold: float = quantity("s at each rim speed, after the run-in", 1.0, 600.0, default=20.0)
+    window: float = quantity("s", 0.5, 60.0, default=2.0)
+    run_in: float = quantity("sinkage relaxations driven at a new rim speed before it counts", 0.0, 50.0, default=8.0)
+    acceleration: float = quantity("m/s2, largest mean over a window", 1e-4, 1.0, default=0.005)
+    sinkage_drift: float = quantity("m a metre, largest over a window", 1e-4, 1.0, default=0.004)
+    slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
+    slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Readings of all drives, one entry a control period [N]."""
+
+    run: np.ndarray  # number of the drive, int
+    stretch: np.ndarray  # number of the stretch within the drive, int
+    time: np.ndarray  # [s] within the drive
+    ran_in: np.ndarray  # bool: the run-in of the stretch is over
+    readings: dict[str, np.ndarray]  # by `READINGS`, SI
+
+
+class _Scheduled(ConstantSpeed):
+    """`constant_speed` with a rim speed of each wheel that can be changed."""
+
+    def __init__(self, scenario: Scenario, wheels: int):
+        super().__init__(scenario)
+        self.speeds = np.zeros(wheels)
+
+    def rim_speed(self, observation, state):
+        """The present set points [m/s]."""
+        return self.speeds
+
+
+def bed_soil(scenario: Scenario, plan: Commissioning, rng: np.random.Generator) -> Soil:
+    """The soil of the bed: the preset, scattered once with `plan.scatter` times the scenario's spread."""
+    if plan.soil not in soils():
+        raise ParameterError(f"soil = {plan.soil!r}: expected one of {', '.join(sorted(soils()))}")
+    preset, spread = soils()[plan.soil], scenario.spread
+    d = np.clip(spread.factor() @ rng.standard_normal(5), -2.0, 2.0) * plan.scatter
+    n = preset.sinkage_exponent * (1.0 + plan.scatter * spread.exponent * float(np.clip(rng.standard_normal(), -2, 2)))
+    z = spread.reference_sinkage
+    stiffness = preset.lumped(scenario.wheel.width) * z**preset.sinkage_exponent * math.exp(spread.stiffness * d[3])
+    return dataclasses.replace(
+        preset,
+        friction_angle_deg=preset.friction_angle_deg * (1.0 + spread.friction * d[0]),
+        cohesion=preset.cohesion * math.exp(spread.cohesion * d[1]),
+        shear_modulus=preset.shear_modulus * math.exp(spread.shear_modulus * d[2]),
+        sinkage_exponent=n,
+        k_c=None,
+        k_phi=None,
+        sinkage_coefficient=stiffness / z**n,
+    )
+
+
+def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, seed: int) -> Log:
+    """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log."""
+    rng = np.random.default_rng([seed, 7])
+    bed = WheelSoilModel(world.wheel, bed_soil(scenario, plan, rng), world.effects, world.residual, world.gravity)
+    parts, first = [], 0
+    with Bar("Commissioning", len(plan.payloads) * len(plan.grades_deg) * plan.repeats, "drives") as bar:
+        for payload in plan.payloads:
+            for grade in plan.grades_deg:
+                part = _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
+                first += plan.repeats
+                if part is not None:
+                    parts.append(part)
+                bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
+    if not parts:
+        raise ParameterError("commissioning: the wheel can drive on no grade of the plan; expected milder grades_deg")
+    join = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Log)
+            if f.name != "readings"}  # fmt: skip
+    return Log(**join, readings={n: np.concatenate([p.readings[n] for p in parts]) for n in READINGS})
+
+
+def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: float) -> Scenario:
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    lengths = [_run_in(scenario, plan) + 1.2 * plan.hold * share * top for share in plan.rim_speeds]
+    length = sum(lengths) + 1.0
+    none = {f: 0.0 for f in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")}
+    return load_scenario(scenario, {
+        "spread": none,
+        "course": {"length": length, "patch_length": [2.0 * length, 2.0 * length], "grade_deg": [grade, grade],
+                   "margin": [0.0, 0.0], "payload": [payload, payload], "halt_time": 0.0,
+                   "classes": 0, "lines": 1, "dead_ends": 0.0},
+        "control": {"action": "torque", "repeat": 1,
+                    "time_limit": min(10.0 * length / (min(plan.rim_speeds) * top), 1e5)},
+    })  # fmt: skip
+
+
+def _run_in(scenario: Scenario, plan: Commissioning) -> float:
+    """Length of the run-in [m]."""
+    return plan.run_in * scenario.relaxation * scenario.wheel.radius
+
+
+def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> Log | None:
+    """`plan.repeats` drives side by side; None where the wheel cannot climb the grade."""
+    count, wheel = len(rngs), scenario.wheel
+    try:
+        sim = Simulation(count, scenario, "blind", threads=1, model=bed)
+    except ParameterError:
+        return None
+    for k, rng in enumerate(rngs):
+        sim.seed(k, rng)
+    sim.restart_where(np.ones(count, dtype=bool))
+    w, controller = sim.worlds, _Scheduled(scenario, count)
+    speeds = np.array(plan.rim_speeds) * controller.top_speed
+    stretch, what = np.zeros(count, dtype=int), np.full(count, STEP)
+    driven, held = np.zeros(count), np.zeros(count)  # [m] of the run-in, by the measured speed, and [s] after it
+    run_in, period = _run_in(scenario, plan), scenario.control.period
+    memory, fresh, rows = None, np.ones(count, dtype=bool), []
+    scale = np.array([1.0, wheel.radius, scenario.weight, scenario.weight, scenario.weight * wheel.radius,
+                      controller.top_speed])  # fmt: skip
+    for step in range(scenario.steps):
+        controller.speeds = speeds[stretch]
+        action, memory = controller.predict(w.observation, state=memory, episode_start=fresh)
+        fresh = np.zeros(count, dtype=bool)
+        alive = what == STEP
+        sim.step_all(action[:, 0].astype(np.float64), what)
+        reading = w.observation[:, : len(READINGS)].astype(np.float64) * scale
+        ran_in = driven >= run_in
+        for k in np.flatnonzero(alive):
+            rows.append((first + k, stretch[k], period * (step + 1), ran_in[k], *reading[k]))
+        driven += np.maximum(reading[:, 5], 0.0) * period
+        held += np.where(ran_in, period, 0.0)
+        done = held >= plan.hold - 1e-9
+        last = stretch == len(speeds) - 1
+        what[(w.cause != _RUNNING) | (done & last)] = IDLE
+        stretch[done & ~last] += 1
+        driven[done], held[done] = 0.0, 0.0
+        if (what == IDLE).all():
+            break
+    a = np.array(rows)
+    readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
+    return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
+
+
+# --- the table ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Steady:
+    """One steady point: means of the readings."""
+
+    run: int
+    stretch: int
+    time: float  # [s] of its end
+    mean: dict[str, float]
+
+
+def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Steady]:
+    """One point a stretch of a drive: the longest row of consecutive windows that are all steady.
+
+    Windows lie end to end, the first beginning after the run-in of the stretch. A window is steady where mean
+    acceleration, drift of sinkage and of slip, and scatter of slip are within the limits of the plan, widened by twice
+    what the noise of the sensors alone makes of them. Points of less than half the planned time are left out, so that
+    all have nearly the same noise.
+    """
+    size = max(4, round(plan.window / scenario.control.period))
+    least = 0.5 * (plan.hold / plan.window)
+    out = []
+    key = log.run * 1000 + log.stretch
+    for k in np.unique(key):
+        rows = np.flatnonzero((key == k) & log.ran_in)
+        windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
+        good = [steady(log, w, scenario, plan) for w in windows]
+        steady_ones = itertools.groupby(range(len(windows)), key=lambda w: good[w])
+        best = max((list(group) for is_good, group in steady_ones if is_good), key=len, default=[])
+        if best and len(best) >= least:
+            inside = np.concatenate([windows[w] for w in best])
+            mean = {n: float(x[inside].mean()) for n, x in log.readings.items()}
+            run, stretch, time = (float(a[inside[-1]]) for a in (log.run, log.stretch, log.time))
+            out.append(Steady(int(run), int(stretch), time, mean))
+    return out
+
+
+def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) -> bool:
+    """True if the readings in `rows` are those of a steady drive."""
+    period, noise, n = scenario.control.period, scenario.noise, rows.size
+    t = period * (np.arange(n) - 0.5 * (n - 1))
+    slope = {name: float(t @ log.readings[name][rows]) / float(t @ t) for name in ("speed", "sinkage", "slip")}
+    by_noise = 2.0 / math.sqrt(float(t @ t))
+    speed = float(log.readings["speed"][rows].mean())
+    if speed <= 0.0:
+        return False
+    spread = float(log.readings["slip"][rows].std(ddof=1))
+    return (
+        abs(slope["speed"]) <= plan.acceleration + by_noise * noise.speed
+        and abs(slope["sinkage"]) <= plan.sinkage_drift * speed + by_noise * noise.sinkage
+        and abs(slope["slip"]) <= plan.slip_drift * speed + by_noise * noise.slip
+        and spread <= math.hypot(plan.slip_spread, noise.slip * (1.0 + 2.0 / math.sqrt(2.0 * n)))
+    )
+
+
+def write_table(points: list[Steady], path: Path) -> None:
+    """Write the measurement table."""
+    rows = [
+        [{"run": f"{p.run}", "time": f"{p.time:.1f}"}.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS] for p in points
+    ]
+    save_csv(path, [COLUMNS, *rows])
+
+
+def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: list[Steady]) -> dict:
+    """The mapping of setup.yaml: the wheel, what is known of the bed, and the noise of a point.
+
+    Priors: the preset with the standard deviations of the scenario's belief (K and S relative; n as the scenario
+    spreads it). The digging is known, as it is to the identifier. Noise: from repeats (`repeat_noise`).
+    """
+    preset, belief = soils()[plan.soil], scenario.belief
+    width = scenario.wheel.width
+
+    def prior(value, sd):
+        return dataclasses.asdict(Prior(float(f"{value:.6g}"), float(f"{sd:.4g}")))
+
+    S = preset.lumped(width)
+    return {
+        "wheel": {"radius": wheel.radius, "width": wheel.width, "grouser_height": wheel.grouser_height},
+        "soil": {
+            "friction_angle_deg": prior(preset.friction_angle_deg, belief.friction_sd_deg),
+            "cohesion": prior(preset.cohesion, min(belief.cohesion_sd, preset.cohesion)),
+            "shear_modulus": prior(preset.shear_modulus, belief.shear_modulus_sd * preset.shear_modulus),
+            "sinkage_coefficient": prior(S, belief.sinkage_coefficient_sd * S),
+            "sinkage_exponent": prior(preset.sinkage_exponent, scenario.spread.exponent * preset.sinkage_exponent),
+            "density": preset.density,
+            "dig_gain": preset.dig_gain,
+            "dig_recovery": preset.dig_recovery,
+        },
+        "noise": repeat_noise(plan, points),
+    }
+
+
+def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
+    """Standard deviation of a point by channel, from the drives that repeat each other.
+
+    What is given is the upper end of its 68 % interval: a noise that is taken for too small would show as an effect.
+    Slip enters the model as if it were exact. So where two repeats differ in slip, what the channel changes with slip
+    there, as the neighbouring grades show it, counts as noise of the channel: e = (y1 - y2) - dy/di (i1 - i2), which
+    has twice the variance of a point.
+    """
+    series: dict[tuple[int, int], dict[int, list[Steady]]] = {}
+    for p in points:
+        condition = p.run // plan.repeats
+        payload, grade = divmod(condition, len(plan.grades_deg))
+        series.setdefault((payload, p.stretch), {}).setdefault(grade, []).append(p)
+    squares: dict[str, list[float]] = {name: [] for name in CHANNELS}
+    for grades in series.values():
+        repeats = [grades[g] for g in sorted(grades)]
+        slip = np.array([np.mean([p.mean["slip"] for p in same]) for same in repeats])
+        if slip.size < 2 or not (np.diff(slip) > 0.0).all():
+            continue
+        for name in CHANNELS:
+            slope = np.gradient(np.array([np.mean([p.mean[name] for p in same]) for same in repeats]), slip)
+            for d, same in zip(slope, repeats, strict=True):
+                left = np.array([p.mean[name] - d * p.mean["slip"] for p in same])
+                if left.size > 1:
+                    squares[name] += [float(left.var(ddof=1))] * (left.size - 1)
+    if min(map(len, squares.values())) < LEAST_REPEATS:
+        raise ParameterError(
+            f"commissioning: {len(points)} steady points, too few that repeat each other; expected more grades_deg "
+            "that the rover can climb, or more repeats"
+        )
+    return {
+        name: float(f"{math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))):.3g}")
+        for name, values in squares.items()
+    }

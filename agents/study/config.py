@@ -1,0 +1,253 @@
+"""Configuration of a study: arms, scenarios and worlds, read from a YAML file.
+
+    scenarios:                       # held-out courses on which all arms are compared
+      two_lines: {}                  # the scenario of that name, or `scenario: NAME`, or `rover: NAME`; and `changes:`
+      unseen: {trained_on: two_lines, model: worlds/shear_softening.yaml}   # arms made elsewhere; effects of its world
+    arms:
+      blind: {train: {observation: blind}}          # an agent: keys of the training's config
+      corrected: {world: found, train: {}}          # trained in another world than that of its scenario
+      gentle: {controller: soft_start, settings: {speed: 0.2}}  # a classical controller; without settings: tuned
+      mine: {controller: "my.module:Thing"}         # a class, as in soil-env evaluate
+    controllers: [soft_start]        # classical controllers, an arm each (default: all)
+    train: {timesteps: 1000000}      # keys that all agents have in common
+    changes: {control: {action: torque}}            # changes that all scenarios have in common
+    worlds:                          # named worlds that arms are made in
+      planted: {model: worlds/bulldozing.yaml}
+      found: {log_of: worlds/bulldozing.yaml}       # effects that soil_env.discrepancy finds in the log of drives there
+    baseline: blind                  # arm that the table compares the others with (default: the last)
+
+The other keys are the numbers of `Study`. Files are looked for from here, then beside the YAML file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, to_dict, unknown_key, unknown_value
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario, load_rover
+
+from ..cells import code_version
+from ..cli import config_mapping
+from ..config import OfWorld, TrainConfig
+from ..controllers import CONTROLLERS, checked_settings
+from ..controllers.rover import ROVER_CONTROLLERS
+from ..evaluate import HELD_OUT_SET
+from .commissioning import Commissioning
+
+#: Keys of the training's config that the study sets.
+_SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "courses", "tuning_courses",
+             "oracle_courses")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Target(OfWorld):
+    """A scenario on which arms are compared."""
+
+    task: dict  # content of the scenario, or of the rover's
+    trained_on: str = ""  # target that the arms are made on; empty: this one
+    model: dict = field(default_factory=dict)  # content of the model.yaml of its world's effects; empty: none
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The scenario, of a wheel or of a rover."""
+        return load(RoverScenario if "vehicle" in self.task else Scenario, self.task, "scenario")
+
+
+@dataclass(frozen=True)
+class World(OfWorld):
+    """A named world that arms are made in: none, some known effects, or those found in a log."""
+
+    model: dict = field(default_factory=dict)  # content of its model.yaml; empty: no effects
+    log_of: dict = field(default_factory=dict)  # the same of the world in which the logged drives are made
+
+
+@dataclass(frozen=True)
+class Arm(Checked):
+    """A controller that is compared: an agent that is trained, a classical controller, or a class."""
+
+    train: dict = field(default_factory=dict)  # keys of the training's config
+    controller: str = ""  # a classical controller or module:Thing, in place of a training
+    settings: dict = field(default_factory=dict)  # of a classical controller; empty: tuned
+    world: str = ""  # that it is made in; empty: that of its scenario
+
+
+@dataclass(frozen=True)
+class Study(Checked):
+    """Configuration of a study."""
+
+    targets: dict[str, Target]
+    arms: dict[str, Arm]
+    worlds: dict[str, World] = field(default_factory=dict)
+    baseline: str = ""
+    seeds: int = quantity("trainings of each agent on each scenario", 1, 1000, default=5)
+    courses: int = quantity("held-out courses of each scenario", 2, 10**6, default=1000)
+    held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
+    tuning_courses: int = quantity("courses to tune the classical controllers on", 1, 10**6, default=200)
+    resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
+    commissioning: Commissioning = Commissioning()
+    version: str = field(default_factory=code_version)
+
+    def __post_init__(self):
+        super().__post_init__()
+        sources = [name for name, target in self.targets.items() if not target.trained_on]
+        for name in (*self.targets, *self.arms):
+            if "-" in name or "/" in name:
+                raise ParameterError(f"{name!r}: expected the name of a scenario or an arm without - and /")
+        for name, target in self.targets.items():
+            if target.trained_on and target.trained_on not in sources:
+                raise unknown_key(target.trained_on, sources, f"targets.{name}: trained_on")
+        if not sources or not self.arms:
+            raise ParameterError("expected at least one scenario to train on and one arm")
+        if self.baseline and self.baseline not in self.arms:
+            raise unknown_key(self.baseline, self.arms, "baseline")
+        for name, arm in self.arms.items():
+            if arm.world and arm.world not in self.worlds:
+                raise unknown_key(arm.world, self.worlds, f"arms.{name}: world")
+            for source in sources:
+                self._check(name, arm, self.targets[source].scenario)
+
+    def _check(self, name: str, arm: Arm, scenario: Scenario) -> None:
+        """ParameterError where an arm cannot be made on a scenario."""
+        if not arm.controller:
+            for key in arm.train:
+                if key in _SET_HERE:
+                    raise ParameterError(f"arms.{name}.train.{key}: the study sets it; expected another key")
+            load(TrainConfig, arm.train, f"arms.{name}.train")
+            return
+        if arm.train:
+            raise ParameterError(f"arms.{name}: expected controller or train, not both")
+        known = ROVER_CONTROLLERS if isinstance(scenario, RoverScenario) else CONTROLLERS
+        if arm.controller not in known and ":" not in arm.controller:
+            raise unknown_value(arm.controller, known, f"arms.{name}: controller")
+        if arm.controller in CONTROLLERS and known is CONTROLLERS:
+            checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
+
+    @property
+    def compared_with(self) -> str:
+        """The arm that the table compares the others with."""
+        return self.baseline or list(self.arms)[-1]
+
+    def fed_by(self, source: str) -> list[str]:
+        """The targets on which the arms made on `source` are compared."""
+        return [name for name, target in self.targets.items() if (target.trained_on or name) == source]
+
+    def cells(self) -> list[Cell]:
+        """All cells: the arms without a training, then seed by seed every agent on every scenario."""
+        sources = [name for name, target in self.targets.items() if not target.trained_on]
+        once = [Cell(s, a, 0) for s in sources for a, arm in self.arms.items() if arm.controller]
+        agents = [name for name, arm in self.arms.items() if not arm.controller]
+        return once + [Cell(s, a, seed) for seed in range(self.seeds) for s in sources for a in agents]
+
+    def training(self, cell: Cell, model: WheelSoilModel | None, runs: Path) -> TrainConfig:
+        """Config of the training of a cell, in the world `model`, with its run folder in `runs`."""
+        scenario = self.targets[cell.source].scenario
+        task = {"rover" if isinstance(scenario, RoverScenario) else "scenario": scenario.name}
+        content = model.content() if model else {}
+        own = {"model": content, "name": str(cell), "runs": str(runs), "seed": _seed_of(cell)}
+        return load(TrainConfig, {**self.arms[cell.arm].train, **task, **own}, f"arms.{cell.arm}.train")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One arm with one training seed, made on the scenario `source`."""
+
+    source: str
+    arm: str
+    seed: int
+
+    def __str__(self) -> str:
+        return f"{self.source}-{self.arm}-{self.seed}"
+
+
+def _seed_of(cell: Cell) -> int:
+    """Seed of a training, the same for all arms; far from the next one, as wheel k of a training has seed + k."""
+    return 1_000_003 * (cell.seed + 1)
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+def read_config(path: Path, changes: dict | None = None) -> Study:
+    """The study of a YAML file with `changes` merged over it."""
+    content = merge(config_mapping(path), changes or {})
+    known = {"scenarios", "controllers", "train", "changes", *(f.name for f in dataclasses.fields(Study))}
+    for key in content:
+        if key not in known - {"targets", "version"}:
+            raise unknown_key(key, known - {"targets", "version"}, str(path))
+    for key in ("scenarios", "arms", "worlds", "train", "changes"):
+        if not isinstance(content.get(key) or {}, dict):
+            raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")
+    scenarios, common = content.pop("scenarios", {}), content.pop("changes", {})
+    targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
+    rovers = any("vehicle" in target["task"] for target in targets.values())
+    chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
+    shared, arms = content.pop("train", {}), {name: {"controller": name} for name in chosen}
+    for name, arm in (content.get("arms") or {}).items():
+        if isinstance(arm, dict) and "controller" not in arm:
+            arm = {**arm, "train": merge(shared, arm.get("train") or {})}
+        arms[name] = arm
+    worlds = {name: _world(path, name, entry or {}) for name, entry in (content.get("worlds") or {}).items()}
+    try:
+        return load(Study, {**content, "targets": targets, "arms": arms, "worlds": worlds}, str(path))
+    except ParameterError as error:  # in the words of the file
+        raise ParameterError(str(error).replace(f"{path}: targets.", f"{path}: scenarios.", 1)) from None
+
+
+def _entry(path: Path, where: str, entry, keys: tuple[str, ...]) -> dict:
+    """The mapping of an entry, its keys checked; ParameterError otherwise."""
+    if not isinstance(entry, dict):
+        raise ParameterError(f"{path}: {where} = {entry!r:.60}: expected a mapping")
+    for key, value in entry.items():
+        if key not in keys:
+            raise unknown_key(key, keys, f"{path}: {where}")
+        kind, expected = (dict, "a mapping") if key == "changes" else (str, "text")
+        if not isinstance(value, kind):
+            raise ParameterError(f"{path}: {where}.{key} = {value!r:.60}: expected {expected}")
+    return entry
+
+
+def _target(path: Path, name: str, entry, common: dict) -> dict:
+    """The mapping of a `Target` of an entry of `scenarios` in the file `path`."""
+    where = f"scenarios.{name}"
+    entry = _entry(path, where, entry, ("scenario", "rover", "changes", "trained_on", "model"))
+    if "scenario" in entry and "rover" in entry:
+        raise ParameterError(f"{path}: {where}: expected scenario or rover, not both")
+    changes, of = merge(common, entry.get("changes", {})), load_rover if "rover" in entry else load_scenario
+    which = entry.get("rover") or entry.get("scenario", name)
+    try:
+        of(which)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {where}: {error}") from None
+    scenario = of(which, changes, f"{path}: {where}.changes")
+    model = _model(path, entry["model"], scenario) if "model" in entry else {}
+    return {"task": to_dict(scenario), "trained_on": entry.get("trained_on", ""), "model": model}
+
+
+def _world(path: Path, name: str, entry) -> dict:
+    """The mapping of a `World` of an entry of `worlds` in the file `path`."""
+    entry = _entry(path, f"worlds.{name}", entry, ("model", "log_of"))
+    if len(entry) > 1:
+        raise ParameterError(f"{path}: worlds.{name}: expected model or log_of, not both")
+    return {key: _model(path, file) for key, file in entry.items()}
+
+
+def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
+    """Content of a model.yaml that is named in a file: as seen from here, else from beside that file."""
+    file = Path(name) if Path(name).is_file() else Path(path).parent / name
+    model = WheelSoilModel.load(file)
+    if not model.effects and not model.residual:
+        raise ParameterError(f"{file}: no effects; expected a world with at least one")
+    if model.soil is not None:
+        raise ParameterError(f"{file}: expected no soil: the courses have the soils of the scenario")
+    own, wheel = model.wheel, scenario.wheel if scenario else model.wheel
+    if (own.radius, own.width) != (wheel.radius, wheel.width):
+        raise ParameterError(
+            f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of scenario "
+            f"{scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
+        )
+    return model.content()

@@ -1,0 +1,76 @@
+"""Results of a study: study.json, one table and one figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from soil_env._io.document import Table
+from soil_env._io.files import replace_file, write_json
+from soil_env._io.loading import to_dict
+
+from ..evaluate import comparing
+from ..evaluate.tables import cell, draw_metrics, png, points
+from . import work
+from .config import Study
+
+_PANELS = ("immobilised", "finished", "return")
+FILES = ("study.json", "study.md", "study.png")
+
+
+def result(study: Study, folder: Path) -> dict:
+    """The content of study.json, of the cells that are done.
+
+    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name: effects found in a
+    log}, "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
+    """
+    runs, settings = work.driven(study, folder)
+    return {
+        "version": study.version,
+        "arms": {name: to_dict(arm) for name, arm in study.arms.items()},
+        "baseline": study.compared_with,
+        "courses": study.courses,
+        "settings": settings,
+        "worlds": {
+            name: {} if model is None else dict(model.effects) for name, model in work.worlds(study, folder).items()
+        },
+        "scenarios": {
+            name: {
+                **comparing.comparison(study.targets[name].scenario, study.held_out, own, resamples=study.resamples),
+                "trained_on": study.targets[name].trained_on or name,
+                "model": study.targets[name].model,
+            }
+            for name, own in runs.items()
+        },
+    }
+
+
+def table(content: dict, bounds: bool = True) -> Table:
+    """A row for each scenario and arm; differences are on the same courses."""
+    base, rows = content["baseline"], []
+    for name, entry in content["scenarios"].items():
+        for arm, metrics in entry["controllers"].items():
+            difference = probability = ""
+            if arm != base and base in entry["controllers"]:
+                difference = points(entry["paired"][arm][base]["finished"])
+                probability = cell(entry["improvement"][arm][base], bounds=bounds)
+            rows.append([
+                name, arm, entry["members"][arm], cell(metrics["immobilised"], 100.0, 1, bounds=bounds),
+                cell(metrics["finished"], 100.0, 1, bounds=bounds), cell(entry["iqm"][arm], bounds=bounds), difference,
+                probability,
+            ])  # fmt: skip
+    difference = f"finished - {base} [points]"
+    header = ("scenario", "arm", "seeds", "immobilised [%]", "finished [%]", "return (IQM)", difference,
+              "P(return higher)")  # fmt: skip
+    return Table(header, rows, f"{content['courses']} held-out courses of each scenario; 95 % intervals")
+
+
+def write(content: dict, folder: Path) -> list[str]:
+    """Write study.json, study.md and study.png; returns their names."""
+    folder = Path(folder)
+    write_json(folder / FILES[0], content)
+    found = [f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()]
+    page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
+    replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
+    rows = {name: entry["controllers"] for name, entry in content["scenarios"].items()}
+    replace_file(folder / FILES[2], png(draw_metrics(rows, _PANELS)))
+    return list(FILES)

@@ -1,0 +1,158 @@
+"""Work of a study: find worlds, train or tune arms, and drive them over the held-out courses.
+
+study.yaml            the study, resolved; another study may not go on in this folder
+worlds/NAME/          of a world found in a log: table.csv, setup.yaml, discrepancy/, found.yaml
+trained/CELL/         run folder of a training: config.yaml, model.zip, checkpoint.zip on the way
+tuned/CELL.log        trials of a tuning
+cells/CELL.json       the courses of all scenarios as driven by one arm with one training seed: the cell is done
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from soil_env._io.files import replace_files
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import Scenario
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
+
+from .. import cells
+from ..controllers import make_controller
+from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from ..evaluate import run_courses, tuned_settings
+from ..evaluate.contestants import Contestant
+from ..evaluate.driving import Runs
+from ..evaluate.loading import load
+from ..progress import show
+from .commissioning import found_world
+from .config import Cell, Study
+
+
+def begin(study: Study, folder: Path) -> None:
+    """Write study.yaml; ParameterError where the folder holds another study, or other files."""
+    cells.is_begun(study, folder, ignored=("seeds", "baseline", "resamples"))
+    cells.save_study(study, folder)
+
+
+def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> None:
+    """Do all cells that are not done; `elsewhere`: on machines that do not share `folder`."""
+    folder, todo = Path(folder), study.cells()
+    left = len(todo)
+    for name, world in study.worlds.items():
+        if world.log_of:
+            first = next(t.scenario for t in study.targets.values() if not t.trained_on)
+            hidden = WheelSoilModel.from_content(world.log_of, name)
+            found_world(first, hidden, study.commissioning, folder / "worlds" / name)
+    work = Work(study, worlds(study, folder), None if elsewhere else folder)
+
+    def progress(cell: Cell) -> None:
+        nonlocal left
+        left -= 1
+        show(f"{cell}: done, {left} of {len(todo)} cells left")
+
+    def kept(engine):
+        def run(work, missing):
+            for cell, content in engine(work, missing):
+                files = content.pop("files", {})
+                if files:
+                    replace_files(folder / "trained" / str(cell), files)
+                yield cell, content
+
+        return run
+
+    cells.fill(work, todo, folder, kept(engine), progress)
+
+
+def worlds(study: Study, folder: Path) -> dict[str, WheelSoilModel | None]:
+    """{name: model} of the named worlds; those found in a log are read from their files."""
+    out = {}
+    for name, world in study.worlds.items():
+        found = WheelSoilModel.load(Path(folder) / "worlds" / name / "found.yaml") if world.log_of else world.world
+        out[name] = found if found is not None and (found.effects or found.residual) else None
+    return out
+
+
+class Work:
+    """Does cells; can be sent to other processes and, without a folder, to other machines."""
+
+    def __init__(self, study: Study, worlds: dict[str, WheelSoilModel | None], folder: Path | None):
+        self.study, self.worlds, self.folder = study, worlds, folder
+
+    def __call__(self, cell: Cell) -> dict:
+        """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}; and the files of a training
+        that was made elsewhere."""
+        if self.folder is not None:
+            return self._done(cell, self.folder)
+        with tempfile.TemporaryDirectory() as there:
+            out, run = self._done(cell, Path(there)), Path(there) / "trained" / str(cell)
+            return {**out, "files": {f.name: f.read_bytes() for f in sorted(run.glob("*")) if f.is_file()}}
+
+    def _done(self, cell: Cell, folder: Path) -> dict:
+        study, arm, source = self.study, self.study.arms[cell.arm], self.study.targets[cell.source]
+        model = self.worlds[arm.world] if arm.world else source.world
+        settings, path = {}, None
+        if arm.controller:
+            settings = self._settings(cell, source.scenario, model, folder)
+        else:
+            from .. import training  # needs the extra `train`, which --help does not
+
+            path = training.trained(study.training(cell, model, folder / "trained"), source.scenario)
+        driven = {}
+        for name in study.fed_by(cell.source):
+            target = study.targets[name]
+            controller = self._controller(cell, target.scenario, settings, path)
+            try:
+                runs = run_courses(
+                    controller, target.scenario, study.held_out, study.courses, model=target.world, threads=1
+                )
+            except ParameterError as error:
+                raise ParameterError(f"arms.{cell.arm}, on {name}: {error}") from None
+            driven[name] = runs.columns()
+        return {"settings": settings, "driven": driven}
+
+    def _settings(self, cell: Cell, scenario: Scenario, model, folder: Path) -> dict[str, float]:
+        """Settings of a classical controller: given, else tuned where it is made."""
+        arm = self.study.arms[cell.arm]
+        if arm.settings or ":" in arm.controller:
+            return arm.settings
+        log = folder / "tuned" / f"{cell}.log"
+        log.parent.mkdir(parents=True, exist_ok=True)
+        anew = bool(self.study.worlds)  # as many trials in every world
+        return tuned_settings(
+            scenario, self.study.tuning_courses, (arm.controller,), None, model, log, anew
+        )[0].get(arm.controller, {})  # fmt: skip
+
+    def _controller(self, cell: Cell, scenario: Scenario, settings: dict, path: Path | None):
+        name = self.study.arms[cell.arm].controller
+        if path is not None:
+            from ..evaluate.models import load_model
+
+            return load_model(path, scenario)
+        if isinstance(scenario, RoverScenario) and name in ROVER_CONTROLLERS:
+            return make_rover_controller(name, scenario, **settings)
+        if ":" in name:
+            return load(Contestant(cell.arm, 0, "class", name), scenario)
+        return make_controller(name, scenario, **settings)
+
+
+def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
+    """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell: settings})."""
+    runs: dict[str, dict[str, list[Runs]]] = {name: {} for name in study.targets}
+    settings = {}
+    for cell in study.cells():
+        if not cells.cell_file(folder, cell).is_file():
+            continue
+        content = cells.read_cell(folder, cell, _parse)
+        if content["settings"]:
+            settings[str(cell)] = content["settings"]
+        for target, own in content["driven"].items():
+            if own.cause.size != study.courses:
+                raise ParameterError(f"{cells.cell_file(folder, cell)}: {own.cause.size} courses; delete it")
+            runs[target].setdefault(cell.arm, []).append(own)
+    return {t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own}, settings
+
+
+def _parse(content: dict) -> dict:
+    return {**content, "driven": {t: Runs.from_columns(columns) for t, columns in content["driven"].items()}}

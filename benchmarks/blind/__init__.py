@@ -1,1 +1,0 @@
-"""A benchmark of discrepancy discovery: cases, scorer and entrants; `easy` is the set without law errors."""

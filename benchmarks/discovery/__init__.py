@@ -1,0 +1,1 @@
+"""Blind benchmark of discrepancy discovery: a generator of cases, entrants and scores."""

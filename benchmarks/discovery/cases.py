@@ -1,0 +1,336 @@
+"""Cases of the benchmark: sets, groups, hidden effects, and a table and a setup as files with the truth apart.
+
+A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, sinkage is
+below the surface in front of the wheel, pull is the net forward force on the axle, less the weight component where a
+grade effect is hidden. Sets differ in the law errors: `laws` has errors that are smooth in slip, `log_slip` and
+`regimes` have the same cases with errors that change otherwise with slip (`laws.log_slip`, `laws.regimes`).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from benchmarks.discovery.forms import CHANNELS, MECHANISMS, UNLISTED, VARIES, Form, Hidden, forms_of
+from benchmarks.discovery.laws import BASE_LAWS, StressError, log_slip, regimes, smooth
+from benchmarks.discovery.limits import Measure
+from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, draw_bench
+
+KINDS = ("one", "two", "unlisted", "none")
+LEAST = 2.0  # detection limits from which a case counts for the targets
+SEEN, WEAK = (LEAST, 8.0), (0.5, LEAST)  # sizes that are sought, in detection limits
+PAIRS = tuple(combinations(MECHANISMS, 2))
+STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
+LAWS = tuple(law for law in BASE_LAWS if law != "reece")  # that differ for one wheel, too
+ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
+DEEPEST = 0.7  # sinkage over the radius, with effects
+
+
+# --- sets and groups --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases of one sort."""
+
+    kind: str  # one of `KINDS`
+    design: str  # rich, wheels, poor, few: of `plan`
+    error: float  # size of the law errors
+    count: int
+    sort: str = ""  # laws, outliers or weak
+    prefix: str = ""  # of the set
+    of_slip: Callable = smooth  # kind of the law errors
+
+    @property
+    def base(self) -> str:
+        """Name of the group of set `laws` that has the same effects and conditions."""
+        return "-".join(filter(None, (self.kind, self.design, self.sort, f"{100 * self.error:.0f}")))
+
+    @property
+    def name(self) -> str:
+        """Prefix of the set, kind, design, sort and error, as in the names of the cases."""
+        return self.prefix + self.base
+
+    def law(self, index: int) -> str | None:
+        """Return the base law of a case, None for the paper's."""
+        if self.sort == "laws":
+            return LAWS[index % len(LAWS)]
+        return "reece" if self.design == "wheels" and index % 2 else None
+
+    def hidden(self, index: int) -> list[Form]:
+        """Return the forms that are hidden in a case: mechanisms and forms take turns."""
+        index += zlib.crc32(self.base.encode()) % 1009  # groups do not all begin with the same ones
+        if self.kind == "none":
+            return []
+        if self.kind == "unlisted":
+            return [UNLISTED[index % len(UNLISTED)]]
+        if self.kind == "two":
+            names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
+        else:
+            known = STEADY if self.design in ("poor", "few") else MECHANISMS
+            names = (known[index % len(known)],)
+        turn = index // len(MECHANISMS) if self.kind == "one" else index
+        return [forms_of(n)[(turn + k) % len(forms_of(n))] for k, n in enumerate(names)]
+
+
+def _groups(kind: str, counts: dict[float, int], design: str = "rich", sort: str = "", **of_set) -> list[Group]:
+    return [Group(kind, design, error, count, sort, **of_set) for error, count in counts.items()]
+
+
+_MAIN = {"one": 156, "two": 78, "none": 60, "unlisted": 63}  # cases at law errors of 10 %
+SETS: dict[str, list[Group]] = {
+    "laws": [
+        *_groups("one", {0.0: 78, 0.05: 39, 0.1: _MAIN["one"], 0.2: 39}),
+        *_groups("two", {0.0: 39, 0.1: _MAIN["two"]}),
+        *_groups("none", {0.0: 40, 0.05: 20, 0.1: _MAIN["none"], 0.2: 20}),
+        *_groups("unlisted", {0.0: 36, 0.1: _MAIN["unlisted"], 0.2: 18}),
+        *_groups("one", {0.1: 39}, sort="weak"),
+        *_groups("one", {0.0: 28, 0.1: 28}, sort="laws"),
+        *_groups("none", {0.0: 14, 0.1: 14}, sort="laws"),
+        *_groups("one", {0.1: 26}, sort="outliers"),
+        *_groups("none", {0.1: 10}, sort="outliers"),
+        *_groups("one", {0.0: 13, 0.1: 39}, "wheels"),
+        *_groups("none", {0.1: 20}, "wheels"),
+        *_groups("one", {0.0: 18, 0.1: 36}, "poor"),
+        *_groups("one", {0.0: 18, 0.1: 36}, "few"),
+        *_groups("none", {0.1: 30}, "poor"),
+        *_groups("none", {0.1: 20}, "few"),
+    ],
+    "log_slip": [g for k, n in _MAIN.items() for g in _groups(k, {0.1: n}, prefix="log-slip-", of_slip=log_slip)],
+    "regimes": [g for k, n in _MAIN.items() for g in _groups(k, {0.1: n}, prefix="regimes-", of_slip=regimes)],
+}
+GROUPS = {group.name: group for groups in SETS.values() for group in groups}
+
+
+class Task(NamedTuple):
+    """One case."""
+
+    group: str
+    index: int
+
+    @property
+    def name(self) -> str:
+        """Name of its folder and its files."""
+        return f"{self.group}-{self.index:03d}"
+
+
+def tasks(of: str, limit: int | None = None) -> list[Task]:
+    """Return the first `limit` cases of a set; every beginning of the list has its share of each group."""
+    found = [((i + 0.5) / g.count, Task(g.name, i)) for g in SETS[of] for i in range(g.count)]
+    return [task for _, task in sorted(found, key=lambda pair: pair[0])][:limit]
+
+
+def task_of(name: str) -> Task:
+    """Return the case of a name. Raises `ValueError` where there is none."""
+    group, _, index = name.rpartition("-")
+    if group not in GROUPS or not index.isdigit():
+        raise ValueError(f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}")
+    return Task(group, int(index))
+
+
+def generator() -> str:
+    """Hash of the code that the cases follow from."""
+    names = ("cases", "forms", "laws", "limits", "listed", "plan", "world")
+    return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
+
+
+# --- a case -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One case; entrants may see `columns` and `setup`, not `truth`."""
+
+    columns: dict[str, list]  # of data.csv
+    setup: dict  # setup.yaml
+    truth: dict  # truth.json
+    clean: np.ndarray  # noise-free table [3, N]
+    bench: Bench
+    effects: tuple[Hidden, ...]
+
+
+def draw_case(seed: int, task: Task) -> Case:
+    """Draw the case of a seed, group and number."""
+    group = GROUPS[task.group]
+    rng = np.random.default_rng([seed, zlib.crc32(group.base.encode()), task.index])
+    forms, law = group.hidden(task.index), group.law(task.index)
+    lugs = any(form.effect == "grousers" for form in forms)
+    best, measure, effects, sizes = None, None, (), ()
+    for _ in range(ATTEMPTS):
+        bench = draw_bench(rng, group.design, group.error, law, lugs)
+        measure = Measure(bench)
+        effects, sizes = _strengths(rng, measure, forms, group)
+        if sizes is None:
+            continue
+        if best is None or min(sizes, default=np.inf) > min(best[2], default=np.inf):
+            best = measure, effects, sizes
+        if min(sizes, default=np.inf) >= 0.97 * (WEAK if group.sort == "weak" else SEEN)[0]:
+            break
+    if best is None:
+        raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
+    case = _measured(rng, seed, task, *best)
+    return case if group.of_slip is smooth else _with_other_errors(case, seed, task)
+
+
+def _with_other_errors(case: Case, seed: int, task: Task) -> Case:
+    """Draw errors that change otherwise with slip, and noise, for a case; its truth and limits stay."""
+    rng, bench = np.random.default_rng([seed, zlib.crc32(task.group.encode()), task.index]), case.bench
+    for _ in range(ATTEMPTS):
+        kind = GROUPS[task.group].of_slip
+        drawn = replace(bench, error=StressError.draw(rng, bench.error.size, bench.pressure, bench.load, kind))
+        clean = drawn.truth(case.effects)
+        if np.all(np.isfinite(clean)) and np.max(clean[0] / bench.wheel.radius) <= DEEPEST:
+            break
+    else:
+        raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
+    values = clean + np.array(bench.noise)[:, None] * rng.standard_normal(clean.shape)
+    measured = {name: [float(f"{v:.6g}") for v in row] for name, row in zip(CHANNELS, values, strict=True)}
+    return replace(
+        case, columns=case.columns | measured, truth=case.truth | {"case": task.name}, clean=clean, bench=drawn
+    )
+
+
+def _strengths(rng, measure: Measure, forms, group: Group):
+    """(Effects whose sizes are drawn between the multiples of the limit, sizes); (.., None) if impossible."""
+    bench = measure.bench
+    context = bench.context
+    effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, context)) for f in forms]
+    low, high = WEAK if group.sort == "weak" else SEEN
+    wanted = [low * (high / low) ** rng.uniform() for _ in effects]
+    sizes = [np.nan] * len(effects)
+    for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
+        others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
+        strength, sizes[k] = measure.strength(effects[k], wanted[k], others)
+        if strength == 0.0:
+            return effects, None
+        effects[k] = effects[k].at(strength)
+    if group.kind == "unlisted":  # what counts is what the best listed effect would leave of it
+        rival = min(measure.left(measure.contribution(effects[0]), [], effects[0].form.freedom).values())
+        strength, size = measure.strength(effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3))
+        if strength == 0.0:
+            return effects, None
+        effects, sizes = [effects[0].at(strength)], [size * rival / sizes[0]]
+    table = measure.whole.truth(effects)
+    if not np.all(np.isfinite(table)) or np.max(table[0] / bench.wheel.radius) > DEEPEST:
+        return effects, None
+    if len(effects) == 2:
+        sizes = [measure.size(e, [effects[1 - k]]) for k, e in enumerate(effects)]
+    return tuple(effects), (tuple(sizes) if np.all(np.isfinite(sizes)) else None)
+
+
+def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> Case:
+    group, bench = GROUPS[task.group], measure.whole
+    clean = bench.truth(effects)
+    noise = np.array(bench.noise)[:, None]
+    values = clean + noise * rng.standard_normal(clean.shape)
+    wrong = (rng.random(clean.shape) < 0.02) & bench.measured & (group.sort == "outliers")
+    gross = rng.uniform(5.0, 15.0, clean.shape) * rng.choice((-1.0, 1.0), clean.shape)
+    values = np.where(wrong, clean + noise * gross, values)
+    stated = rng.random() < (0.5 if group.design == "few" else 0.8)
+    setup = _setup(rng, bench, stated, WIDE if group.design == "few" else 1.0)
+    law = None if bench.law is None else BASE_LAWS[bench.law]
+    truth = {
+        "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
+        "law_error": group.error,
+        "base_law": None if law is None else {"name": law.name, "source": law.source, **(bench.law_side or {})},
+        "also": [] if law is None or law.also is None else [law.also],
+        "rows": len(bench.rows), "noise_stated": stated, "wrong_cells": int(wrong.sum()),
+        "soil_type": bench.soil, "soil": asdict(bench.ground),
+        "noise": dict(zip(CHANNELS, bench.noise, strict=True)),
+        **_described(measure, effects, sizes),
+    }  # fmt: skip
+    return Case(_columns(bench, effects, values), setup, truth, clean, bench, effects)
+
+
+def _described(measure: Measure, effects, sizes) -> dict:
+    """Truth about the effects: sizes in detection limits, what listed forms leave of them, and if the case counts."""
+    out, counts = [], True
+    for k, effect in enumerate(effects):
+        others = [e for j, e in enumerate(effects) if j != k]
+        free = [measure.contribution(e) for e in others]
+        left = measure.left(measure.contribution(effect, others), free, effect.form.freedom)
+        left = {name: value for name, value in left.items() if name not in {e.form.effect for e in others}}
+        rivals = {name: value for name, value in left.items() if name != effect.form.effect}
+        best = min(rivals, key=rivals.get) if rivals else None
+        out.append({
+            "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),
+            "strength": effect.strength, "unit": effect.form.strength,
+            "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
+            "size": measure.size(effect, others), "own_left": left.get(effect.form.effect), "rival": best,
+            "rival_left": rivals[best] if best else None, "left": left,
+        })  # fmt: skip
+        seen = sizes[k] if effect.form.effect in MECHANISMS else out[-1]["rival_left"]
+        counts = counts and seen >= 0.97 * LEAST
+    return {"effects": out, "counts": bool(counts)}
+
+
+def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
+    rows = bench.conditions(effects)
+    columns = {
+        "run": list(bench.runs), "time": rows.time.tolist(), "slip": rows.slip.tolist(), "load": rows.load.tolist(),
+        "speed": rows.speed.tolist(), "pass": [int(p) for p in rows.passes],
+    }  # fmt: skip
+    if np.any(rows.grade_deg):
+        columns["grade_deg"] = [float(np.round(g, 4)) for g in rows.grade_deg]
+    if np.ndim(bench.wheel.radius):
+        columns["wheel_radius"] = bench.wheel.radius.tolist()
+        columns["wheel_width"] = bench.wheel.width.tolist()
+        columns["grouser_height"] = bench.wheel.lugs.tolist()
+    for name, row, kept in zip(CHANNELS, values, bench.measured, strict=True):
+        if kept.any():
+            columns[name] = [float(f"{v:.6g}") for v in row]
+    return columns
+
+
+def _setup(rng, bench: Bench, noise_stated: bool, wide: float) -> dict:
+    """Known to the entrant: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
+    soil = {}
+    for name in SOIL:
+        true, value = getattr(bench.ground, name), -1.0
+        while value <= 0.05 * true:
+            value = true + bench.prior_sd[name] * rng.standard_normal()
+        soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{wide * PRIOR_SD[name](value):.3g}")}
+    first = (float(np.atleast_1d(x)[0]) for x in (bench.wheel.radius, bench.wheel.width))
+    setup = {
+        "wheel": dict(zip(("radius", "width"), first, strict=True)),
+        "soil": soil | {"density": bench.ground.density},
+    }
+    if noise_stated:
+        present = bench.measured.any(axis=1)
+        levels = zip(CHANNELS, bench.noise, present, strict=True)
+        setup["noise"] = {name: float(f"{s:.3g}") for name, s, there in levels if there}
+    return setup
+
+
+def write_case(case: Case, folder: Path, truth_file: Path) -> None:
+    """data.csv and setup.yaml in `folder`, the truth in another place; the truth is written last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    truth_file.parent.mkdir(parents=True, exist_ok=True)
+    with (folder / "data.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(case.columns)
+        writer.writerows(zip(*case.columns.values(), strict=True))
+    (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
+    text = json.dumps(_plain(case.truth), indent=1, allow_nan=False)
+    truth_file.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(x):
+    """Plain values with six significant digits; None where a number is not finite."""
+    if isinstance(x, dict):
+        return {k: _plain(v) for k, v in x.items()}
+    if isinstance(x, (list, tuple)):
+        return [_plain(v) for v in x]
+    if isinstance(x, (bool, str, int)) or x is None:
+        return x
+    return float(f"{x:.6g}") if np.isfinite(x) else None

@@ -1,0 +1,425 @@
+"""Entrants: functions from (data.csv, setup.yaml) to an `Answer`.
+
+`workflow` is the discrepancy workflow of soil_env. The others are baselines made of least-squares fits of named effects
+to a table; of soil_env they use only the reader, the catalogue and `WheelSoilModel.predict`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import least_squares
+
+from benchmarks.discovery.forms import CHANNELS, MECHANISMS
+from benchmarks.discovery.laws import covariance
+from benchmarks.discovery.plan import SOIL
+from benchmarks.discovery.world import Contact, Ground, Rows, Wheel
+from soil_env.discrepancy import run
+from soil_env.discrepancy.report import content
+from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Form
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", "error")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer of an entrant to a table. Raises `ValueError` for unknown names.
+
+    `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty where the verdict is
+    unlisted, none or undetermined. `alternatives`: those that look like the named ones. `probabilities`: of
+    each mechanism to be in the table; those left out count as 0. Names are those of the catalogue.
+    """
+
+    verdict: str
+    named: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+        for name in (*self.named, *self.alternatives, *self.probabilities):
+            if name not in MECHANISMS:
+                raise ValueError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
+        for name, p in self.probabilities.items():
+            if not (math.isfinite(p) and -1e-9 <= p <= 1.0 + 1e-6):
+                raise ValueError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
+
+    @classmethod
+    def of(cls, content: Mapping) -> Answer:
+        """Return the answer of a mapping with the keys of this class. Raises `ValueError` for anything else."""
+        if not isinstance(content, Mapping) or not set(content) <= set(cls.__dataclass_fields__):
+            raise ValueError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
+        lists = {key: tuple(content[key]) for key in ("named", "alternatives") if key in content}
+        return cls(**{**content, **lists})
+
+
+Entrant = Callable[[Path, Path], Answer | Mapping]
+
+
+def entrant(name: str) -> Entrant:
+    """Return the entrant of a name or of module:function. Raises `ValueError` where there is none."""
+    if name in ENTRANTS:
+        return ENTRANTS[name]
+    module, _, function = name.partition(":")
+    if not function:
+        raise ValueError(f"entrant {name!r}: expected {', '.join(ENTRANTS)} or module:function")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"entrant {name!r}: {error}") from None
+
+
+def workflow(data: Path, setup: Path) -> Answer:
+    """Discrepancy workflow of soil_env, by the content of its report.json."""
+    report = content(run(data, setup))
+    named = tuple(e["name"] for e in report["effects"])
+    others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
+    chance: dict[str, float] = {}
+    for rank in report["ranking"]:
+        for name in str(rank["name"]).replace(" ", "").split("+"):
+            if rank["probability"] is not None and name in MECHANISMS:
+                chance[name] = min(chance.get(name, 0.0) + float(rank["probability"]), 1.0)
+    return Answer(report["verdict"], named, tuple(others), chance)
+
+
+# --- fits of named effects --------------------------------------------------------------------------------------------
+
+LOGARITHMIC = ("cohesion", "shear_modulus", "sinkage_coefficient")
+UNKNOWN = {"friction_angle_deg": (30.0, 10.0), "cohesion": (1000.0, 3000.0), "shear_modulus": (0.02, 0.02),
+           "sinkage_coefficient": (5e5, 2e6), "sinkage_exponent": (0.9, 0.3)}  # fmt: skip
+BOUNDS = {"friction_angle_deg": (3.0, 70.0), "cohesion": (0.0, 1.9e5), "shear_modulus": (2e-4, 0.29),
+          "sinkage_coefficient": (2.0, 9e12), "sinkage_exponent": (0.1, 2.9)}  # fmt: skip
+LUGS = 0.1  # height over the radius where the setup says nothing of lugs
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Effect in one of its forms."""
+
+    effect: str
+    form: Form
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
+
+    chosen: tuple[Chosen, ...]
+    squares: np.ndarray  # [channels], priors left out
+    counts: np.ndarray  # values of each channel
+    penalty: float  # priors of the soil
+    free: int  # parameters of the effects
+    stated: bool
+    predicted: np.ndarray  # [3, N]
+    soil: dict[str, float]
+    values: np.ndarray  # of the free parameters of the effects
+
+    @property
+    def bic(self) -> float:
+        """-2 ln likelihood, priors of the soil with it, plus ln N for each parameter of an effect."""
+        if self.stated:
+            deviance = float(self.squares.sum())
+        else:
+            deviance = float(np.sum(self.counts * np.log(np.maximum(self.squares / self.counts, 1e-300))))
+        return deviance + self.penalty + self.free * math.log(self.counts.sum())
+
+
+class Bank:
+    """One table, and fits of effects to it."""
+
+    def __init__(self, data: Path, setup: Path):
+        self.setup: Setup = read_setup(setup)
+        self.table: Table = read_table(data, self.setup.wheel)
+        self.measured = np.stack([getattr(self.table, c) for c in CHANNELS])
+        self.there = np.isfinite(self.measured)
+        given = [getattr(self.setup.noise, c) for c, there in zip(CHANNELS, self.there, strict=True) if there.any()]
+        self.stated = all(s is not None for s in given)
+        load, r = float(np.median(self.table.load)), self.setup.wheel.radius
+        usual = (0.01 * r, 0.01 * load, 0.01 * load * r)
+        self.noise = np.array([getattr(self.setup.noise, c) or u for c, u in zip(CHANNELS, usual, strict=True)])
+        height = self.setup.wheel.grouser_height
+        self.lugs = LUGS * r if height is None else height
+        self.speed = float(np.exp(np.nanmean(np.log(np.maximum(self.table.speed, 1e-4)))))
+        self.unit = {"constant": 0.05 * load * r, "viscous": 0.05 * load * r * r / self.speed, "offset": 0.02 * r,
+                     "onset": 0.01}  # fmt: skip
+
+    def _soil(self, x: np.ndarray) -> dict[str, float]:
+        """Parameters of the soil at unknowns x, in standard deviations of the prior."""
+        out = {}
+        for name, u in zip(SOIL, x, strict=True):
+            value, sd = self.prior[name]
+            out[name] = value * math.exp(np.clip(u * sd / value, -12, 12)) if name in LOGARITHMIC else value + sd * u
+        for name, (low, high) in BOUNDS.items():
+            out[name] = float(np.clip(out[name], low, high))
+        return out
+
+    @cached_property
+    def prior(self) -> dict[str, tuple[float, float]]:
+        """(value, sd) of each soil parameter; broad where the setup says nothing."""
+        out = {}
+        for name in SOIL:
+            lumped = name == "sinkage_coefficient"
+            given = self.setup.soil.lumped(self.setup.wheel.width) if lumped else getattr(self.setup.soil, name)
+            value, sd = UNKNOWN[name] if given is None else (given.value, max(given.sd, 1e-6 * abs(given.value)))
+            out[name] = value, sd
+        return out
+
+    def _start(self, chosen: Sequence[Chosen]):
+        """(start, lower, upper, scale) of the free parameters of effects."""
+        out = []
+        for c in chosen:
+            for name in c.form.free:
+                p = CATALOGUE[c.effect].parameter(name)
+                scale = p.scale * (p.centre if p.centre is not None else 1.0) or self.unit[name]
+                middle = p.centre if p.centre is not None else p.neutral
+                out.append((float(np.clip(middle + 0.2 * scale, p.low, p.high)), p.low, p.high, scale))
+        return np.array(out, float).reshape(-1, 4).T
+
+    def _model(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> WheelSoilModel:
+        effects, k = {}, 0
+        for c in chosen:
+            parameters = dict(c.form.fixed)
+            known = [p.name for p in CATALOGUE[c.effect].parameters]
+            if "reference_speed" in known:
+                parameters["reference_speed"] = self.speed if c.effect == "penetration_rate" else 0.4 * self.speed
+            parameters |= {name: float(values[k + j]) for j, name in enumerate(c.form.free)}
+            k += len(c.form.free)
+            effects[c.effect] = parameters
+        density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
+        wheel = ModelWheel(self.setup.wheel.radius, self.setup.wheel.width, self.lugs)
+        return WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects)
+
+    def predict(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> np.ndarray:
+        """Table [3, N] of a soil with effects."""
+        p = self._model(soil, chosen, values).predict(self.table)
+        return np.stack([p.sinkage, p.drawbar_pull, p.torque])
+
+    def whitened(self, off: np.ndarray) -> np.ndarray:
+        """Return the values in use of a table [3, N], over the noise."""
+        return (off / self.noise[:, None])[self.there]
+
+    def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
+        """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
+        start, low, high, scale = self._start(chosen) if chosen else np.zeros((4, 0))
+        lower = np.concatenate([np.full(5, -8.0), low / scale])
+        upper = np.concatenate([np.full(5, 8.0), high / scale])
+        x0 = np.clip(np.concatenate([np.zeros(5), start / scale]), lower + 1e-9, upper - 1e-9)
+
+        def residual(x):
+            table = self.predict(self._soil(x[:5]), chosen, np.clip(x[5:] * scale, low, high))
+            off = np.where(np.isfinite(table), table - self.measured, 1e3 * self.noise[:, None])
+            return np.concatenate([self.whitened(off), x[:5]])
+
+        found = least_squares(residual, x0, bounds=(lower, upper), diff_step=1e-5, max_nfev=40, ftol=1e-6)
+        soil, values = self._soil(found.x[:5]), np.clip(found.x[5:] * scale, low, high)
+        table = self.predict(soil, chosen, values)
+        weighted = np.where(self.there, (table - self.measured) / self.noise[:, None], 0.0)
+        kept = self.there.any(axis=1)
+        return Fitted(
+            tuple(chosen), np.sum(weighted**2, axis=1)[kept], self.there.sum(axis=1)[kept],
+            float(found.x[:5] @ found.x[:5]), found.x.size - 5, self.stated, table, soil, values,
+        )  # fmt: skip
+
+    def signature(self, base: Fitted, chosen: Chosen) -> np.ndarray:
+        """Change of the table [3, N] by an effect of a fifth of its prior scale, on the soil of a fit."""
+        return self.predict(base.soil, [chosen], self._start([chosen])[0]) - base.predicted
+
+    def soil_signatures(self, base: Fitted) -> list[np.ndarray]:
+        """Changes of the table [3, N] by a hundredth of each soil parameter."""
+        return [self.predict(base.soil | {n: 1.01 * base.soil[n]}, (), np.zeros(0)) - base.predicted for n in SOIL]
+
+    @cached_property
+    def candidates(self) -> list[Chosen]:
+        """Every form of every effect that the table can show."""
+        columns = {"pass": self.table.passes, "speed": self.table.speed, "grade_deg": self.table.grade_deg}
+        out = []
+        for effect in CATALOGUE.values():
+            if effect.varies is not None:
+                column = columns[effect.varies]
+                if not np.ptp(column[np.isfinite(column)] if np.isfinite(column).any() else np.zeros(1)) > 0.0:
+                    continue
+            if not any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
+                continue
+            out += [Chosen(effect.name, form) for form in effect.forms]
+        return out
+
+
+ALTERNATIVE = 0.05  # probability from which a mechanism is an alternative
+
+
+def bic(data: Path, setup: Path) -> Answer:
+    """Bank of models weighed by BIC: every effect in every form, and pairs with the best one, without law errors.
+
+    P(set) in proportion to exp(-BIC/2) (Schwarz 1978; Raftery 1995, equal priors), the best form for each effect.
+    """
+    return best_of(Bank(data, setup), lambda fitted: fitted.bic)
+
+
+def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
+    """Return the answer by a criterion: base model, every effect in its best form, and pairs with the best effect."""
+    base = bank.fit()
+    singles: dict[str, tuple[float, Fitted]] = {}
+    for chosen in bank.candidates:
+        fitted = bank.fit([chosen])
+        value = criterion(fitted)
+        if chosen.effect not in singles or value < singles[chosen.effect][0]:
+            singles[chosen.effect] = value, fitted
+    _, best = min(singles.values(), key=lambda pair: pair[0])
+    pairs = [bank.fit([*best.chosen, *f.chosen]) for _, f in singles.values() if f is not best]
+    return weighed([(criterion(base), base), *singles.values(), *((criterion(f), f) for f in pairs)])
+
+
+def weighed(found: list[tuple[float, Fitted]]) -> Answer:
+    """Return the answer of BIC weights: names above one half; else the first name with those of 5 % and more."""
+    values, fits = np.array([value for value, _ in found]), [f for _, f in found]
+    weight = np.exp(-0.5 * (values - values.min()))
+    weight /= weight.sum()
+    chance: dict[str, float] = {}
+    for f, w in zip(fits, weight, strict=True):
+        for c in f.chosen:
+            chance[c.effect] = min(chance.get(c.effect, 0.0) + float(w), 1.0)
+    order = sorted(chance, key=lambda name: -chance[name])
+    named = [name for name in order if chance[name] > 0.5]
+    others = [name for name in order if ALTERNATIVE <= chance[name] <= 0.5]
+    if named:
+        return Answer("named", tuple(named), tuple(others), chance)
+    if weight[0] > 0.5:
+        return Answer("none", (), (), chance)
+    return Answer("ambiguous", (order[0],), tuple(others[1:]), chance)
+
+
+SIZES = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3)  # alpha
+FITTED = 0.1  # that the fits are made with
+NOISES = (0.3, 0.6, 1.0, 2.0, 4.0)  # over the usual noise, where it is not stated
+
+
+def gls(data: Path, setup: Path) -> Answer:
+    """Bank of models under the covariance of law errors, by an expert who knows how the cases are made.
+
+    As `bic`, but residuals are weighed by noise^2 + alpha^2 C, C the covariance of the table by law errors of the
+    generator on the soil of the base fit, alpha the size of maximum likelihood on a grid. Noise that is not stated is
+    a share of the usual one, found in the same way.
+    """
+    bank = CorrelatedBank(data, setup)
+    return best_of(bank, bank.criterion)
+
+
+class CorrelatedBank(Bank):
+    """Bank whose fits count with errors of the laws."""
+
+    def __init__(self, data: Path, setup: Path):
+        super().__init__(data, setup)
+        self.factor: np.ndarray | None = None  # of the covariance that fits are made with
+        of_laws = self._law_errors(self.fit())
+        noise = np.broadcast_to(self.noise[:, None], self.there.shape)[self.there]
+        self.factors = [
+            cholesky(np.diag((scale * noise) ** 2) + size**2 * of_laws, lower=True)
+            for size, scale in product(SIZES, (1.0,) if self.stated else NOISES)
+        ]
+        self.factor = cholesky(np.diag(noise**2) + FITTED**2 * of_laws, lower=True)
+
+    def _law_errors(self, base: Fitted) -> np.ndarray:
+        """Covariance of the values in use by law errors of size 1, on the soil of the base fit."""
+        t, wheel = self.table, self.setup.wheel
+        known = {name: np.where(np.isfinite(x), x, fill) for name, x, fill in (
+            ("speed", t.speed, 0.05), ("passes", t.passes, 1.0), ("grade_deg", t.grade_deg, 0.0), ("time", t.time, 0.0),
+        )}  # fmt: skip
+        radius, width = t.radius(wheel), t.width(wheel)
+        contact = Contact(Rows(t.slip, t.load, **known), Wheel(radius, width), Ground(**base.soil))
+        depth = np.clip(base.predicted[0] / radius, 1e-4, 0.9)
+        entry = np.arccos(1.0 - depth)[:, None]
+        whole = covariance(contact, entry, float(np.mean(t.load / (radius * width))), float(np.mean(t.load)))
+        kept = self.there.ravel()
+        return whole[np.ix_(kept, kept)]
+
+    def whitened(self, off: np.ndarray) -> np.ndarray:
+        """Values in use of a table [3, N], by the covariance."""
+        if self.factor is None:
+            return super().whitened(off)
+        return solve_triangular(self.factor, off[self.there], lower=True)
+
+    def criterion(self, fitted: Fitted) -> float:
+        """BIC at the most probable sizes of law errors and noise."""
+        off = (fitted.predicted - self.measured)[self.there]
+        if not np.all(np.isfinite(off)):
+            return math.inf
+        deviance = min(
+            float(np.sum(solve_triangular(f, off, lower=True) ** 2) + 2.0 * np.sum(np.log(np.diag(f))))
+            for f in self.factors
+        )
+        return deviance + fitted.penalty + fitted.free * math.log(off.size)
+
+
+THRESHOLDS = (2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 80.0)  # of coefficients of columns of length 1, in noise units
+EXPLAINED = 3.0  # largest root mean square of a residual that still counts as explained
+
+
+def pysindy(data: Path, setup: Path) -> Answer:
+    """PySINDy on the residual of the base model: STLSQ of Brunton, Proctor & Kutz (2016) from the package pysindy.
+
+    The library has a column for each form of each effect, linearised at the fit of the base model, in units of the
+    noise, the soil's tangent space projected out; the threshold is chosen by BIC. A name counts as sure.
+    """
+    from pysindy.optimizers import STLSQ
+
+    bank = Bank(data, setup)
+    base = bank.fit()
+    noise = bank.noise if bank.stated else _estimated(bank, base.predicted)
+
+    def flat(table):
+        return (table / noise[:, None])[bank.there]
+
+    q, _ = np.linalg.qr(np.stack([flat(s) for s in bank.soil_signatures(base)], axis=1))
+    target = flat(np.where(bank.there, bank.measured, 0.0) - base.predicted)
+    target = target - q @ (q.T @ target)
+    names, columns = [], []
+    for chosen in bank.candidates:
+        column = flat(bank.signature(base, chosen))
+        column = column - q @ (q.T @ column)
+        if np.all(np.isfinite(column)) and np.linalg.norm(column) > 1e-6:
+            names.append(chosen.effect)
+            columns.append(column / np.linalg.norm(column))
+    if not columns:
+        return Answer("none")
+    library = np.stack(columns, axis=1)
+    best, least = np.zeros(len(names)), float(target @ target)
+    for threshold in THRESHOLDS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # STLSQ warns where nothing passes the threshold
+            found = STLSQ(threshold=threshold).fit(library, target[:, None])
+        kept = np.asarray(found.coef_).ravel()
+        left = target - library @ kept
+        bic = float(left @ left) + np.count_nonzero(kept) * np.log(target.size)
+        if bic < least:
+            best, least = kept, bic
+    size: dict[str, float] = {}
+    for name, value in zip(names, np.abs(best), strict=True):
+        if value > 0.0:
+            size[name] = size.get(name, 0.0) + float(value)
+    if not size:
+        return Answer("none" if target @ target < EXPLAINED**2 * target.size else "unlisted")
+    return Answer("named", tuple(sorted(size, key=lambda name: -size[name])))
+
+
+def _estimated(bank: Bank, predicted: np.ndarray) -> np.ndarray:
+    """Noise of each channel from the base model's residual."""
+    residual = np.where(bank.there, bank.measured - predicted, np.nan)
+    return np.array([np.sqrt(np.nanmean(row**2)) if np.isfinite(row).any() else 1.0 for row in residual])
+
+
+ENTRANTS: dict[str, Entrant] = {"workflow": workflow, "bic": bic, "gls": gls, "pysindy": pysindy}

@@ -1,0 +1,226 @@
+"""Soil, wheels, test plan and base law of a case, without effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from benchmarks.discovery.forms import Context, Hidden
+from benchmarks.discovery.laws import BASE_LAWS, StressError, altered
+from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
+
+SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
+PRIOR_SD = {  # standard deviation of a prior from its value
+    "friction_angle_deg": lambda value: 1.5,
+    "cohesion": lambda value: max(0.2 * value, 30.0),
+    "shear_modulus": lambda value: 0.2 * value,
+    "sinkage_coefficient": lambda value: 0.12 * value,
+    "sinkage_exponent": lambda value: 0.025,
+}
+#: Ranges: friction angle [deg], cohesion [Pa], K [m], n [-], mean pressure W/(b r) [Pa].
+SOILS = {
+    "dry sand": ((28, 38), (50, 500), (0.008, 0.025), (0.7, 1.1), (2500, 6000)),
+    "lunar simulant": ((32, 40), (150, 1200), (0.01, 0.03), (0.8, 1.3), (2500, 6000)),
+    "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
+    "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
+}
+WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
+SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """Conditions, true soil and base law of a table, its noise and the priors of the soil."""
+
+    wheel: Wheel  # arrays [N] where there are two
+    ground: Ground
+    rows: Rows  # grades as a pattern in [-1, 1] times `grade`
+    runs: tuple[str, ...]
+    grade: float  # steepest [deg]
+    noise: tuple[float, float, float]  # 1-sigma of sinkage [m], drawbar pull [N], torque [N m]
+    prior_sd: dict[str, float]  # of `SOIL`
+    measured: np.ndarray  # [3, N] cells that are filled in
+    soil: str  # its sort
+    law: str | None = None  # base law, None: the paper's
+    law_side: dict | None = None
+    error: StressError | None = None
+
+    @property
+    def load(self) -> float:
+        """Geometric mean of the loads [N]."""
+        return float(np.exp(np.mean(np.log(self.rows.load))))
+
+    @property
+    def pressure(self) -> float:
+        """Mean contact pressure, load over b r [Pa]."""
+        return self.load / float(np.mean(np.asarray(self.wheel.radius) * self.wheel.width))
+
+    @property
+    def context(self) -> Context:
+        """Context of the forms; of two wheels the mean one."""
+        mean = Wheel(float(np.mean(self.wheel.radius)), float(np.mean(self.wheel.width)))
+        return Context(mean, self.ground, self.conditions())
+
+    def conditions(self, effects: Sequence[Hidden] = ()) -> Rows:
+        """Rows with the grades in degrees, set by the strength of a grade effect if there is one."""
+        scale = next((e.strength for e in effects if e.form.scales_grade), self.grade)
+        return replace(self.rows, grade_deg=self.rows.grade_deg * scale)
+
+    def contact(self, effects: Sequence[Hidden] = (), exact: bool = False) -> Contact:
+        """Wheel on soil with the effects in the order of their forms; `exact`: on the paper's law, without errors."""
+        contact = Contact(self.conditions(effects), self.wheel, self.ground)
+        if not exact:
+            altered(contact, self.law, self.law_side or {})
+            if self.error is not None:
+                self.error(contact)
+        for effect in sorted(effects, key=lambda e: e.form.order):
+            effect(contact)
+        return contact
+
+    def truth(self, effects: Sequence[Hidden] = ()) -> np.ndarray:
+        """Noise-free table [3, N]; NaN where the wheel finds no balance."""
+        return self.contact(effects).solve().stack()
+
+    @cached_property
+    def base(self) -> np.ndarray:
+        """Noise-free table [3, N] without effects, on the laws of this bench."""
+        return self.truth()
+
+    @cached_property
+    def exact(self) -> np.ndarray:
+        """Noise-free table [3, N] without effects, on the paper's laws."""
+        return self.contact(exact=True).solve().stack()
+
+
+def draw_bench(rng: np.random.Generator, design: str, size: float, law: str | None, lugs: bool = False) -> Bench:
+    """Wheel, soil and plan; `size` of the law errors; `lugs`: one of two wheels has lugs that are not to be ignored."""
+    while True:
+        soil = list(SOILS)[rng.integers(len(SOILS))]
+        phi, c, k, n, pressure = (float(rng.uniform(*span)) for span in SOILS[soil])
+        radius = float(np.round(np.exp(rng.uniform(np.log(0.08), np.log(0.35))), 3))
+        width = float(np.round(np.clip(radius * rng.uniform(0.5, 1.1), 0.06, 0.25), 3))
+        mean_load = pressure * radius * width
+        wheel, rows, runs = _plan(rng, design, mean_load, Wheel(radius, width), lugs)
+        ground = Ground(phi, c, k, 1.0, n, float(np.round(rng.uniform(1300, 1800))))
+        depth = rng.uniform(0.07, 0.2)
+        s = stiffness_for(Wheel(radius, width), ground, mean_load, depth)
+        if not np.isfinite(s):
+            continue
+        bench = Bench(
+            wheel, replace(ground, sinkage_coefficient=s), rows, tuple(runs),
+            float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)), _noise(rng, radius, mean_load),
+            {}, np.ones((3, len(rows)), bool), soil,
+        )  # fmt: skip
+        bench = _with_laws(rng, bench, size, law)
+        sinkage = np.stack([bench.base[0], bench.exact[0]]) / np.asarray(wheel.radius)
+        if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
+            break
+    wide = WIDE if design == "few" else 1.0
+    prior = {name: wide * rule(getattr(bench.ground, name)) for name, rule in PRIOR_SD.items()}
+    bench = replace(bench, prior_sd=prior)
+    if design == "few" and rng.random() < 0.4:
+        bench.measured[rng.integers(1, 3)] = False  # as in papers: torque or pull is missing
+    return bench
+
+
+def stiffness_for(wheel: Wheel, ground: Ground, load: float, depth: float) -> float:
+    """S [N/m^(n+2)] by which the wheel sinks `depth` radii at the load and slip 0.3."""
+    one = np.ones(1)
+    rows = Rows(0.3 * one, load * one, one, one, 0.0 * one, one)
+    s = load / (wheel.width * wheel.radius * (depth * wheel.radius) ** ground.sinkage_exponent)
+    for _ in range(30):
+        z = predict(replace(ground, sinkage_coefficient=s), wheel, rows).sinkage[0] / wheel.radius
+        if not np.isfinite(z):
+            s *= 3.0
+            continue
+        s *= (z / depth) ** (ground.sinkage_exponent + 0.5)
+        if abs(z / depth - 1.0) < 1e-3:
+            break
+    return float(s)
+
+
+def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
+    level = np.exp(rng.uniform(np.log(0.6), np.log(1.6), 2))
+    depth = radius * np.exp(rng.uniform(np.log(0.004), np.log(0.012)))
+    return float(depth), float(0.01 * load * level[0]), float(0.01 * load * radius * level[1])
+
+
+def _with_laws(rng, bench: Bench, size: float, law: str | None) -> Bench:
+    side = None if law is None else BASE_LAWS[law].draw(rng, bench.pressure)
+    error = StressError.draw(rng, size, bench.pressure, bench.load)
+    return replace(bench, law=law, law_side=side, error=error)
+
+
+# --- conditions -------------------------------------------------------------------------------------------------------
+
+
+def _plan(rng, design: str, mean_load: float, wheel: Wheel, lugs: bool) -> tuple[Wheel, Rows, list[str]]:
+    """Wheel, conditions and run labels; grades as a pattern in [-1, 1].
+
+    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; wheels: 2 wheels
+    x 3 loads x 2 speeds x 2 passes x 6 slips; poor: one load, speed and pass, 6 to 9 slips, 3 times; few: 5 to 20
+    rows at 1 to 3 loads. The rows of a run are neighbours.
+    """
+    loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
+    slowest, fastest = np.exp(rng.uniform(np.log(0.01), np.log(0.1))), rng.uniform(5.0, 10.0)
+    speeds = np.round(slowest * fastest ** np.array([0.0, 0.5, 1.0]), 4)
+    pattern = np.array(((-1.0, 0.0, 1.0), (0.0, 0.5, 1.0))[rng.integers(2)])
+    top = rng.uniform(0.5, 0.65)
+    blocks = {"rich": _rich, "wheels": _two_wheels, "poor": _poor, "few": _few}[design](rng, loads, speeds, pattern)
+    count = {"rich": rng.integers(6, 8), "wheels": 6, "poor": rng.integers(6, 10)}.get(design)
+    if design == "few":
+        count = max(int(rng.integers(5, 21)) // len(blocks), 2)
+    slips = np.linspace(0.05, top, int(count))
+    rows, runs, clock, which = [], [], 0.0, []
+    own = slips
+    for number, (load, speed, number_of_pass, grade, one, repeat) in enumerate(blocks, start=1):
+        clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)  # preparing the soil
+        if repeat == 0:
+            own = np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4)
+        for slip in own:
+            clock += rng.uniform(30, 90)
+            rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
+            runs.append(f"run{number:02d}")
+            which.append(one)
+    if design == "wheels":
+        wheel = _second(rng, wheel, np.array(which), lugs)
+    return wheel, Rows(*np.array(rows).T), runs
+
+
+def _second(rng, first: Wheel, which: np.ndarray, lugs: bool) -> Wheel:
+    """Two wheels: a smooth one, and one of another size, or of the same with lugs; lugs may be there without effect."""
+    radius, width = first.radius, first.width
+    if not lugs or rng.random() < 0.5:
+        radius = float(np.round(radius * rng.choice((0.8, 1.25)), 3))
+        width = float(np.round(np.clip(width * rng.choice((0.75, 1.0, 1.3)), 0.05, 0.3), 3))
+    height = float(np.round(rng.uniform(0.03, 0.12) * radius, 4)) if lugs or rng.random() < 0.5 else 0.0
+    return Wheel(
+        np.where(which == 0, first.radius, radius), np.where(which == 0, first.width, width),
+        np.where(which == 0, 0.0, height),
+    )  # fmt: skip
+
+
+def _rich(rng, loads, speeds, pattern):
+    order = [(i, j) for i in range(3) for j in range(3)]
+    rng.shuffle(order)
+    return [(loads[i], speeds[j], p, pattern[(i + j) % 3], 0, 0) for i, j in order for p in (1, 2, 3)]
+
+
+def _two_wheels(rng, loads, speeds, pattern):
+    order = [(w, i, j) for w in range(2) for i in range(3) for j in (0, 2)]
+    rng.shuffle(order)
+    return [(loads[i], speeds[j], p, pattern[(i + j + w) % 3], w, 0) for w, i, j in order for p in (1, 2)]
+
+
+def _poor(rng, loads, speeds, pattern):
+    speed = speeds[rng.integers(3)]
+    return [(loads[1], speed, 1, 0.0, 0, repeat) for repeat in range(3)]
+
+
+def _few(rng, loads, speeds, pattern):
+    speed = speeds[rng.integers(3)]
+    chosen = loads[: rng.integers(1, 4)]
+    return [(load, speed, 1, 0.0, 0, 0) for load in chosen]

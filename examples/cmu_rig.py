@@ -1,0 +1,133 @@
+"""Make measurement tables of the single-wheel runs of Pavlov and Johnson (Carnegie Mellon University).
+
+    git clone https://github.com/robomechanics/3d-terramechanics
+    python examples/cmu_rig.py 3d-terramechanics --out tables
+    soil-env discover tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth
+
+Writes smooth.csv, grouser.csv and beside each its setup. A row is one straight run: the mean over 70 to 75 s at a
+travel speed of 10 mm/s; the rim speed sets the slip. Signs are those of the repository's average_data_to_model.m.
+
+Cautions: radius and width are uncertain by 4 and 10 mm, and the zero of the sinkage by a few mm, the same for all
+slips. There is no torque, one load (about 24 N) and one travel speed. Cohesion and K of set_soil_params.m were tuned to
+these runs, so they are no prior knowledge and are not in the setup.
+"""
+
+import argparse
+import csv
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+
+from soil_env import ParameterError
+
+FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
+FITS = "cmu_pressure_sinkage_fits.csv"  # plate tests, read where it is
+FIELDS = ("beta", "Vry", "avg_Vry", "slip", "avg_Fy", "avg_Fz", "avg_Z")
+HEADER = ("run", "time", "slip", "load", "speed", "sinkage", "drawbar_pull")
+RADIUS, WIDTH = 0.058, 0.05  # [m] set_rover_params.m
+GROUSER_HEIGHT = {"smooth": 0.0, "grouser": 0.005}  # [m] the same
+TRAVEL, WINDOW = 10.0, 72.5  # [mm/s] nominal; [s] middle of the averages
+DEPTH = 0.02  # [m] where the pressure of the plates is taken over, amid the wheels' 14 to 26 mm
+#: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, as the repository rounds its plate tests.
+PUBLISHED = (8.0e6, 1.9e6, 1.46, 0.03)
+
+
+def read_runs(path: Path, wheel: str) -> list[tuple]:
+    """Rows of `HEADER` of the straight, driven runs of an `all_*_data.mat`, by rim speed."""
+    try:
+        results = loadmat(path, variable_names=["all_results"]).get("all_results")
+    except Exception as error:  # a damaged file leads the reader into errors of any kind
+        raise ParameterError(f"{path}: not a whole MATLAB 5 file ({error})") from None
+    if results is None or set(FIELDS) - set(results.dtype.names or ()):
+        raise ParameterError(f"{path}: expected a variable all_results with the fields {', '.join(FIELDS)}")
+    rows, repeats = [], {}
+    for number, entry in enumerate(results.ravel(), start=1):
+        run = {field: float(np.asarray(entry[field]).item()) for field in FIELDS}
+        if run["beta"] != 0.0 or run["Vry"] < TRAVEL:
+            continue
+        rim, load, sinkage = run["avg_Vry"], -run["avg_Fz"], -run["avg_Z"] / 1000.0
+        expected = (rim - TRAVEL) / max(TRAVEL, rim)
+        if not (abs(run["slip"] - expected) <= 1e-3 and load > 0.0 and abs(sinkage) < RADIUS):
+            raise ParameterError(
+                f"{path}: all_results({number}): slip = {run['slip']:g}, avg_Fz = {-load:g}, avg_Z = {run['avg_Z']:g}: "
+                f"expected slip {expected:.4g} of that rim speed, the load downward in N and mm within the wheel"
+            )
+        repeats[run["Vry"]] = repeats.get(run["Vry"], 0) + 1
+        name = f"{wheel} rim {run['Vry']:g} mm/s #{repeats[run['Vry']]}"
+        numbers = (WINDOW, run["slip"], load, TRAVEL / 1000.0, sinkage, -run["avg_Fy"])
+        rows.append((run["Vry"], (name, *(f"{x:.7g}" for x in numbers))))
+    if not rows:
+        raise ParameterError(f"{path}: none of its {results.size} runs is left: expected some with beta = 0")
+    return [row for _, row in sorted(rows)]
+
+
+def plate_prior(path: Path) -> tuple[float, float, float, float]:
+    """Sinkage coefficient, its sd, exponent, its sd from the fits p = k z^n of flat-plate tests in a table of tests.
+
+    k and n are correlated from plate to plate, which independent priors do not express. S is the median p(20 mm)/z^n,
+    its sd the scatter of ln k at a given n. The sd of n is so small that both together make the scatter of ln p there.
+    """
+    with path.open(encoding="utf-8", newline="") as stream:
+        plates = [row for row in csv.DictReader(stream) if row["kind"] == "plate"]
+    k, n = (np.array([float(row[name]) for row in plates]) for name in ("k_kN_m_n2", "n"))
+    if k.size < 4:
+        raise ParameterError(f"{path}: {k.size} plate tests: expected 4 or more")
+    log_k, depth, exponent = np.log(1e3 * k), math.log(DEPTH), float(f"{np.median(n):.3g}")
+    coefficient = math.exp(float(np.median(log_k + n * depth)) - exponent * depth)
+    slope, intercept = np.polyfit(n, log_k, 1)
+    spread = math.sqrt(float(np.sum((log_k - slope * n - intercept) ** 2)) / (k.size - 2))
+    exponent_sd = float(np.std(n, ddof=1)) * abs(slope + depth) / abs(depth)
+    return float(f"{coefficient:.3g}"), float(f"{coefficient * spread:.2g}"), exponent, float(f"{exponent_sd:.2g}")
+
+
+def setup_text(wheel: str, prior: tuple[float, float, float, float]) -> str:
+    """Setup of a wheel as YAML."""
+    return f"""\
+# {wheel} wheel of Pavlov and Johnson, github.com/robomechanics/3d-terramechanics, MIT licence
+wheel: {{radius: {RADIUS:g}, width: {WIDTH:g}, grouser_height: {GROUSER_HEIGHT[wheel]:g}}}   # set_rover_params.m
+soil:
+  sinkage_coefficient: {{value: {prior[0]:.0f}, sd: {prior[1]:.0f}}}   # N/m^(n+2), flat plates
+  sinkage_exponent: {{value: {prior[2]:g}, sd: {prior[3]:g}}}
+  friction_angle_deg: {{value: 29, sd: 3}}   # angle of repose (set_soil_params.m), that of loose dry sand
+  density: 1330   # kg/m3, set_soil_params.m
+  # cohesion and shear_modulus left out: fitted
+# noise left out: from the repeats, three of each rim speed, where they are at one slip
+"""
+
+
+def convert(path: Path, out: Path) -> dict[str, int]:
+    """Read the files in `path`, or in its raw-data-processing, and write tables and setups; runs by wheel."""
+    home = next((p for p in (path, path / "raw-data-processing") if (p / FILES["smooth"]).is_file()), None)
+    if home is None or not (home / FILES["grouser"]).is_file():
+        raise ParameterError(f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/")
+    runs = {wheel: read_runs(home / name, wheel) for wheel, name in FILES.items()}
+    prior = plate_prior(home / FITS) if (home / FITS).exists() else PUBLISHED
+    out.mkdir(parents=True, exist_ok=True)
+    for wheel, rows in runs.items():
+        with (out / f"{wheel}.csv").open("w", encoding="utf-8", newline="") as stream:
+            csv.writer(stream, lineterminator="\n").writerows([HEADER, *rows])
+        (out / f"{wheel}.setup.yaml").write_text(setup_text(wheel, prior), encoding="utf-8")
+    return {wheel: len(rows) for wheel, rows in runs.items()}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Convert and print what was written."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("path", type=Path, help="clone of the repository, or the folder of its .mat files")
+    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for tables and setups")
+    options = p.parse_args(arguments)
+    try:
+        runs = convert(options.path, options.out)
+    except (ParameterError, OSError) as error:
+        print(f"cmu_rig.py: error: {error}", file=sys.stderr)
+        return 2
+    for wheel, count in runs.items():
+        print(f"written: {options.out / wheel}.csv ({count} runs) and {wheel}.setup.yaml")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

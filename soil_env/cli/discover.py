@@ -1,0 +1,59 @@
+"""`soil-env discover`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from soil_env.cli.running import out_option, seed_option
+from soil_env.cli.table_files import table_arguments
+from soil_env.discrepancy.report import FILES, show
+from soil_env.discrepancy.report.sentences import summary
+from soil_env.discrepancy.workflow import run
+
+
+@click.command("discover")
+@out_option("report.html, report.json and model.yaml (the corrected model)", required=True)
+@seed_option("everything random; same seed, same report")
+@click.option("--quiet", is_flag=True, help="Print only the conclusion, in one line.")
+@table_arguments
+def command(data: Path, setup: Path, out: Path, seed: int, quiet: bool) -> None:
+    """Locate where model and measurement disagree, name the missing effect, show the gap shrink.
+
+    Calibrates the base model to the table, refits every effect of the catalogue with the soil, and judges it on
+    held-out conditions. The result is an effect, "undecided", "unlisted" or "nothing".
+    """
+    with _progress(quiet) as progress:
+        report = run(data, setup, out, seed=seed, progress=progress)
+    if quiet:
+        first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
+        print(f"{report.verdict}: {first}{summary(report)}")
+        return
+    show(report, Console(width=None if sys.stdout.isatty() else 100))
+    for name in FILES:
+        print(f"written: {out / name}")
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Show the stages of the work: a spinner on a terminal, a line each elsewhere (stderr)."""
+    console = Console(stderr=True)
+    if quiet:
+        yield lambda text: None
+    elif console.is_terminal:
+        with console.status("reading") as status:
+            yield status.update
+    else:
+        stages: list[str] = []
+
+        def print_stage(text: str) -> None:
+            if (stage := text.partition(":")[0]) not in stages:
+                stages.append(stage)
+                print(f"soil-env discover: {stage}", file=sys.stderr)
+
+        yield print_stage

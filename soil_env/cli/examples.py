@@ -1,0 +1,33 @@
+"""`soil-env examples`."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import click
+
+from soil_env._io.files import check_outputs, is_unused
+from soil_env._io.loading import ParameterError, shipped_dir
+from soil_env.cli.running import PATH
+
+
+@click.command("examples")
+@click.argument("folder", type=PATH, metavar="FOLDER", default="examples")
+@click.option("--list", "only_list", is_flag=True, help="List the files, copy nothing.")
+def command(folder: Path, only_list: bool) -> None:
+    """Copy the example scripts and their data into FOLDER (default: examples)."""
+    source = shipped_dir("examples")
+    files = sorted(f.relative_to(source) for f in source.rglob("*") if f.is_file() and "__pycache__" not in f.parts)
+    if only_list:
+        print(*files, sep="\n")
+        return
+    if folder.resolve() == source.resolve():
+        raise ParameterError(f"{folder}: has the examples already, as every clone: nothing to copy")
+    if not is_unused(folder):
+        raise ParameterError(f"{folder}: is not empty: expected a new folder")
+    check_outputs(folder, map(str, files))
+    for file in files:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source / file, folder / file)
+    print(f"written: {len(files)} files in {folder}; begin with {folder / 'README.md'}")

@@ -1,0 +1,81 @@
+"""`soil-env logs`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+from soil_env._io.files import check_outputs, replace_files
+from soil_env.cli.running import PATH, out_option
+from soil_env.logs.grounds import FILES, advice, commands, grounds
+from soil_env.logs.mapping import read_map
+from soil_env.logs.recordings import read_recording
+from soil_env.logs.replay import findings, replay
+from soil_env.logs.report import ALWAYS, channel_table, contents, ground_table, soil_table, summary
+from soil_env.logs.steady import steady_windows
+
+
+@click.command("logs")
+@click.argument("recording", type=PATH, metavar="RECORDING")
+@click.option("--map", "map_file", type=PATH, metavar="YAML", required=True, help="Channel of each reading.")
+@out_option("report.html, log.json, estimates.csv, figures and tables of steady points", required=True)
+def command(recording: Path, map_file: Path, out: Path) -> None:
+    """Identify the soil along the log of a rover.
+
+    RECORDING is a ROS 2 bag (folder, .mcap or .db3), an MCAP file with JSON messages, or a CSV or Parquet file with a
+    column of time stamps.
+
+    \b
+    MAP.yaml:
+        wheel: {radius: 0.15, width: 0.15, body_mass: 15, inertia: 0.5}
+        channels:
+          wheel_speed:  {topic: /joint_states, field: "velocity[front_left]", unit: rad/s}
+          speed:        {topic: /odom, field: twist.twist.linear.x}
+          drawbar_pull: {topic: /wheel/wrench, field: wrench.force.x, unit: N}
+          motor_torque: {topic: /motor, field: "effort[0]", unit: A, motor_constant: 0.05, gear: 246}
+
+    wheel_speed, and speed or slip, are required. A table takes `column: NAME` in place of topic and field, and
+    `time: {column: t, unit: s}` at the top. All keys: docs/guide/logs.md.
+    """
+    log_map = read_map(map_file)
+    check_outputs(out, (*ALWAYS, "steady.csv", "setup.yaml"))
+    with _progress() as progress:
+        log = read_recording(recording, log_map, progress)
+    found = replay(log, log_map)
+    steady = steady_windows(log, log_map, found.ground)
+    files = contents(recording.name, log, log_map, found, steady)
+    replace_files(out, files)
+    for place in out.iterdir():
+        if FILES.fullmatch(place.name) and place.name not in files and place.is_file():  # of an earlier run
+            place.unlink()
+    parts = grounds(found, steady)
+    print(summary(log))
+    for line in log.doubts:
+        print(f"check first: {line}")
+    print(channel_table(log).text(2))
+    print(soil_table(found).text(2))
+    if len(parts) > 1:
+        print(ground_table(parts).text(2))
+    for line in (*findings(found, log), *advice(found, parts, steady)):
+        print(f"- {line}")
+    for line in (*log.notes, *found.warnings):
+        print(f"! {line}")
+    for name in files:
+        print(f"written: {out / name}")
+    for line in commands(parts, steady, out):
+        print(f"next: {line}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """Show how much has been read, on a terminal (stderr)."""
+    columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as shown:
+        task = shown.add_task("reading", total=None)
+        yield lambda done, size: shown.update(task, completed=done, total=size)

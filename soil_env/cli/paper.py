@@ -1,0 +1,38 @@
+"""`soil-env paper`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.markdown import Markdown
+
+from soil_env._io.files import check_outputs, make_folder
+from soil_env.cli.running import WholeNumber, out_option, seed_option
+from soil_env.paper import page
+from soil_env.paper.compare import compute
+
+
+@click.command("paper")
+@out_option("paper.md and its figures")
+@click.option("--draws", type=WholeNumber(1), default=1000, metavar="N", help="Draws of that noise (default 1000).")
+@seed_option("the noise in Table 5")
+def command(out: Path | None, draws: int, seed: int) -> None:
+    """Recompute every number that the source paper prints.
+
+    Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251: Tables 1 to 5, Figs. 6, 7 and 9, by the
+    equations as printed and with the angle of maximum stress of Wong & Reece (1967).
+    """
+    if out is not None:
+        check_outputs(out, ["paper.md", *(f"paper/{name}.png" for name in page.FIGURES)])
+        make_folder(out)
+    results = compute(seed, draws)
+    asked = f"soil-env paper --draws {draws} --seed {seed}"
+    if out is not None:
+        page.write(results, out, f"{asked} --out docs")
+        print(f"written: {out / 'paper.md'}, figures in {out / 'paper'}")
+    else:
+        text = page.markdown(results, asked)
+        Console().print(Markdown(text)) if sys.stdout.isatty() else print(text)

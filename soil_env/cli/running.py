@@ -1,0 +1,221 @@
+"""Run a command: errors as one line, interrupts, exit status; types of options that several commands share."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import click
+
+from soil_env._io.loading import ParameterError
+
+BAD_INPUT = 2  # exit status
+INTERRUPTED, TERMINATED, UNREAD = 130, 143, 141  # exit statuses, 128 + the number of SIGINT, SIGTERM, SIGPIPE
+_LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
+
+
+def run(command: click.Command, arguments: Sequence[str] | None, name: str) -> int:
+    """Run a click command and return its exit status.
+
+    Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`) and too little memory
+    print one line on stderr and return `BAD_INPUT`. Ctrl-C and SIGTERM return `INTERRUPTED` and `TERMINATED`; the text
+    of the `KeyboardInterrupt`, for instance how to continue, is part of the line. If the reader of the output has gone
+    the status is `UNREAD`.
+    """
+    received: list[int] = []
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    program, name = name, _called(command, given, name)
+    try:
+        with _stoppable(received):
+            with command.make_context(program, given) as context:
+                command.invoke(context)
+            if sys.stdout is not None:
+                sys.stdout.flush()
+        return 0
+    except click.ClickException as error:
+        return _fail(name, error.format_message())
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    except BrokenPipeError:
+        _drop_output()
+        return UNREAD
+    except SystemExit as end:  # rich ends so
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        return UNREAD
+    except KeyboardInterrupt as error:
+        text = str(error)
+        print(f"\n{name}: interrupted{'; ' if text else ''}{text}", file=sys.stderr)
+        return TERMINATED if signal.SIGTERM in received else INTERRUPTED
+    except MemoryError as error:
+        return _fail(name, f"not enough memory ({error})")
+    except OSError as error:
+        if error.filename is None:  # all our files are named: a print failed
+            _drop_output()
+            return _fail(name, f"the output cannot be written ({error.strerror or error})")
+        return _fail(name, f"{error.filename}: {error.strerror or error}")
+    except ParameterError as error:
+        return _fail(name, str(error))
+
+
+def _called(command: click.Command, arguments: Sequence[str], name: str) -> str:
+    """Name of the program with that of its subcommand, for messages."""
+    known = command.list_commands(None) if isinstance(command, click.Group) else ()
+    return f"{name} {arguments[0]}" if arguments and arguments[0] in known else name
+
+
+def _fail(name: str, text: str) -> int:
+    print(f"{name}: error: {' '.join(text.split())}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def _drop_output() -> None:
+    """Discard further output after a failed print, since Python flushes again at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def leave(status: int) -> NoReturn:
+    """End the process with this exit status.
+
+    After an interrupt the interpreter's own clean-up is skipped: a `KeyboardInterrupt` that passed through `exec` makes
+    it die by signal although the interrupt was handled.
+    """
+    if status not in (INTERRUPTED, TERMINATED):
+        sys.exit(status)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(status)
+
+
+# --- signals ----------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _stoppable(received: list[int]) -> Iterator[None]:
+    """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended to `received`.
+
+    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but right after. Handlers
+    that somebody else has set stay, and outside the main thread nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    ours = [number for number, handler in usual.items() if signal.getsignal(number) is handler]
+    again: list[threading.Timer] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if _inside_llvm(frame):
+            again.append(threading.Timer(_LATER, _send, (number,)))
+            again[-1].start()
+            return
+        received.append(number)
+        raise KeyboardInterrupt
+
+    for number in ours:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for timer in again:
+            timer.cancel()
+            timer.join()
+        for number in ours:
+            signal.signal(number, usual[number])
+
+
+@contextmanager
+def ending_at_once(name: str) -> Iterator[None]:
+    """End the process on Ctrl-C inside the block.
+
+    For imports: there a `KeyboardInterrupt` may be turned into another error by a half initialised C extension.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        os.write(2, f"\n{name}: interrupted\n".encode())
+        os._exit(INTERRUPTED)
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _send(number: int) -> None:
+    """Send this signal to the main thread, where it also ends a blocking system call."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, number)
+    else:
+        signal.raise_signal(number)
+
+
+def _inside_llvm(frame: FrameType | None) -> bool:
+    """True if LLVM's Python side is among the callers of a frame."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite.binding"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+# --- options ----------------------------------------------------------------------------------------------------------
+
+
+class WholeNumber(click.ParamType):
+    """A whole number from `least` to `most`, also written as 1e6."""
+
+    name = "N"
+
+    def __init__(self, least: int = 0, most: int = 10**15) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Convert text; `click.BadParameter` for anything else."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if not (self.least <= number <= self.most and number == int(number)):
+            self.fail(f"{value!r}: expected a whole number >= {self.least}, at most {self.most:.0e}", param, ctx)
+        return int(number)
+
+
+class FilePath(click.ParamType):
+    """A path that is not empty."""
+
+    name = "PATH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Convert text; `click.BadParameter` for an empty one."""
+        if not str(value):
+            self.fail("is empty: expected a path", param, ctx)
+        return Path(value)
+
+
+PATH = FilePath()
+
+
+def out_option(files: str, required: bool = False) -> Callable[[Callable], Callable]:
+    """Option --out DIR of a command that writes `files` there."""
+    text = f"Folder for {files}; made if missing." + ("" if required else " Default: print only.")
+    return click.option("--out", type=PATH, metavar="DIR", required=required, help=text)
+
+
+def seed_option(of: str = "everything random") -> Callable[[Callable], Callable]:
+    """Option --seed N."""
+    return click.option("--seed", type=WholeNumber(), default=0, metavar="N", help=f"Seed of {of} (default 0).")

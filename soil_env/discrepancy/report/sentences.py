@@ -1,0 +1,292 @@
+"""Sentences of a report: summary, cautions, disagreements and next tests, by the templates of this folder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from soil_env._io.document import render
+from soil_env.discrepancy.calibrate import PRIOR_WIDTH
+from soil_env.discrepancy.data import CHANNELS, WHEEL
+from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.next_tests import NextTest
+from soil_env.discrepancy.result import LEFT, WORSE, Report
+from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.steady import DEEPEST
+from soil_env.terramechanics.validity import in_words
+
+MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
+SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
+FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
+FEW = 6  # conditions below which a table shows hardly any misfit
+OUTSIDE = 0.5  # widths of an effect's interval that the value which predicts best may be off it
+SOIL = {
+    "friction_angle_deg": ("friction angle", "deg"),
+    "cohesion": ("cohesion c", "Pa"),
+    "shear_modulus": ("shear deformation modulus K", "m"),
+    "sinkage_coefficient": ("sinkage coefficient S", "N/m^(n+2)"),
+    "sinkage_exponent": ("sinkage exponent n", ""),
+    "density": ("density", "kg/m3"),
+    "tilt_deg": ("tilt of the rig", "deg"),
+}
+UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
+TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
+CONDITIONS = {"slip": ("slip", ""), "load": ("load", " N"), "speed": ("speed", " m/s"), "pass": ("pass", ""),
+              "grade_deg": ("grade", " deg"), "wheel_radius": ("wheel radius", " m"),
+              "wheel_width": ("wheel width", " m"), "grouser_height": ("grouser height", " m")}  # fmt: skip
+IN_MODEL = (
+    "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, has the values that "
+    "predict best so."
+)
+_MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
+#: Groups of a law without a name, by what they are about.
+_GROUPS = {"grip": "slip", "pass": "pass number"}
+
+
+# --- numbers and lists ------------------------------------------------------------------------------------------------
+
+
+def figure(x: float) -> str:
+    """Two digits, without an exponent where the number is large."""
+    return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
+
+
+def figures(value: float, digits: int = 4) -> str:
+    """A number for a table; empty where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{value + 0.0:.{digits}g}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with a fixed number of decimals, never -0."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def times(log: float) -> str:
+    """A factor of which the natural logarithm is given."""
+    decades = log / math.log(10.0)
+    return f"{figure(10.0**decades)} times" if -2.0 <= decades < 3.0 else f"10^{decades:.0f} times"
+
+
+def percent(share: float) -> str:
+    """A share in percent."""
+    return f"{100.0 * share:.0f} %"
+
+
+def sure(p: float) -> str:
+    """A probability in percent."""
+    return "more than 99.9 %" if p > 0.999 else "less than 0.1 %" if p < 0.001 else f"{100.0 * p:.3g} %"
+
+
+def plural(count: int, word: str) -> str:
+    """A count of something."""
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+def listed(names: Iterable[str], last: str = "and") -> str:
+    """Names with commas and a last word between the last two."""
+    *first, final = names
+    return f"{', '.join(first)} {last} {final}" if first else final
+
+
+def title(names: str) -> str:
+    """Name of an effect, or of two joined by " and ", in a sentence."""
+    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in names.split(" and "))
+
+
+def amount(channel: str, value: float, digits: int = 2) -> str:
+    """A value of a channel in its unit."""
+    unit, scale = UNITS[channel]
+    return f"{figure(scale * value) if digits == 2 else figures(scale * value, digits)} {unit}"
+
+
+def not_tiny(value: float) -> float:
+    """0 for what a bound at 0 leaves of a soil parameter."""
+    return value if abs(value) > 1e-6 else 0.0
+
+
+# --- disagreements and tests ------------------------------------------------------------------------------------------
+
+
+def disagreement(report: Report, d: Disagreement) -> str:
+    """Region where the base model leaves the table, and the size of the difference."""
+    varied = report.problem.data.varied
+    parts = [_limit(name, limits, varied[name].value) for name, limits in d.region.items()]
+    others = [CONDITIONS[name][0] for name in varied if name not in d.region]
+    parts += [f"every {listed(others)}"] if others else []
+    return (
+        f"measured {TITLES[d.channel]} is on average {amount(d.channel, abs(d.size))} "
+        f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) at "
+        f"{', '.join(parts)}"
+    )
+
+
+def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
+    (low, high), (label, unit) = (f"{x:.3g}" for x in limits), CONDITIONS[name]
+    if low == high:
+        return f"{label} {low}{unit}"
+    if limits[1] >= values.max():
+        return f"{label} {low}{unit} and above"
+    if limits[0] <= values.min():
+        return f"{label} {high}{unit} and below"
+    return f"{label} {low} to {high}{unit}"
+
+
+def next_test(report: Report, t: NextTest) -> str:
+    """A test in a sentence."""
+    at, sd = _place(t.conditions), f"{t.expected_sigma:.1f} sd"
+    if t.purpose == "repeat":
+        size = amount(t.channel, t.expected_sigma * report.problem.noise[CHANNELS.index(t.channel)])
+        most = "the law adds most here" if report.model.residual else "the model misses most here"
+        return f"{at}, three times again: {most}, {size} of {TITLES[t.channel]} ({sd})"
+    if t.purpose == "extend":
+        said = f"{CONDITIONS[t.extended][0]} alone beyond the table: {t.separates[0]}, or {t.separates[1]}"
+        return f"{at}, {said}, expected to differ by {sd} in {TITLES[t.channel]}"
+    against = f"{title(t.separates[0])} against {title(t.separates[1])}"
+    return f"{at}: {against}, expected to differ by {sd} in {TITLES[t.channel]}"
+
+
+def _place(point: Mapping[str, float]) -> str:
+    """Conditions of a test."""
+    parts = [f"load {point['load']:.4g} N"] if "load" in point else []
+    parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
+    parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
+    parts += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
+    return f"slip {point['slip']:.2g} at {listed(parts)}"
+
+
+# --- summary and cautions ---------------------------------------------------------------------------------------------
+
+
+def summary(report: Report) -> str:
+    """Conclusion: what is missing, its probability, and how far the gap closes."""
+    finding, gap = report.finding, report.gap
+    sets = [h for h in finding.hypotheses if h.names and h.probability >= TOLD][:4]
+    shares = [f"{title(' and '.join(h.names))}{' alone' * (len(h.names) == 1)} ({sure(h.probability)})" for h in sets]
+
+    def over_noise(name: str) -> tuple[float, float]:
+        return gap[name].before / gap[name].noise_floor, gap[name].after / gap[name].noise_floor
+
+    text = render(
+        f"{__package__}:summary.txt",
+        **_helpers(),
+        report=report,
+        effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
+        rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
+        left=[f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0],
+        law_error=figure(100.0 * report.law_error),
+        sets=shares,
+        groups=list(dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)),
+        values=int(report.problem.used.sum()),
+        worst=max((over_noise(name)[0] for name in gap), default=0.0),
+        nearest=next((r for r in report.ranking if r.probability >= TOLD), None),
+        weak=sum(d.power < NAMED for d in finding.detectable.values()),
+        most=max(gap, key=lambda name: over_noise(name)[0] - over_noise(name)[1], default=None),
+        over_noise=over_noise,
+        refuted=[title(" and ".join(names)) for names in finding.refuted],
+    )
+    return " ".join(text.split()).replace(" ,", ",")
+
+
+def cautions(report: Report) -> list[str]:
+    """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and model.yaml."""
+    problem, noise, fit, setup = report.problem, report.noise, report.fit, report.problem.data.setup
+    bounds, off_prior = [], []
+    widened = {k.name: k for k in problem.soil}
+    for unknown, u in zip(fit.unknowns, fit.u, strict=True):
+        label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
+        value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
+        if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
+            bounds.append((label, not_tiny(value)))
+        elif getattr(setup.soil, unknown.name, None) is not None:
+            far = abs(PRIOR_WIDTH * widened[unknown.name].at(value))
+            off_prior += [(label, far)] if far > FAR else []
+    far = np.abs(problem.data.y - fit.output) / problem.noise
+    dropped = problem.data.measured & ~problem.used
+    worse_with = []
+    for j in np.flatnonzero(dropped.any(axis=0)):
+        kept, whole = (
+            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2))) for rows in (problem.used, problem.data.measured)
+        )
+        worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
+    outside = []
+    for e in report.effects:
+        for name, p in e.parameters.items():
+            value, reach = report.model.effects[e.name][name], OUTSIDE * (p.high - p.low)
+            if not p.low - reach <= value <= p.high + reach:
+                outside.append((e.name, name, not_tiny(value), p))
+    text = render(
+        f"{__package__}:cautions.txt",
+        **_helpers(),
+        report=report,
+        conditions=len(np.unique(problem.data.cell)),
+        values=int(problem.used.sum()),
+        unknowns=len(fit.unknowns),
+        missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
+        from_scatter=[
+            (TITLES[n], amount(n, noise.sd[j])) for j, n in enumerate(CHANNELS) if noise.origin[j] == "scatter"
+        ],
+        left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
+        ordinary=int(np.sum(far[dropped] <= 3.0)),
+        worse_with=worse_with,
+        at_bound=bounds,
+        off_prior=off_prior,
+        outside=outside,
+        buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
+        remains=[(TITLES[n], g.after / g.noise_floor) for n, g in report.gap.items() if g.after > LEFT * g.noise_floor],
+        height=setup.wheel.grouser_height,
+        digging=problem.digging[0],
+        untestable=[title(name) for name in report.finding.untestable],
+    )
+    return [line[:1].upper() + line[1:] for line in map(str.strip, text.splitlines()) if line]
+
+
+def _helpers() -> dict[str, object]:
+    """Functions and limits that the templates use."""
+    functions = (added, disagreement, listed, percent, plural, rises, sure, title)
+    limits = {"FEW": FEW, "LEFT": LEFT, "MENTIONED": MENTIONED, "NAMED": NAMED, "SCATTERED": SCATTERED, "TOLD": TOLD}
+    return {f.__name__: f for f in functions} | limits | {"TITLES": TITLES}
+
+
+def rises(report: Report) -> list[str]:
+    """Channels whose held-out error is larger with the corrected model, in sentences."""
+    return [
+        f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with {added(report)}."
+        for name, g in report.gap.items() if report.corrected and g.after > (1.0 + WORSE) * g.before
+    ]  # fmt: skip
+
+
+def added(report: Report) -> str:
+    """Names of what the corrected model has beyond the base model."""
+    names = [title(e.name) for e in report.effects]
+    return listed([*names, *(["a law without a name"] if report.model.residual else [])])
+
+
+# --- notes ------------------------------------------------------------------------------------------------------------
+
+
+def probabilities(report: Report) -> str:
+    """Probabilities that are of no one effect."""
+    finding = report.finding
+    return (
+        f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing that is in no "
+        f"catalogue {fixed(finding.remainder, 3)} ({fixed(finding.unlisted, 3)} of it with nothing that is listed)"
+    )
+
+
+def rule() -> str:
+    """Prior odds behind the probabilities."""
+    listed, other = (f"1 to {1.0 / odds:.0f}" for odds in (ODDS, UNLISTED_ODDS))
+    return (
+        f"Before the table, the odds that an effect is missing are {listed} for each that is listed, and {other} for "
+        "something unlisted, independent of each other. The laws of the base model and of each effect count as "
+        "approximate, by an amount that the table decides. What has 50 % or more is stated."
+    )
+
+
+def validity(report: Report) -> str:
+    """Conditions that the corrected model has seen."""
+    return f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and warns of it."

@@ -1,0 +1,149 @@
+"""Identified soil of a table as text, plain values and a picture."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+
+from soil_env._io.document import Table
+from soil_env._io.files import plain
+from soil_env.identification.table.fit import SYMBOLS, TableEstimate
+
+LABELS = {
+    "friction_angle_deg": "friction angle",
+    "shear_modulus": "shear deformation modulus K",
+    "sinkage_coefficient": "sinkage coefficient S",
+    "sinkage_exponent": "sinkage exponent n",
+    "cohesion": "cohesion c",
+    "tilt_deg": "tilt of the rig",
+}
+
+
+# --- on the terminal --------------------------------------------------------------------------------------------------
+
+
+def text_of(estimate: TableEstimate) -> str:
+    """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
+    parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
+    parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
+    if estimate.exact:
+        keys = ", ".join(f"noise.{name}" for name in estimate.exact)
+        parts.append(f"{' and '.join(estimate.exact)} taken as exact ({keys} not given)")
+    if len(estimate.free) > 1:
+        rows = zip(estimate.free, estimate.correlation, strict=True)
+        grid = Table(
+            ("", *(SYMBOLS[label] for label in estimate.free)),
+            [(label, *(f"{c:+.3f}" for c in line)) for label, line in rows],
+        )
+        parts += ["", "Correlation", grid.text(2)]
+    hardly = " (hardly separable)" if estimate.condition > 1e3 else ""
+    parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
+    rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
+    return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
+
+
+def _soil(estimate: TableEstimate) -> Table:
+    labels = LABELS | {"reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"}
+    rows = []
+    for key, label in labels.items():
+        if key not in estimate.parameters:
+            continue
+        p = estimate.parameters[key]
+        interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
+        share = "" if key == "reference_pressure" else "known" if p.known else f"{p.sd_over_prior:.3f}"
+        rows.append((label, f"{p.value:.4g}", interval, p.unit, share))
+    return Table(("parameter", "estimate", "95 % interval", "unit", "sd / prior sd"), rows)
+
+
+def _channels(estimate: TableEstimate) -> Table:
+    rows = []
+    for name, fit in estimate.fits.items():
+        noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
+        rms, count = _rms(fit.measured - fit.fitted), int(np.sum(np.isfinite(fit.measured)))
+        rows.append((name.replace("_", " "), count, noise, f"{rms:.3g} {fit.unit}", f"{_rms(fit.residual):.2f}"))
+    return Table(("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"), rows)
+
+
+def _rms(off: np.ndarray) -> float:
+    return math.sqrt(float(np.nanmean(off**2)))
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def report_of(estimate: TableEstimate) -> dict[str, Any]:
+    """The estimate as plain values for JSON; null where there is none."""
+    keys = ("value", "low", "high", "unit", "known", "sd_over_prior")
+    return plain({
+        "parameters": {name: {key: getattr(p, key) for key in keys} for name, p in estimate.parameters.items()},
+        "reference_sinkage": estimate.reference_sinkage,
+        "free": estimate.free,
+        "covariance": estimate.covariance,
+        "correlation": estimate.correlation,
+        "condition": estimate.condition,
+        "channels": {
+            name: {
+                "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit.measured - fit.fitted),
+                "p_value": fit.p_value, "measured": fit.measured, "fitted": fit.fitted,
+            }
+            for name, fit in estimate.fits.items()
+        },
+        **{
+            key: getattr(estimate, key)
+            for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")
+        },
+    })  # fmt: skip
+
+
+def picture(estimate: TableEstimate) -> bytes:
+    """PNG: each channel over slip, measured with error bars and fitted, and below it the residuals over their noise."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    factor = {"m": (1e3, "mm"), "N": (1.0, "N"), "N m": (1.0, "N m")}
+    figure = Figure(figsize=(max(8.0, 4.4 * len(estimate.fits)), 5.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0))
+    groups = load_groups(estimate.load)
+    colors = [(0.55, 0.55, 0.55)] if len(groups) > 6 else [f"C{k}" for k in range(6)]
+    for (name, fit), (top, below) in zip(estimate.fits.items(), axes.T, strict=True):
+        scale, unit = factor[fit.unit]
+        for k, (label, members) in enumerate(groups):
+            color = colors[k % len(colors)]
+            order = members[np.argsort(estimate.slip[members])]
+            slip = estimate.slip[order]
+            distinct = len(groups) <= 6 and np.all(np.diff(slip) > 1e-3)  # else a line would zigzag
+            top.plot(slip, scale * fit.fitted[order], "-" if distinct else "x", color=color, lw=1.2, label=label)
+            bar = scale * 1.96 * fit.noise * fit.relative[order]
+            top.errorbar(slip, scale * fit.measured[order], bar, fmt="o", ms=3.5, lw=0.9, color=color, capsize=2)
+            below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
+        below.axhspan(-1.96, 1.96, color="0.92", zorder=0)
+        below.axhline(0.0, color="0.5", lw=0.8)
+        reach = max(3.5, 1.1 * float(np.nanmax(np.abs(fit.residual))))
+        below.set(xlabel="slip", ylim=(-reach, reach))
+        top.set(title=name.replace("_", " "), ylabel=unit)
+    axes[1, 0].set_ylabel("residual / noise")
+    if len(groups) <= 6:
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        labels = [f"load {label}" for label in labels]
+        figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
+    p = estimate.parameters
+    figure.suptitle(
+        f"phi {p['friction_angle_deg'].value:.1f} deg, K {1e3 * p['shear_modulus'].value:.1f} mm, "
+        f"S {p['sinkage_coefficient'].value:.3g} N/m$^{{n+2}}$, n {p['sinkage_exponent'].value:.2f}, "
+        f"c {p['cohesion'].value:.0f} Pa (points: measured, 95 % bars; lines or crosses: fitted)",
+        fontsize=10,
+    )
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=130)
+    return stream.getvalue()
+
+
+def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Rows of about the same load, a gap of 10 % parting two: (label, indices), lightest first."""
+    order = np.argsort(load, kind="stable")
+    cuts = np.flatnonzero(np.diff(np.log(load[order])) > 0.1) + 1
+    return [(f"{np.mean(load[members]):.0f} N", members) for members in np.split(order, cuts)]

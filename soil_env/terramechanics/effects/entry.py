@@ -1,0 +1,175 @@
+"""Entry of the catalogue: what the file of an effect declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+from soil_env._numba.compiling import Compiled
+
+Channel = Literal["sinkage", "drawbar_pull", "torque"]
+SINKAGE: Channel = "sinkage"
+PULL: Channel = "drawbar_pull"
+TORQUE: Channel = "torque"
+#: What is measured of a steady wheel, in the order of every array [N, 3].
+CHANNELS: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """Parameter of an effect; its prior is normal about `neutral`, or log-normal about `centre` where that is given."""
+
+    name: str
+    symbol: str  # in the equations
+    unit: str
+    neutral: float  # value that switches the law off, or an idle one where another parameter does
+    low: float
+    high: float
+    scale: float  # prior standard deviation, relative where `centre` is given; 0 where the table gives it
+    doc: str
+    centre: float | None = None  # prior mean of a nuisance parameter of the law
+
+
+@dataclass(frozen=True)
+class Form:
+    """Published form of an effect: the parameters that it frees, its equation and its source.
+
+    The equation holds {parameter} for each parameter; every other symbol is in `SYMBOLS` or in `Effect.symbols`.
+    Several equations are separated by ";".
+    """
+
+    name: str
+    free: tuple[str, ...]
+    equation: str
+    source: str
+    fixed: tuple[tuple[str, float], ...] = ()  # values of idle parameters that differ from neutral
+    needs_speed: bool = False  # travel speed known in every row
+
+
+class Bench(NamedTuple):
+    """Test rig and table that an effect is fitted to: sizes that its priors scale with."""
+
+    radius: float  # [m]
+    load: float  # [N] median
+    sinkage: float  # [m] median
+    speed: float  # [m/s] geometric mean of the travel speed, 0 = not known in every row
+    median_speed: float  # [m/s]
+    highest_speed: float  # [m/s], 0 = not known
+    sliding: float  # [m/s] geometric mean of the sliding speed, 0 = not known
+    lowest_slip: float
+    lugs: int | None  # around the rim, None = not known
+    smooth: bool  # no lugs on any wheel
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Effect of the catalogue: parameters, forms, and the compiled laws that it adds to the model."""
+
+    name: str
+    title: str
+    moves: tuple[Channel, ...]  # channels that it changes directly
+    parameters: tuple[EffectParameter, ...]
+    forms: tuple[Form, ...]
+    varies: str | None = None  # column that must vary in a table for the effect to show
+    shows_without: bool = False  # shows, if faintly, where that column does not vary
+    beside: str | None = None  # column, or the time elapsed, that it may depend on in a way that no form has
+    symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
+    sensed: tuple[str, ...] = ()  # parameters that act on sensors, or that the simulated world has anyway
+    #: Prior (standard deviation, low, high) by parameter, where the rig sets it.
+    priors: Callable[[Bench], Mapping[str, tuple[float, float, float]]] = lambda bench: {}
+    #: Neutral value, or centre, by parameter, where the rig sets it.
+    neutral: Callable[[Bench], Mapping[str, float]] = lambda bench: {}
+    #: Reason why a rig cannot show the effect; "" if it can.
+    hidden: Callable[[Bench], str] = lambda bench: ""
+    # Compiled laws, each `law(x, at, fx)`: x as the effects before it left it, what it depends on, all `Effects`.
+    soil: Compiled | None = None  # x: `SoilState` under the wheel, at: `Passage`
+    arc: Compiled | None = None  # x: (exit angle, angle of the stress peak) [rad], at: `Entry`
+    resistance: Compiled | None = None  # x: force against the travel [N], at: `Furrow`
+    drive: Compiled | None = None  # x: `Friction` between motor and axle, at: `Axle`
+    speed_dependent: Compiled | None = None  # `speed_dependent(fx)`: True where the soil's strength goes with speed
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Conditions that it depends on, or may, beside slip, load and wheel."""
+        return tuple(name for name in (self.varies, self.beside) if name is not None)
+
+    def parameter(self, name: str) -> EffectParameter:
+        """Return the parameter of that name."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def form(self, name: str) -> Form:
+        """Return the form of that name."""
+        return next(f for f in self.forms if f.name == name)
+
+
+# --- what the laws depend on ------------------------------------------------------------------------------------------
+
+
+class Passage(NamedTuple):
+    """Motion of the wheel over the soil, and that soil before any effect."""
+
+    undisturbed: NamedTuple  # `SoilState`
+    slip: float
+    speed: float  # [m/s] travel, >= 0
+    slide: float  # [m/s] |r w - V|
+    passes: float  # 1 = fresh soil
+    sin_grade: float
+
+
+class Entry(NamedTuple):
+    """Start of the contact arc."""
+
+    theta1: float  # [rad] entry angle
+    slip: float
+
+
+class Furrow(NamedTuple):
+    """Soil ahead of the wheel."""
+
+    sinkage: float  # [m]
+    soil: NamedTuple  # `SoilState`
+    unit_weight: float  # [N/m3]
+    width: float  # [m]
+
+
+class Axle(NamedTuple):
+    """Motion and torque at the axle."""
+
+    torque: float  # [N m]
+    wheel_speed: float  # [rad/s]
+    floor: float  # [rad/s] wheel speed below which friction fades out
+
+
+class Friction(NamedTuple):
+    """Torque lost between motor and axle [N m], with its derivatives."""
+
+    torque: float
+    by_torque: float
+    by_wheel_speed: float
+
+
+#: Symbols that the equations of several effects share, in the order of a legend.
+SYMBOLS: Mapping[str, str] = {
+    "z": "sinkage",
+    "i": "slip",
+    "n": "sinkage exponent",
+    "theta1": "entry angle",
+    "theta2": "exit angle",
+    "thetam": "angle of the largest normal stress",
+    "r": "wheel radius",
+    "b": "wheel width",
+    "DP": "drawbar pull",
+    "DP_0": "drawbar pull without the effect",
+    "T": "torque",
+    "T_0": "torque without the effect",
+    "W": "load",
+    "S": "sinkage coefficient",
+    "N": "pass number",
+    "K": "shear deformation modulus",
+    "c": "cohesion",
+    "phi": "friction angle",
+    "gamma": "unit weight of the soil",
+    "Kp": "tan^2(45 deg + phi/2)",
+    "V": "travel speed",
+}

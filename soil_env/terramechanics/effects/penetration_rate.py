@@ -1,0 +1,66 @@
+"""Rate of penetration: bearing that goes with the travel speed."""
+
+from __future__ import annotations
+
+from soil_env._numba.compiling import compiled_inline, compiled_part
+from soil_env._numba.elementary import exp, larger, log
+from soil_env._numba.lanes import alike
+from soil_env.parameters import SoilState
+from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+
+
+@compiled_part
+def rate_factor(speed, reference, exponent, slope):
+    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
+
+    Below v0/50 soil counts as loaded at rest. Never less than 0.1.
+    """
+    if exponent == 0.0 and slope == 0.0:
+        return alike(1.0, speed)
+    x = log(larger(speed / reference, 0.02))
+    return larger(exp(exponent * x) + slope * x, 0.1)
+
+
+@compiled_inline
+def _speed_dependent(fx):
+    """True if the law is on."""
+    return fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
+
+
+@compiled_inline
+def _soil(soil, at, fx):
+    """Soil with S by the `rate_factor` of the travel speed."""
+    factor = rate_factor(
+        at.speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
+    )
+    return SoilState(
+        soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient * factor, soil.sinkage_exponent,
+        soil.dig_gain, soil.dig_recovery,
+    )  # fmt: skip
+
+
+def _neutral(bench: Bench) -> dict[str, float]:
+    return {"reference_speed": bench.speed} if bench.speed > 0.0 else {}
+
+
+EFFECT = Effect(
+    "penetration_rate",
+    "rate of penetration",
+    (SINKAGE, PULL, TORQUE),
+    (
+        P("exponent", "m", "", 0.0, -0.5, 1.0, 0.12, "power of the speed"),
+        P("slope", "a", "", 0.0, -0.3, 1.0, 0.12, "change by a factor e of the speed"),
+        P("reference_speed", "V0", "m/s", 0.05, 1e-4, 10.0, 0.0, "reference speed"),
+    ),
+    (
+        Form("power", ("exponent",), "S_V = S (V/{reference_speed})^{exponent}",
+             "Grahn (1991), J. Terramechanics 28:339-347"),
+        Form("logarithmic", ("slope",), "S_V = S [1 + {slope} ln(V/{reference_speed})]",
+             "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
+    ),
+    varies="speed",
+    symbols={"S_V": "sinkage coefficient at the speed V"},
+    neutral=_neutral,
+    soil=_soil,
+    speed_dependent=_speed_dependent,
+)  # fmt: skip

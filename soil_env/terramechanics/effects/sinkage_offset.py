@@ -1,0 +1,22 @@
+"""Offset of the measured sinkage; `steady` adds it to what is read."""
+
+from __future__ import annotations
+
+from soil_env.terramechanics.effects.entry import SINKAGE, Bench, Effect, EffectParameter as P, Form
+
+
+def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+    return {"offset": (0.3 * bench.sinkage, -0.5 * bench.radius, 0.5 * bench.radius)}
+
+
+EFFECT = Effect(
+    "sinkage_offset",
+    "offset of the measured sinkage",
+    (SINKAGE,),
+    (P("offset", "d", "m", 0.0, -0.3, 0.3, 0.0, "offset of the sensor"),),
+    (Form("offset", ("offset",), "z_measured = z + {offset}", "zero of the sinkage sensor"),),
+    beside="elapsed",  # zeros of sensors drift
+    symbols={"z_measured": "measured sinkage"},
+    sensed=("offset",),
+    priors=_priors,
+)

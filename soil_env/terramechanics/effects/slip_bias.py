@@ -1,0 +1,42 @@
+"""Bias of the measured slip."""
+
+from __future__ import annotations
+
+from soil_env._numba.compiling import compiled_part
+from soil_env.slip import slip_of_radius
+from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
+
+
+@compiled_part
+def true_slip(measured, fx):
+    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
+
+    Driving, the latter is i = m + e (1 - m).
+    """
+    i = slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
+    return min(max(i, -1.0), 1.0)
+
+
+@compiled_part
+def measured_slip(slip, fx):
+    """Inverse of `true_slip`."""
+    return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
+
+
+_WONG = "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"
+EFFECT = Effect(
+    "slip_bias",
+    "bias of the measured slip",
+    (SINKAGE, PULL, TORQUE),
+    (
+        P("offset", "d", "", 0.0, -0.3, 0.3, 0.03, "offset of the slip"),
+        P("radius_error", "e", "", 0.0, -0.3, 0.3, 0.03, "relative error of the rolling radius"),
+    ),
+    (
+        Form("offset", ("offset",), "i = i_measured + {offset}", _WONG),
+        Form("rolling_radius", ("radius_error",), "i = i_measured + {radius_error} (1 - i_measured)", _WONG),
+    ),
+    beside="speed",  # the zero of a speed sensor counts the more, the slower the wheel
+    symbols={"i_measured": "measured slip"},
+    sensed=("offset", "radius_error"),
+)

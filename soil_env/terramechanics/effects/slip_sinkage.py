@@ -1,0 +1,107 @@
+"""Slip-sinkage: a slipping wheel digs."""
+
+from __future__ import annotations
+
+from soil_env._numba.compiling import compiled_inline, compiled_part
+from soil_env._numba.elementary import larger, smaller, where_less
+from soil_env._numba.lanes import alike
+from soil_env.parameters import SoilState
+from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+
+
+@compiled_part
+def slip_sinkage_ratio(slip, gain, recovery):
+    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
+
+    gain = 1.5 and recovery = 0.5 give (1 + i)/(1 - 0.5 i) of Lyasko (2010), J. Terramechanics 47(1):21-31;
+    recovery = 0 gives the i/(1 - i) law of Reece for the soil a wheel excavates. For a braked wheel the digging is
+    driven by the share |i| of its travel that it slides: 1 + gain |i| / (1 + recovery |i|).
+
+    Both are the steady states of `excavation_rate`.
+    """
+    return digging_ratio(abs(slip), where_less(slip, 0.0, 1.0, 1.0 - slip), gain, recovery)
+
+
+@compiled_inline
+def digging_ratio(slid, way, gain, recovery):
+    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
+    return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
+
+
+@compiled_inline
+def onto_fresh(x, low, high):
+    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had touched before."""
+    return larger(x - high, 0.0) + larger(low - x, 0.0)
+
+
+@compiled_inline
+def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
+    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
+
+    z_w [m] is the depth of undisturbed soil that carries the load. With travel |V| the wheel moves onto fresh soil
+    and z relaxes to z_w over the distance `length` [m]; the sliding speed |r w - V| carries soil away from under the
+    rim (`gain`), more slowly the deeper the hole, since its walls flow back (`recovery`):
+
+        dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
+    """
+    a = (travel_speed + recovery * slip_speed) / length
+    b = (travel_speed + (gain + recovery) * slip_speed) / length
+    return a, b
+
+
+@compiled_part
+def digging(soil, fx):
+    """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
+    if fx.slip_sinkage_gain != 0.0:
+        return alike(fx.slip_sinkage_gain, soil.dig_gain), alike(fx.slip_sinkage_recovery, soil.dig_gain)
+    return soil.dig_gain, soil.dig_recovery
+
+
+@compiled_part
+def excavated_depth(slip, fx):
+    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
+    i = smaller(abs(slip), 0.95)
+    return fx.slip_sinkage_length * i / (1.0 - i)
+
+
+@compiled_inline
+def _soil(soil, at, fx):
+    """Soil with the exponent n + n1 |i| and the digging of the effect."""
+    n = larger(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(at.slip), 0.0)
+    gain, recovery = digging(soil, fx)
+    return SoilState(
+        soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient, n, gain, recovery
+    )  # fmt: skip
+
+
+def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
+    return {
+        "length": (0.3 * bench.sinkage, 0.0, 5.0 * bench.sinkage),
+        "exponent_slope": (0.5, 0.0, 2.0),  # slip digs: less of it would be another effect
+    }
+
+
+_RATIO = "[1 + {gain} i/(1 - i + {recovery} i)]"
+EFFECT = Effect(
+    "slip_sinkage",
+    "slip-sinkage",
+    (SINKAGE, PULL, TORQUE),
+    (
+        P("gain", "g", "", 0.0, 0.0, 10.0, 1.5, "digging"),
+        P("recovery", "h", "", 0.5, 0.0, 3.0, 0.5, "recovery", centre=0.5),
+        P("exponent_slope", "n1", "", 0.0, -1.0, 2.0, 0.5, "exponent per slip"),
+        P("length", "l", "m", 0.0, 0.0, 0.3, 0.02, "excavation length"),
+        P("apparent", "", "", 0.0, 0.0, 1.0, 1.0, "1: the wheel sinks, the stresses stay those of the undisturbed bed"),
+    ),
+    (
+        Form("ratio", ("gain", "recovery"), f"z = z_w {_RATIO}", "Lyasko (2010), J. Terramechanics 47:21-31"),
+        Form("exponent", ("exponent_slope",), "n(i) = n + {exponent_slope} i",
+             "Ding et al. (2010), J. Cent. South Univ. 17:129-135"),
+        Form("excavation", ("length",), "z = z_w + {length} i/(1 - i)", "Reece (1965-66), Proc. IMechE 180:45-66"),
+        Form("apparent", ("gain", "recovery"), f"z_measured = z {_RATIO}",
+             "Lyasko (2010), applied to the sinkage alone", (("apparent", 1.0),)),
+    ),
+    symbols={"z_w": "depth at which undisturbed soil bears the same pressure", "z_measured": "measured sinkage"},
+    priors=_priors,
+    soil=_soil,
+)  # fmt: skip

@@ -1,0 +1,61 @@
+"""The catalogue as text: equations in symbols and with numbers, their legends, and a table of all effects."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import SYMBOLS, Effect, Form
+
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?")
+_PARAMETER = re.compile(r"\{(\w+)\}")
+
+
+def plain(x: float, digits: int = 3) -> str:
+    """Format a number in so many digits, without an exponent up to a million."""
+    text = f"{x + 0.0:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(x) < 1e6 else text
+
+
+def published(effect: Effect, form: Form) -> str:
+    """Equation of a form in symbols."""
+    return form.equation.format(**{p.name: p.symbol for p in effect.parameters})
+
+
+def fitted(effect: Effect, form: Form, values: Mapping[str, float], units: bool = True, digits: int = 3) -> str:
+    """Equation of a form with numbers for its parameters, in so many digits, and their units."""
+
+    def number(match: re.Match) -> str:
+        p = effect.parameter(match[1])
+        text = plain(values[p.name], digits) + (f" {p.unit}" if units and p.unit else "")
+        return f"({text})" if text.startswith("-") or " " in text else text
+
+    text = _PARAMETER.sub(number, form.equation)
+    text = re.sub(r"\+ \(-([^()]*)\)", r"- \1", text)
+    text = re.sub(r"- \(-([^()]*)\)", r"+ \1", text)
+    return re.sub(r"-\(-([^()]*)\)", r"\1", text)
+
+
+def used(form: Form) -> list[str]:
+    """Parameters that the equation of a form holds, each once, in its order."""
+    return list(dict.fromkeys(_PARAMETER.findall(form.equation)))
+
+
+def legend(effect: Effect, form: Form) -> dict[str, str]:
+    """Meaning of the symbols of a form's equation that are no parameters."""
+    words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
+    return {symbol: meaning for symbol, meaning in ({**SYMBOLS, **effect.symbols}).items() if symbol in words}
+
+
+def markdown() -> str:
+    """Table of all effects and their forms in Markdown, for docs/physics/effects.md."""
+    lines = ["| effect | form | equation | parameters | source |", "|---|---|---|---|---|"]
+    for effect in CATALOGUE.values():
+        for form in effect.forms:
+            free = [effect.parameter(name) for name in form.free]
+            names = ", ".join(f"`{p.name}` {p.symbol}" + (f" [{p.unit}]" if p.unit else "") for p in free)
+            names += "".join(f", `{name}` = {value:g}" for name, value in form.fixed)
+            equation = published(effect, form).replace("|", "\\|")
+            lines.append(f"| `{effect.name}` | {form.name} | `{equation}` | {names} | {form.source} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,100 @@
+"""Cells of a study: every engine does each once, a worker that is killed loses nothing, a damaged file is named."""
+
+import sys
+from functools import partial
+
+import pytest
+
+from agents import cells
+from soil_env._io.loading import ParameterError
+from tests.agents import work
+
+
+@pytest.fixture(params=["processes", "ray"])
+def engine(request):
+    """An engine that does work elsewhere."""
+    request.getfixturevalue("importable" if request.param == "processes" else "connected")
+    return partial(cells.processes, workers=2) if request.param == "processes" else cells.on_ray
+
+
+def test_a_killed_worker_loses_nothing(tmp_path, engine):
+    tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
+    assert sorted(engine(work.double, tasks)) == [(task, 2 * task[0]) for task in tasks]
+    assert (tmp_path / "mark").exists()
+
+
+def test_processes_that_always_die_are_given_up(importable):
+    with pytest.raises(ParameterError, match="died 4 times"):
+        list(cells.processes(work.always_die, [(0, "")], workers=1))
+
+
+def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
+    """And an idle worker beside it is left alone."""
+    monkeypatch.chdir(tmp_path)
+    done = cells.processes(work.waiting, ["long", "short"], workers=2)
+    assert next(done) == ("short", None)
+    done.close()
+    assert (tmp_path / "interrupted").exists()
+
+
+def test_bad_input_found_by_a_worker_comes_back(engine):
+    with pytest.raises(ParameterError, match="^no 5$"):
+        list(engine(work.refuse, [(5, "")]))
+
+
+def test_a_folder_is_filled_once(tmp_path):
+    done, seen = [], []
+
+    def double(x):
+        done.append(x)
+        return {"value": 2 * x}
+
+    cells.fill(double, [1, 2], tmp_path, cells.in_process, seen.append)
+    cells.fill(double, [1, 2, 3], tmp_path, cells.in_process, seen.append)
+    assert done == [1, 2, 3] and seen == [1, 2, 1, 2, 3]
+    assert [cells.read_cell(tmp_path, x, lambda content: content["value"]) for x in (1, 2, 3)] == [2, 4, 6]
+
+
+@pytest.mark.parametrize("content", ["{", "{}", "[1]"])
+def test_a_damaged_cell_is_named(tmp_path, content):
+    cells.fill(lambda x: {"value": x}, [1], tmp_path, cells.in_process, lambda cell: None)
+    path = cells.cell_file(tmp_path, 1)
+    path.write_text(content)
+    with pytest.raises(ParameterError, match="1.json: is damaged .*; delete it") as error:
+        cells.read_cell(tmp_path, 1, lambda content: content["value"])
+    assert "\n" not in str(error.value)
+
+
+def test_a_worker_with_other_code_is_refused(monkeypatch):
+    with pytest.raises(ParameterError, match=r"a worker has soil_env .*, the study 0.1.0\+other"):
+        cells._on_node(work.double, "0.1.0+other", (1, ""))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"engine": "rey"}, "did you mean 'ray'"),
+        ({"engine": "local", "workers": 0}, "--workers 0"),
+        ({"engine": "local", "address": "auto"}, "only with --engine ray"),
+    ],
+)
+def test_options_that_fit_no_engine_are_refused(given, said):
+    with pytest.raises(ParameterError, match=said):
+        cells.choose(**given)
+
+
+def test_ray_that_is_absent_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ParameterError, match=r"pip install 'soil_env\[ray\]'"):
+        cells.choose("ray")
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:9", "nonsense"])
+def test_a_cluster_that_is_not_there_is_one_line(address):
+    pytest.importorskip("ray")
+    with pytest.raises(ParameterError, match=f"no cluster at {address}"):
+        cells.choose("ray", address=address)
+
+
+def test_ray_uses_both_nodes(connected):
+    assert len({node for _, node in cells.on_ray(work.where, range(8))}) == 2

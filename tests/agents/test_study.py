@@ -1,0 +1,328 @@
+"""`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a kill, bad input."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+
+import pytest
+import yaml
+
+from agents import cells
+from agents.controllers import CONTROLLERS, make_controller
+from agents.controllers.rover import ROVER_CONTROLLERS
+from agents.evaluate import run_courses
+from agents.evaluate.models import load_model
+from agents.study import work
+from agents.study.config import Cell, Study, read_config
+from agents.training import open_run
+from soil_env._io.loading import config_dir
+from soil_env.terramechanics.model import WheelSoilModel
+from tests.agents.commands import study as main, typed
+
+WORLDS = config_dir() / "worlds"
+PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
+CONFIG = {
+    "changes": {"course": {"length": 2.0}, "control": {"time_limit": 6.0}},
+    "scenarios": {"mixed": {}, "elsewhere": {"scenario": "unseen", "trained_on": "mixed", "model": "effect.yaml"}},
+    "controllers": ["full_throttle", "soft_start"],
+    "train": {"timesteps": 192, "checkpoint_every": 64, "ppo": PPO},
+    "arms": {
+        "identified": {"train": {"hidden_worlds": 1, "ppo": {"history": 2}}},
+        "true_soil": {"train": {"observation": "true_soil"}},
+        "given": {"controller": "soft_start", "settings": {"speed": 0.2}},
+        "mine": {"controller": "tests.agents.drivers:Half"},
+    },
+    "seeds": 2, "courses": 6, "tuning_courses": 1, "resamples": 50,
+}  # fmt: skip
+
+
+def config(folder, **changes):
+    """A small study as a file in `folder`."""
+    shutil.copy(WORLDS / "bulldozing.yaml", folder / "effect.yaml")
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump({**CONFIG, **changes}, sort_keys=False))
+    return path
+
+
+def refused(capsys, *arguments):
+    """stderr of a command that has to be refused: one line, status 2."""
+    capsys.readouterr()
+    assert main(list(map(str, arguments))) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("soil-env study: error: ") and err.count("\n") == 1, err
+    return err
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished study."""
+    folder = tmp_path_factory.mktemp("study")
+    assert main(["--config", str(config(folder)), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def read(folder):
+    return json.loads((folder / "study.json").read_text())
+
+
+# --- what it finds ----------------------------------------------------------------------------------------------------
+
+
+def test_every_arm_is_compared_on_every_scenario(finished):
+    result = read(finished)
+    assert list(result["scenarios"]) == ["mixed", "elsewhere"] and result["baseline"] == "mine"
+    for name, entry in result["scenarios"].items():
+        assert list(entry["controllers"]) == ["full_throttle", "soft_start", *CONFIG["arms"]]
+        assert entry["trained_on"] == "mixed" and bool(entry["model"]) == (name == "elsewhere")
+        assert entry["members"] == {a: 2 if a in ("identified", "true_soil") else 1 for a in entry["controllers"]}
+    assert result["settings"]["mixed-soft_start-0"].keys() == CONTROLLERS["soft_start"].bounds.keys()
+    assert result["settings"]["mixed-given-0"] == {"speed": 0.2}
+
+
+def test_arms_are_judged_as_they_drive(finished):
+    """The numbers are those of the saved models and settings on the held-out courses, in the world of the scenario."""
+    asked, result = cells.load_study(Study, finished), read(finished)
+    settings = result["settings"]["mixed-soft_start-0"]
+    for name, target in asked.targets.items():
+
+        def drive(controller, target=target):
+            return run_courses(controller, target.scenario, asked.held_out, 6, model=target.world).returns.mean()
+
+        by_seed = {arm: own["return"] for arm, own in result["scenarios"][name]["by_seed"].items()}
+        for seed in (0, 1):
+            model = load_model(finished / "trained" / f"mixed-identified-{seed}" / "model.zip", target.scenario)
+            assert by_seed["identified"][seed] == pytest.approx(drive(model), rel=1e-9)
+        soft = make_controller("soft_start", target.scenario, **settings)
+        assert by_seed["soft_start"] == [pytest.approx(drive(soft), rel=1e-9)]
+    assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
+
+
+def test_trainings_are_those_of_the_config(finished):
+    seeds = []
+    for k in (0, 1):
+        trained, scenario = open_run(finished / "trained" / f"mixed-identified-{k}")
+        assert trained.hidden_worlds == 1 and trained.ppo.history == 2 and scenario.control.time_limit == 6.0
+        seeds.append(trained.seed)
+    assert abs(seeds[0] - seeds[1]) > 65536  # wheel k of a training has seed + k
+    by_seed = read(finished)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
+    assert by_seed[0] != by_seed[1]
+
+
+def test_the_table_holds_what_the_result_says(finished):
+    text, result = (finished / "study.md").read_text(), read(finished)
+    entry = result["scenarios"]["elsewhere"]
+    m, d = entry["controllers"]["soft_start"]["immobilised"], entry["paired"]["soft_start"]["mine"]["finished"]
+    row = next(line for line in text.splitlines() if line.startswith("| elsewhere | soft_start |"))
+    assert f"{100 * m['value']:.1f} [{100 * m['low']:.1f}, {100 * m['high']:.1f}]" in row
+    assert f"{100 * d['value']:+.1f} [{100 * d['low']:+.1f}, {100 * d['high']:+.1f}]" in row
+    assert (finished / "study.png").read_bytes()[:4] == b"\x89PNG"
+
+
+# --- going on ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished, tmp_path, importable):
+    again = tmp_path / "out"
+    shutil.copytree(finished, again)
+    for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
+        (again / "cells" / f"{name}.json").unlink()
+    shutil.rmtree(again / "trained" / "mixed-identified-0")
+    kept = (again / "trained" / "mixed-true_soil-1" / "model.zip").stat().st_mtime_ns
+    assert main(["--out", str(again), "--workers", "2"]) == 0
+    assert (again / "trained" / "mixed-true_soil-1" / "model.zip").stat().st_mtime_ns == kept
+    assert (again / "study.json").read_bytes() == (finished / "study.json").read_bytes()
+
+
+@pytest.mark.usefixtures("unrendered")
+def test_a_study_grows_by_seeds_and_by_nothing_else(finished, tmp_path, capsys):
+    again = tmp_path / "out"
+    shutil.copytree(finished, again)
+    assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", again)
+    assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", again, "--train.timesteps", "100")
+    assert main(["--out", str(again), "--seeds", "3"]) == 0
+    members = read(again)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
+    assert len(members) == 3 and members[:2] == read(finished)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
+
+
+def test_results_of_an_unfinished_study(finished, tmp_path, capsys):
+    again = tmp_path / "out"
+    shutil.copytree(finished, again)
+    (again / "cells" / "mixed-true_soil-1.json").unlink()
+    assert main(["--out", str(again), "--report"]) == 0
+    assert read(again)["scenarios"]["mixed"]["members"]["true_soil"] == 1
+    shutil.rmtree(again / "cells")
+    assert "no cell is done" in refused(capsys, "--out", again, "--report")
+
+
+def test_a_killed_study_gives_what_an_undisturbed_one_gives(tmp_path, monkeypatch):
+    """kill -9 of all processes in the middle of a training, after other cells are done."""
+    train = {**CONFIG["train"], "timesteps": 6400, "checkpoint_every": 10_000}
+    path, out = config(tmp_path, train=train, seeds=1, courses=3), tmp_path / "out"
+    command = typed("study", "--config", str(path), "--out", str(out), "--workers", "1")
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+    run = out / "trained" / "mixed-true_soil-0"
+    try:
+        for _ in range(15000):
+            if (run / "tensorboard").exists() or process.poll() is not None:
+                break
+            time.sleep(0.02)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert run.exists() and not (run / "model.zip").exists()
+    before = {p: p.stat().st_mtime_ns for p in (out / "cells").iterdir()}
+    assert len(before) == 5  # all others
+    assert main(["--out", str(out)]) == 0
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert main(["--config", str(path), "--out", str(tmp_path / "calm")]) == 0
+    assert (out / "study.json").read_bytes() == (tmp_path / "calm" / "study.json").read_bytes()
+
+
+# --- worlds -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_arm_is_made_in_its_world(tmp_path):
+    """Without a world in that of its scenario; a world in which nothing was found is one without effects."""
+    worlds = {"none": {}, "planted": {"model": "effect.yaml"}, "found": {"log_of": "effect.yaml"}}
+    arms = {"plain": {"world": "none"}, "corrected": {"world": "found"}, "truth": {"world": "planted"}, "own": {}}
+    scenarios = {"mixed": {"model": "effect.yaml"}}
+    study = read_config(config(tmp_path, scenarios=scenarios, controllers=[], arms=arms, worlds=worlds))
+    found = tmp_path / "out" / "worlds" / "found" / "found.yaml"
+    found.parent.mkdir(parents=True)
+    wheel = WheelSoilModel.load(tmp_path / "effect.yaml").wheel
+    WheelSoilModel(wheel).save(found)
+    models = work.worlds(study, tmp_path / "out")
+    assert models["none"] is None and models["found"] is None and list(models["planted"].effects) == ["bulldozing"]
+    assert study.targets["mixed"].world.effects == models["planted"].effects
+    WheelSoilModel(wheel, effects={"bulldozing": {"hegedus": 0.5}}).save(found)
+    found_model = work.worlds(study, tmp_path / "out")["found"]
+    assert study.training(Cell("mixed", "corrected", 0), found_model, tmp_path).world.effects == found_model.effects
+    assert study.training(Cell("mixed", "plain", 0), None, tmp_path).world is None
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unrendered")
+def test_from_the_log_of_a_hidden_world_to_a_corrected_agent(tmp_path):
+    """The effect that was planted in the hidden world is found, and the corrected agent is trained with it."""
+    plan = {"grades_deg": [-12, -9, -6, -4, -2, 0, 3, 6], "payloads": [0, 8], "rim_speeds": [0.08, 0.2], "hold": 10}
+    arms = {"agent": {"world": "none"}, "corrected": {"world": "found"}}
+    changes = {"worlds": {"none": {}, "found": {"log_of": "effect.yaml"}}, "commissioning": plan, "seeds": 1}
+    path = config(tmp_path, controllers=[], arms=arms, **changes)
+    assert main(["--config", str(path), "--out", str(tmp_path / "out")]) == 0
+    result = read(tmp_path / "out")
+    assert result["worlds"]["none"] == {} and list(result["worlds"]["found"]) == ["bulldozing"]
+    assert result["worlds"]["found"]["bulldozing"]["hegedus"] == pytest.approx(1.0, rel=0.1)
+    trained = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
+    assert trained["agent"] is None and trained["corrected"].effects == result["worlds"]["found"]
+    times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
+    assert main(["--out", str(tmp_path / "out")]) == 0  # nothing is done twice
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")} == times
+
+
+def test_a_study_of_a_rover(tmp_path):
+    changes = {"course": {"length": 2.0}, "control": {"time_limit": 8.0}}
+    train = {"timesteps": 128, "ppo": {**PPO, "history": 0}}
+    moon, arms = {"moon": {"rover": "lunar_micro_rover"}}, {"blind": {"train": {"observation": "blind"}}}
+    path = config(
+        tmp_path, scenarios=moon, changes=changes, train=train, controllers=["torque_by_load"], arms=arms, seeds=1
+    )  # fmt: skip
+    assert main(["--config", str(path), "--out", str(tmp_path / "out")]) == 0
+    entry = read(tmp_path / "out")["scenarios"]["moon"]
+    assert list(entry["controllers"]) == ["torque_by_load", "blind"] and "fighting" in entry["metrics"]
+    assert "wheel_force" in entry["paired"]["blind"]["torque_by_load"]
+
+
+# --- the config -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", sorted(p.name for p in config_dir().glob("study*.yaml")))
+def test_the_shipped_configs_can_be_read(name):
+    study = read_config(config_dir() / name)
+    assert study.compared_with in study.arms and len(study.cells()) > 3
+    if name == "study.yaml":
+        assert study.seeds >= 3 and study.courses >= 1000 and set(CONTROLLERS) < set(study.arms)
+        assert study.targets["unseen"].world is not None and study.fed_by("mixed") == ["mixed", "unseen"]
+        soils = [set(study.targets[name].scenario.soils) for name in ("mixed", "unseen")]
+        assert not soils[0] & soils[1]
+    if name == "study_rover.yaml":
+        assert set(ROVER_CONTROLLERS) < set(study.arms)
+
+
+@pytest.mark.parametrize("path", sorted(WORLDS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_shipped_worlds_can_be_played(path, tmp_path):
+    assert read_config(config(tmp_path, scenarios={"mixed": {"model": str(path)}})).targets["mixed"].world is not None
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"scenarios": {"mixd": {}}}, "study.yaml: scenarios.mixd: scenario: unknown value"),
+        ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
+        ({"scenarios": {"mixed": ["sticky"]}}, "study.yaml: scenarios.mixed = ['sticky']: expected a mapping"),
+        ({"scenarios": {"mixed": {"changes": 5}}}, "study.yaml: scenarios.mixed.changes = 5: expected a mapping"),
+        ({"scenarios": {"mixed": {"model": 5}}}, "study.yaml: scenarios.mixed.model = 5: expected text"),
+        ({"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}}, "study.yaml: scenarios.mixed.changes"),
+        ({"scenarios": {"mixed": {"model": "none.yaml"}}}, "none.yaml"),
+        ({"scenarios": {}}, "at least one scenario"),
+        ({"arms": {}, "controllers": []}, "one arm"),
+        ({"arms": {"a-b": {}}}, "a-b"),
+        ({"arms": {"a": {"train": {"ppo": {"critic": "soil"}}}}}, "critic = 'soil'"),
+        ({"arms": {"a": {"train": {"hidden_worlds": -1}}}}, "hidden_worlds"),
+        ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
+        ({"arms": {"a": {"controller": "soft_strat"}}}, "did you mean 'soft_start'"),
+        ({"arms": {"a": {"controller": "soft_start", "settings": {"sped": 1}}}}, "did you mean 'speed'"),
+        ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
+        ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown key 'nowhere'"),
+        ({"arms": {"a": {"observation": "blind"}}}, "study.yaml: arms.a: unknown key 'observation'"),
+        ({"worlds": {"a": {"model": "effect.yaml", "log_of": "effect.yaml"}}}, "not both"),
+        ({"controllers": ["soft_strt"]}, "soft_start"),
+        ({"baseline": "nobody"}, "baseline: unknown key 'nobody'"),
+        ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
+        ({"targets": {}}, "study.yaml: unknown key 'targets'"),
+        ({"version": "1"}, "study.yaml: unknown key 'version'"),
+        ({"courses": 0}, "courses = 0"),
+    ],
+)
+def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
+    out = tmp_path / "out"
+    assert said in refused(capsys, "--config", config(tmp_path, **changes), "--out", out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("effects: {}", "no effects"),
+        ("effects: {bulldosing: {hegedus: 1.0}}", "bulldozing"),
+        ("wheel: {radius: 0.3, width: 0.15}\neffects: {bulldozing: {hegedus: 1.0}}", "that of scenario"),
+        ("soil: {friction_angle_deg: 30, cohesion: 0, shear_modulus: 0.01, sinkage_exponent: 1, "
+         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "expected no soil"),
+    ],
+)  # fmt: skip
+def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys):
+    world = tmp_path / "world.yaml"
+    world.write_text(("" if "wheel" in content else "wheel: {radius: 0.15, width: 0.15}\n") + content + "\n")
+    path = config(tmp_path, scenarios={"mixed": {"model": "world.yaml"}})
+    assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
+    path = config(tmp_path)
+    assert "only with --config" in refused(capsys, "--out", finished, "--train.timesteps", "3")
+    assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
+    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
+    assert "--seeds = 0" in refused(capsys, "--config", path, "--out", tmp_path / "o", "--seeds", "0")
+    (tmp_path / "empty.yaml").write_text("")
+    assert "is empty" in refused(capsys, "--config", tmp_path / "empty.yaml", "--out", tmp_path / "o")
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_class_that_fails_is_named(tmp_path, capsys):
+    path = config(tmp_path, controllers=[], arms={"mine": {"controller": "tests.agents.drivers:LateNaN"}})
+    said = refused(capsys, "--config", path, "--out", tmp_path / "out")
+    assert "arms.mine, on mixed: action nan in step 3 of course 5: expected a finite number" in said

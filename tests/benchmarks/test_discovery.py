@@ -1,0 +1,326 @@
+"""Discovery benchmark: law errors, detection limits, cases, scores, entrants, interrupted runs, measured rigs."""
+
+import json
+import math
+import multiprocessing
+import time
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from benchmarks.common import share
+from benchmarks.discovery import __main__ as command, entrants, rigs, score
+from benchmarks.discovery.cases import GROUPS, SETS, Task, draw_case, task_of, tasks, write_case
+from benchmarks.discovery.entrants import Answer, entrant
+from benchmarks.discovery.forms import CHANNELS, FORMS, MECHANISMS, UNLISTED, Hidden, forms_of
+from benchmarks.discovery.laws import LENGTHS, RandomFunction, StressError, covariance, log_slip, regimes
+from benchmarks.discovery.limits import Measure, noncentrality, without
+from benchmarks.discovery.plan import draw_bench
+from benchmarks.discovery.score import judged, reliability
+from benchmarks.discovery.world import Arc, Contact, Rows, Wheel
+from soil_env.measurement.table import read_setup, read_table
+from soil_env.parameters import Soil
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+
+
+@cache
+def bench(design="rich", seed=5):
+    return draw_bench(np.random.default_rng(seed), design, 0.0, None, lugs=True)
+
+
+# --- law errors -------------------------------------------------------------------------------------------------------
+
+
+def test_random_functions_have_variance_one_and_the_stated_length():
+    rng = np.random.default_rng(0)
+    here = tuple(np.full((1, 1), x) for x in (0.4, 0.5, 0.3, 0.1))
+    there = (here[0] + LENGTHS[0], *here[1:])
+    draws = (RandomFunction.draw(rng, LENGTHS) for _ in range(4000))
+    values = np.array([[f(here).item(), f(there).item()] for f in draws])
+    assert np.all(np.abs(values.std(axis=0) - 1.0) < 0.04)
+    assert np.corrcoef(values.T)[0, 1] == pytest.approx(math.exp(-0.5), abs=0.04)
+
+
+def test_covariance_of_law_errors_is_that_of_drawn_ones():
+    """Tables of 300 drawn errors of 2 % against the first-order covariance: sd of every channel, and correlations."""
+    b = bench("few", 3)
+    contact = b.contact(exact=True)
+    entry = np.arccos(1.0 - b.exact[:1].T / contact.radius)
+    wanted = 0.02**2 * covariance(contact, entry, b.pressure, b.load)
+    rng, drawn = np.random.default_rng(1), []
+    for _ in range(300):
+        error = StressError(0.02, b.pressure, b.load, *(RandomFunction.draw(rng, LENGTHS) for _ in range(2)))
+        drawn.append((replace(b, error=error).base - b.exact).ravel())
+    seen = np.cov(np.array(drawn).T)
+    ratio = np.sqrt(np.diag(seen) / np.diag(wanted))
+    assert np.all((ratio > 0.8) & (ratio < 1.25))
+    assert np.max(np.abs(seen - wanted) / np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))) < 0.4
+
+
+def log_factors(kind, slip, count=300):
+    """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one place of the arc."""
+    rng, n, out = np.random.default_rng(0), len(slip), []
+    for _ in range(count):
+        rows = Rows(np.array(slip), *(np.full(n, x) for x in (bench().load, 0.05, 1.0, 0.0, 0.0)))
+        contact = Contact(rows, Wheel(0.15, 0.15), bench().ground)
+        StressError.draw(rng, 1.0, bench().pressure, bench().load, kind)(contact)
+        arc = Arc(*(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=np.full((n, 1), bench().pressure))
+        out.append(np.log(contact.normal[0](1.0, arc)).ravel())
+    return np.array(out)
+
+
+def test_kinds_of_law_errors_differ_in_slip():
+    """`log_slip` changes most at little slip; `regimes` is smooth but for one border within the slips of the tables."""
+    factor = log_factors(log_slip, [0.0, 0.05, 0.1, 0.5, 0.55, 0.6])
+    assert np.mean(np.ptp(factor[:, :3], axis=1)) > 3.0 * np.mean(np.ptp(factor[:, 3:], axis=1))
+    slip = np.arange(0.0, 0.65, 0.025)
+    change = np.abs(np.diff(log_factors(regimes, slip), axis=1))
+    border = slip[np.argmax(change, axis=1)]
+    assert np.mean((border > 0.05) & (border < 0.55)) > 0.95
+    assert np.median(np.max(change, axis=1) / np.median(change, axis=1)) > 4.0
+    left, right = log_factors(regimes, [0.02, 0.62]).T
+    assert np.std(left) == pytest.approx(1.0, abs=0.15) and abs(np.corrcoef(left, right)[0, 1]) < 0.25
+
+
+# --- limits -----------------------------------------------------------------------------------------------------------
+
+
+def test_size_on_a_linear_toy():
+    """Noncentrality 17.8 of one parameter; |d|, and the part beside another direction that is free."""
+    assert noncentrality(1) == pytest.approx((1.644854 + 2.575829) ** 2, rel=1e-5)
+    d, other = np.array([3.0, 4.0]), np.array([1.0, 0.0])
+    assert without(d, []) @ d == 25.0
+    assert without(d, [other]) @ d == pytest.approx(16.0 + 9.0 / 101.0)
+
+
+def test_limits_rise_with_the_law_error_and_with_a_partner():
+    one, _, two = forms_of("bulldozing")
+    effect = Hidden(one, 0.1, {})
+    error = StressError.draw(np.random.default_rng(0), 0.1, bench().pressure, bench().load)
+    exact, wrong = Measure(bench()), Measure(replace(bench(), error=error))
+    assert exact.size(effect) > 1.5 * wrong.size(effect) > 0.0
+    strength, size = wrong.strength(effect, 3.0)
+    assert size == pytest.approx(3.0, rel=0.05) and wrong.size(effect.at(strength)) == pytest.approx(size)
+    partner = Hidden(two, 0.5 * two.cap(bench().context), two.side(np.random.default_rng(0), bench().context))
+    assert exact.size(effect, [partner]) < 0.5 * exact.size(effect)  # nearly the same force
+
+
+# --- cases ------------------------------------------------------------------------------------------------------------
+
+
+def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
+    group, laws = GROUPS["one-rich-10"], SETS["laws"]
+    names = [group.hidden(k)[0].effect for k in range(group.count)]
+    assert {names.count(m) for m in MECHANISMS} == {group.count // 13}
+    assert {group.hidden(k)[0].name for k in range(group.count)} == {f.name for f in FORMS}
+    first, count = [t.group for t in tasks("laws", 215)], sum(g.count for g in laws)
+    assert all(abs(first.count(g.name) - 215 * g.count / count) <= 1.0 for g in laws)
+    assert set(MECHANISMS) == set(CATALOGUE) and not {f.effect for f in UNLISTED} & set(CATALOGUE)
+    assert all(t == task_of(t.name) for of in SETS for t in tasks(of, 40))
+    with pytest.raises(ValueError, match="one-rich-11"):
+        task_of("one-rich-11-000")
+
+
+@pytest.mark.parametrize("name", ["one-wheels-10-003", "two-rich-0-001", "unlisted-rich-0-002", "none-few-10-001",
+                                  "one-rich-outliers-10-000", "regimes-one-rich-10-004"])  # fmt: skip
+def test_cases_are_read_by_the_workflows_reader_and_hold_no_truth(tmp_path, name):
+    case = draw_case(100007, task_of(name))
+    write_case(case, tmp_path / "case", tmp_path / "truth" / "x.json")
+    table = read_table(tmp_path / "case" / "data.csv", read_setup(tmp_path / "case" / "setup.yaml").wheel)
+    assert len(table) == case.truth["rows"] == case.clean.shape[1]
+    assert sorted(p.name for p in (tmp_path / "case").iterdir()) == ["data.csv", "setup.yaml"]
+    text = "".join(p.read_text() for p in (tmp_path / "case").iterdir())
+    truth = json.loads((tmp_path / "truth" / "x.json").read_text())
+    assert not any(e["form"] in text for e in truth["effects"])
+    for e in truth["effects"]:
+        assert e["size"] > 0.0 and (truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9)
+
+
+def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
+    a, b, c = (draw_case(seed, Task("one-rich-10", 4)) for seed in (100008, 100008, 100009))
+    assert a.columns == b.columns and a.setup == b.setup and a.truth == b.truth and a.columns != c.columns
+    exact = replace(a.bench, error=None).truth(a.effects)
+    assert np.max(np.abs(a.clean - exact) / np.array(a.bench.noise)[:, None]) > 1.0
+    noise = (np.array([a.columns[n] for n in CHANNELS]) - a.clean) / np.array(a.bench.noise)[:, None]
+    assert noise.std() == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("prefix", ["log-slip", "regimes"])
+def test_other_law_errors_are_on_the_same_cases(prefix):
+    other, known = (draw_case(100030, Task(f"{p}one-rich-10", 2)) for p in (f"{prefix}-", ""))
+    assert other.truth == known.truth | {"case": f"{prefix}-one-rich-10-002"} and other.setup == known.setup
+    assert {k for k, v in other.columns.items() if v != known.columns[k]} == set(CHANNELS)
+    assert not np.allclose(other.clean, known.clean, rtol=1e-3)
+
+
+# --- scores -----------------------------------------------------------------------------------------------------------
+
+
+def truth(kind, *names, also=(), counts=True):
+    effects = [{"name": n, "own_left": 0.5, "rival_left": 2.0} for n in names]
+    return {"kind": kind, "design": "rich", "sort": "", "law_error": 0.1, "also": list(also), "effects": effects,
+            "counts": counts}  # fmt: skip
+
+
+@pytest.mark.parametrize(("case", "answer", "expected"), [
+    (truth("one", "grade"), Answer("named", ("grade",), (), {"grade": 0.9}), {"first": True, "wrong": False}),
+    (truth("one", "grade"), Answer("named", ("grousers",)), {"first": False, "included": False, "wrong": True}),
+    (truth("one", "grade"), Answer("ambiguous", ("grousers",), ("grade",), {"grousers": 0.45, "grade": 0.4}),
+     {"first": False, "included": True, "wrong": False}),
+    (truth("one", "grade", also=["rear_contact"]), Answer("named", ("rear_contact", "grade")),
+     {"first": True, "wrong": False}),
+    (truth("two", "grade", "grousers"), Answer("named", ("grousers", "grade")), {"both": True, "wrong": False}),
+    (truth("two", "grade", "grousers"), Answer("named", ("grousers", "grade", "multipass")),
+     {"both": False, "wrong": True}),
+    (truth("none"), Answer("none", (), (), {"grade": 0.3}), {"silent": True, "wrong": False}),
+    (truth("none"), Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"silent": False, "wrong": False}),
+    (truth("unlisted", "crosstalk"), Answer("partly", ("grade",), (), {"grade": 0.7}),
+     {"silent": False, "wrong": True}),
+    (truth("unlisted", "crosstalk"), Answer("none", (), (), {"grade": 0.7}), {"wrong": True}),
+])  # fmt: skip
+def test_judgement_of_an_answer(case, answer, expected):
+    assert {key: getattr(judged(case, answer), key) for key in expected} == expected
+
+
+def test_verdict_may_not_contradict_its_probabilities():
+    assert score.contradicted(Answer("partly", ("grade", "grousers"), (), {"grade": 0.8, "grousers": 0.4}))
+    assert score.contradicted(Answer("none", (), (), {"grade": 0.7}))
+    for answer in (Answer("named", ("grade",)), Answer("ambiguous", ("grade",), (), {"grade": 0.4})):
+        assert not score.contradicted(answer)
+
+
+def test_figures_count_the_cases_that_count():
+    said = [(truth("one", "grade"), Answer("named", ("grade",), (), {"grade": 0.8}))] * 8
+    said += [(truth("one", "grade"), Answer("named", ("multipass",), (), {"multipass": 0.8}))] * 2
+    said += [(truth("one", "grade", counts=False), Answer("none"))] * 5 + [(truth("none"), Answer("none"))] * 3
+    f = score.figures([score.Record(t, a, judged(t, a), 1.0) for t, a in said])
+    assert (f["targets"]["first"]["count"], f["targets"]["first"]["of"]) == (8, 10)
+    assert f["targets"]["wrong"]["value"] == 0.2 and f["targets"]["none"]["of"] == 3
+    assert f["cases"] == 18 and f["counting"] == 13 and f["nearest"]["first"]["of"] == 10
+    tables = score.tables({"laws": {"seed": 1, "entrants": {"workflow": f}}})
+    assert len(tables) == 3 and all(table.rows for table in tables.values())
+
+
+def test_reliability_by_hand():
+    """40 answers of 0.8, 30 right: seen 0.75, deviation 0.05; 3 answers of 0.95 are too few to count."""
+    r = reliability([(0.8, k < 30) for k in range(40)] + [(0.95, False)] * 3)
+    assert r["largest"] == pytest.approx(0.05) and r["of"] == 43
+    assert r["mean"] == pytest.approx((40 * 0.05 + 3 * 0.95) / 43)
+    assert share([True] * 10)["low"] == pytest.approx(1.0 / (1.0 + 1.959963985**2 / 10.0))
+
+
+# --- entrants and runs ------------------------------------------------------------------------------------------------
+
+
+def says_grade(data, setup):
+    assert sorted(p.name for p in data.parent.iterdir()) == ["data.csv", "setup.yaml"]
+    return {"verdict": "named", "named": ["grade"], "probabilities": {"grade": 0.9}}
+
+
+def test_answers_are_checked():
+    for content, words in (({"verdict": "sure"}, "verdict 'sure'"), ({"verdict": "none", "nmaed": []}, "nmaed"),
+                           ({"verdict": "named", "named": ["grouser"]}, "grouser.*expected one of .*grousers"),
+                           ({"verdict": "none", "probabilities": {"grade": 1.5}}, r"grade = 1\.5"),
+                           (["named"], "expected a mapping")):  # fmt: skip
+        with pytest.raises(ValueError, match=words):
+            Answer.of(content)
+    with pytest.raises(ValueError, match="expected workflow, bic"):
+        entrant("nobody")
+
+
+def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
+    options = ["run", "--entrant", f"{__name__}:says_grade", "--label", "grade", "--seed", "100010"]
+    options += ["--group", "none-few-10", "--group", "one-few-0", "--out", str(tmp_path)]
+    assert command.main([*options, "--limit", "40"]) == 0
+    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
+    asked, original = [], command.ask
+    monkeypatch.setattr(command, "ask", lambda *a: asked.append(a[-1]) or original(*a))
+    assert command.main([*options, "--limit", "100"]) == 0
+    after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
+    assert before and asked and before.items() <= after.items() and len(after) == len(before) + len(asked)
+    found = json.loads((tmp_path / "discovery_laws.json").read_text())
+    assert found["entrants"]["grade"]["cases"] == len(after) and (tmp_path / "discovery.md").exists()
+    capsys.readouterr()
+    assert command.main([*options[:5], "--seed", "100011", "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "100010" in error and "100011" in error and error.count("\n") == 1
+    (tmp_path / "answers" / "grade" / next(iter(after))).write_text("{")
+    assert command.main(["score", "--out", str(tmp_path)]) == 2 and "delete the file" in capsys.readouterr().err
+
+
+def test_entrant_that_fails_is_an_error_not_the_end(tmp_path):
+    command.begin(tmp_path, "laws", 100010)
+    command.ask("math:sqrt", "broken", 100010, tmp_path, "none-few-10-000")
+    (record,) = score.read_records(tmp_path, "broken", ["none-few-10-000"])
+    assert record.answer.verdict == "error" and "TypeError" in record.answer.note
+
+
+def test_interrupt_ends_the_processes_at_once():
+    before = multiprocessing.active_children()  # of other tests
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        command.each(exec, ["import time; time.sleep(120)", "raise KeyboardInterrupt"], 2)
+    left = [process for process in multiprocessing.active_children() if process not in before]
+    while any(process.is_alive() for process in left) and time.monotonic() < begun + 60.0:
+        time.sleep(0.01)
+    assert time.monotonic() < begun + 60.0
+
+
+def test_entrants_answer(tmp_path):
+    case = draw_case(100012, task_of("one-few-10-001"))
+    write_case(case, tmp_path / "case", tmp_path / "truth.json")
+    files = tmp_path / "case" / "data.csv", tmp_path / "case" / "setup.yaml"
+    for name in ("workflow", "bic", "gls"):
+        answer = entrant(name)(*files)
+        assert answer.verdict != "error" and set(answer.named) <= set(CATALOGUE)
+    bank = entrants.CorrelatedBank(*files)
+    fitted = bank.fit()
+    off = (fitted.predicted - bank.measured)[bank.there]
+    densities = [multivariate_normal.logpdf(off, cov=f @ f.T) for f in bank.factors]
+    expected = -2.0 * max(densities) - off.size * math.log(2.0 * math.pi) + fitted.penalty
+    assert bank.criterion(fitted) == pytest.approx(expected)
+
+
+def test_errors_of_the_shear_stress_along_the_arc_are_no_effect(tmp_path):
+    """Table without an effect on laws that err by 10 %, of which an earlier workflow was sure of shear softening."""
+    command.draw(104001, tmp_path, "none-rich-10-008")
+    case = tmp_path / "cases" / "none-rich-10-008"
+    answer = entrant("workflow")(case / "data.csv", case / "setup.yaml")
+    assert not answer.named and max(answer.probabilities.values()) < 0.5
+
+
+# --- measured rigs ----------------------------------------------------------------------------------------------------
+
+MODEL = WheelSoilModel(ModelWheel(0.15, 0.12), Soil(30.0, 1500.0, 0.018, 0.85, sinkage_coefficient=7.7e5, dig_gain=0.0))
+SLIPS = np.array([0.1, 0.11, 0.3, 0.5, 0.7, 0.71])
+
+
+def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
+    """Pull is 10 slip too high for the base model: its error is that, and the anonymous law extrapolates none."""
+    p = MODEL.predict({"slip": SLIPS, "load": np.full(6, 70.0)})
+    rows = [{"slip": str(i), "load": "70.0", "sinkage": str(z), "drawbar_pull": str(f + 10.0 * i)}
+            for i, z, f in zip(SLIPS, p.sinkage, p.drawbar_pull, strict=True)]  # fmt: skip
+    setup = {"wheel": {"radius": 0.15, "width": 0.12}, "noise": {"sinkage": 0.001, "drawbar_pull": 1.0}}
+    seen = []
+
+    def says_none(rows, setup):
+        seen.append(set(rows.slip.round(3)))
+        gap = {"drawbar_pull": SimpleNamespace(after=1.5), "sinkage": SimpleNamespace(after=None)}
+        return SimpleNamespace(base_model=MODEL, model=MODEL, effects=(), verdict="none", gap=gap)
+
+    monkeypatch.setattr(rigs, "run", says_none)
+    result = rigs.held_out(rigs.Rig("rig", rows, setup, 0.05))
+    everything = set(SLIPS.round(3))
+    assert seen[0] == everything
+    assert [everything - s for s in seen[1:]] == [{0.1, 0.11}, {0.3}, {0.5}, {0.7, 0.71}]
+    rms = result["rms"]["drawbar_pull"]
+    assert rms["base"] == pytest.approx(10.0 * np.sqrt(np.mean(SLIPS**2)), rel=1e-4) and rms["named"] == rms["base"]
+    outermost = 10.0 * np.sqrt((0.2**2 + 0.19**2 + 0.2**2 + 0.21**2) / 6.0)
+    assert rms["anonymous"] == pytest.approx(outermost, rel=1e-3)
+    assert "torque" not in result["rms"] and result["reported"] == {"drawbar_pull": 1.5, "sinkage": None}
+    assert all(table.rows for table in rigs.tables([result]).values())

@@ -1,0 +1,63 @@
+"""Smaller benchmarks: smoke runs write numbers and a page, finished parts are not made again, choices are as stated."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import logs, throughput, value_of_soil
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import layout
+
+
+def test_throughput_measures_wheels_and_rovers_side_by_side(tmp_path):
+    assert throughput.main(["--smoke", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "throughput.json").read_text(encoding="utf-8"))
+    assert {"wheels, mixed", "rovers, two axles", "one wheel, mixed"} <= set(result["rates"])
+    assert all(0.0 < v["low"] <= v["median"] <= v["high"] for v in result["rates"].values())
+    assert (tmp_path / "throughput.md").exists()
+
+
+def test_logs_have_all_quantities(tmp_path):
+    assert logs.main(["--smoke", "--out", str(tmp_path)]) == 0
+    found = json.loads((tmp_path / "logs.json").read_text(encoding="utf-8"))["logs"]
+    assert set(found) == set(logs.LOGS) and all(len(log["quantities"]) == 5 for log in found.values())
+    assert found["all readings, 10 Hz, stepped speed"]["quantities"]["ln K"]["rms"] < 0.5
+    assert (tmp_path / "logs.md").exists()
+
+
+def chosen(name, **entries):
+    """Action of an arm at a halt where the line is chosen, with these entries of the observation."""
+    arm, scenario = value_of_soil.ARMS[name], load_scenario("two_lines")
+    names = [e.name for e in layout(arm.variant, scenario.course)]
+    observation = np.zeros((1, len(names)))
+    for key, value in {"halted": 1.0, "choice": 1.0, **entries}.items():
+        observation[0, names.index(key)] = value
+    return value_of_soil.SoftStart(scenario, arm, 0.08, 0.45, 0.9).predict(observation)[0][0, 0]
+
+
+def test_each_arm_chooses_by_its_knowledge():
+    grades = {"ahead_grade": 0.2, "beside_grade": 0.1}
+    assert chosen("straight", **grades) == 1.0 and chosen("less steep", **grades) == -1.0
+    for name in ("identified", "true soil"):
+        assert chosen(name, **grades, ahead_margin=0.05, beside_margin=-0.05) == 1.0
+        assert chosen(name, ahead_grade=0.1, beside_grade=0.2, ahead_margin=-0.05, beside_margin=0.05) == -1.0
+
+
+def test_interval_of_a_difference():
+    """100 paired courses, 20 won and 5 lost: 15 points, sd of the mean (0.25 - 0.15^2)^(1/2)/10 = 4.8 points."""
+    over, other = {"finished": "0" * 20 + "1" * 5 + "1" * 75}, {"finished": "1" * 20 + "0" * 5 + "1" * 75}
+    value, low, high = value_of_soil.gain(over, other)
+    assert value == pytest.approx(15.0)
+    assert low == pytest.approx(15.0 - 9.4, abs=1.1) and high == pytest.approx(15.0 + 9.4, abs=1.1)
+
+
+def test_driven_arms_are_not_driven_again(tmp_path, monkeypatch):
+    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0
+    file = tmp_path / "value_of_soil.json"
+    content = json.loads(file.read_text())
+    assert set(content) == set(value_of_soil.ARMS) and all(len(found["finished"]) == 8 for found in content.values())
+    kept, driven = content.pop("identified"), []
+    file.write_text(json.dumps(content))
+    monkeypatch.setattr(value_of_soil, "measure", lambda arm, *_: driven.append(arm.variant) or kept)
+    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0 and driven == ["identified"]

@@ -1,0 +1,57 @@
+"""Every subcommand of `soil-env`: help, refusals in one line before any work, files that cannot be written."""
+
+import os
+
+import pytest
+
+from soil_env._io.loading import shipped_dir
+from soil_env.cli import _COMMANDS, main
+
+EXAMPLES = shipped_dir("examples")
+TABLE = [str(EXAMPLES / "data" / "single_wheel.csv"), "--setup", str(EXAMPLES / "data" / "setup.yaml")]
+
+
+def refusal(capsys, *arguments):
+    """The line that a refused command prints."""
+    assert main(list(arguments)) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1
+    return printed.err
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_help_fits_a_screen(name, capsys):
+    assert main([name, "--help"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"Usage: soil-env {name}") and len(lines) <= 50
+    assert max(map(len, lines)) <= 110
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_an_unknown_option_is_refused(name, capsys):
+    assert refusal(capsys, name, "--no-such-option").startswith(f"soil-env {name}: error: ")
+
+
+def test_an_unknown_command_is_refused_with_the_nearest(capsys):
+    assert "unknown command 'identfy'; did you mean 'identify'? (known: drive, " in refusal(capsys, "identfy")
+
+
+@pytest.mark.parametrize("arguments", [["identify", *TABLE], ["discover", *TABLE], ["paper"]])
+def test_an_empty_folder_name_is_refused(arguments, capsys):
+    assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")
+
+
+@pytest.mark.parametrize("arguments", [["identify", *TABLE], ["discover", *TABLE], ["paper"]])
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, capsys, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert str(tmp_path / "file") in refusal(capsys, *arguments, "--out", str(tmp_path / "file" / "out"))
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_examples_are_copied_once(capsys, monkeypatch, tmp_path):
+    assert main(["examples", str(tmp_path / "mine")]) == 0
+    assert (tmp_path / "mine" / "README.md").is_file()
+    capsys.readouterr()
+    assert "is not empty: expected a new folder" in refusal(capsys, "examples", str(tmp_path / "mine"))
+    monkeypatch.chdir(EXAMPLES.parent)
+    assert "has the examples already" in refusal(capsys, "examples")

@@ -1,0 +1,197 @@
+"""Running a command: errors are one line, signals end it cleanly, the exit status says which."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import TERMINATED, WholeNumber, run
+
+ROOT = Path(__file__).resolve().parents[2]
+# Put on the path of the child: sends the process a SIGINT when the module in INTERRUPT_AT is looked for.
+HOOK = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["INTERRUPT_AT"]:
+            os.environ["INTERRUPT_AT"] = ""
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+"""
+WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+
+
+def command_of(work):
+    """Click command without options that does `work`."""
+    return click.Command("mine", callback=work)
+
+
+@WITH_SIGNALS
+def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(HOOK)
+    env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "INTERRUPT_AT": "soil_env.discrepancy.workflow"}
+    command = [sys.executable, "-m", "soil_env.cli", "discover", "--help"]
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nsoil-env discover: interrupted\n")
+
+
+@WITH_SIGNALS
+def test_importing_the_package_changes_no_signal_handler():
+    code = "import signal\nbefore = [signal.getsignal(s) for s in (2, 15)]\nimport soil_env, soil_env.env, soil_env.cli"
+    code += "\nassert before == [signal.getsignal(s) for s in (2, 15)]"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+@WITH_SIGNALS
+def test_an_interrupt_that_passed_through_exec_is_status_130():
+    code = (
+        "from soil_env.cli.running import leave\n"
+        "try:\n    exec('raise KeyboardInterrupt')\n"
+        "except KeyboardInterrupt:\n    print('caught')\n"
+        "leave(130)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 130 and done.stdout == "caught\n" and done.stderr == ""
+
+
+@WITH_SIGNALS
+def test_sigterm_is_an_interrupt(capsys):
+    def work():
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5.0)
+
+    before = signal.getsignal(signal.SIGTERM)
+    assert run(command_of(work), [], "mine") == TERMINATED
+    assert capsys.readouterr().err == "\nmine: interrupted\n"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@WITH_SIGNALS
+def test_an_ignored_sigterm_stays_ignored():
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        assert run(command_of(lambda: os.kill(os.getpid(), signal.SIGTERM)), [], "mine") == 0
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@WITH_SIGNALS
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_command_that_is_stopped_writes_nothing(tmp_path, name, status):
+    folder = tmp_path / "out"
+    command = [sys.executable, "-m", "soil_env.cli", "paper", "--draws", "20000", "--out", str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not folder.exists() and process.poll() is None:  # made when the work begins
+        time.sleep(0.02)
+    time.sleep(0.5)
+    process.send_signal(getattr(signal, name))
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == status, error
+    assert error.strip() == "soil-env paper: interrupted"
+    assert not list(folder.rglob("*.md"))
+
+
+IN_LLVM = """
+import os, signal, sys, time
+import click
+import llvmlite.binding as llvm
+from soil_env.cli.running import leave, run
+
+calls = []
+
+def compiled(module, buffer):
+    os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+    calls.append("ended")
+
+def main():
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    module = llvm.parse_assembly("define i32 @f() {\\n ret i32 7\\n}")
+    target = llvm.Target.from_default_triple().create_target_machine()
+    engine = llvm.create_mcjit_compiler(module, target)
+    engine.set_object_cache(compiled)
+    try:
+        engine.finalize_object()
+        time.sleep(20.0)
+    finally:
+        print(calls)
+
+leave(run(click.Command("mine", callback=main), [], "mine"))
+"""
+
+
+@WITH_SIGNALS
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
+def test_a_signal_inside_a_callback_of_llvm_is_not_lost(name, status):
+    done = subprocess.run([sys.executable, "-c", IN_LLVM, name], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (status, "['ended']\n", "\nmine: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (ParameterError("a.yaml: wrong"), 2, "mine: error: a.yaml: wrong\n"),
+        (OSError(28, "No space left on device", "/a"), 2, "mine: error: /a: No space left on device\n"),
+        (MemoryError("8 GB"), 2, "mine: error: not enough memory (8 GB)\n"),
+        (KeyboardInterrupt(), 130, "\nmine: interrupted\n"),
+        (KeyboardInterrupt("continue with --resume"), 130, "\nmine: interrupted; continue with --resume\n"),
+    ],
+)
+def test_an_error_in_a_command_is_one_line(capsys, error, status, message):
+    def work():
+        raise error
+
+    assert run(command_of(work), [], "mine") == status
+    assert capsys.readouterr().err == message
+
+
+def test_an_unexpected_error_keeps_its_traceback():
+    with pytest.raises(ZeroDivisionError):
+        run(command_of(lambda: 1 // 0), [], "mine")
+
+
+@WITH_SIGNALS
+@pytest.mark.parametrize("say", ["print('x', flush=True)", "print('x')", "Console().print('x')"])
+def test_a_reader_that_has_gone_ends_a_command_silently(say):
+    """As in COMMAND | head: status 141 of `SIGPIPE` and no line, also where only the interpreter's end writes."""
+    code = (
+        "import click\nfrom rich.console import Console\nfrom soil_env.cli.running import leave, run\n"
+        f"leave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
+    )
+    read, write = os.pipe()
+    os.close(read)
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, env=env, stdout=write, stderr=subprocess.PIPE, text=True
+        )
+    finally:
+        os.close(write)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_print_that_fails_is_one_line():
+    code = (
+        "import click\nfrom soil_env.cli.running import leave, run\n"
+        "leave(run(click.Command('mine', callback=lambda: print('x', flush=True)), [], 'mine'))"
+    )
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "mine: error: the output cannot be written (No space left on device)\n"
+
+
+@pytest.mark.parametrize("text", ["abc", "-1", "1.5", "nan", "1e400", ""])
+def test_a_whole_number_is_required(text, capsys):
+    command = click.Command("mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None)
+    assert run(command, ["--n", text], "mine") == 2
+    assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err
+    assert run(command, ["--n", "1e6"], "mine") == 0

@@ -1,0 +1,204 @@
+"""Signs, units and lone rows: a table that is read wrongly is refused, or doubted before anything else."""
+
+import csv
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from soil_env._io.loading import ParameterError
+from soil_env.discrepancy import calibrate, doubts
+from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.search import search
+from soil_env.measurement.doubts import load_doubt
+from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
+from tests.discrepancy import sound_tables as sound
+from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
+
+WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
+
+
+def changed(text: str, name: str, factor: float) -> str:
+    """The table with one column times a factor."""
+    lines = list(csv.reader(text.splitlines()))
+    k = lines[0].index(name)
+    for line in lines[1:]:
+        line[k] = repr(float(line[k]) * factor)
+    return "\n".join(",".join(line) for line in lines) + "\n"
+
+
+def examined(folder, text, setup=SETUP):
+    data, setup = write_files(folder, text, setup)
+    setup = read_setup(setup)
+    return doubts.of_table(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
+
+
+@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.5}}, {"grousers": {"shear_share": 1.0}}])
+def test_a_sound_table_raises_no_doubt(tmp_path, effects):
+    assert examined(tmp_path, table_text(effects)) == ()
+
+
+def test_a_soil_of_the_setup_in_another_unit_is_doubted(tmp_path):
+    """As identification does, which reads the same setup."""
+    odd = SETUP.replace("{value: 3700, sd: 700}", "{value: 3.7, sd: 0.7}")
+    assert odd != SETUP
+    assert any("soil.cohesion = 3.7 Pa looks like kPa" in said for said in examined(tmp_path, table_text({}), odd))
+
+
+def test_a_turned_drawbar_pull_is_refused(tmp_path):
+    expected = (
+        r"data\.csv: drawbar_pull falls with slip in every group of rows .* with the sign of drawbar_pull turned, the "
+        r"base model misses the table by [\d.]+ times the noise instead of [\d.]+: expected drawbar_pull positive"
+    )
+    with pytest.raises(ParameterError, match=expected) as error:
+        examined(tmp_path, changed(table_text({}), "drawbar_pull", -1.0))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "column, factor, words",
+    [
+        ("load", 1 / 9.81, "With load as kilograms (times 9.81)"),
+        ("drawbar_pull", 1 / 9.81, "With drawbar_pull as kilograms (times 9.81)"),
+        ("torque", 1 / 9.81, "With torque as kilogram metres (times 9.81)"),
+        ("slip", -1.0, "With the sign of slip turned"),
+    ],
+)
+def test_a_wrong_unit_or_sign_is_told_or_refused(tmp_path, column, factor, words):
+    text = changed(table_text({}), column, factor)
+    try:
+        doubts = examined(tmp_path, text)
+    except ParameterError as error:
+        doubts = (str(error),)
+    assert words.lower() in " ".join(doubts).lower()
+
+
+@pytest.mark.parametrize(
+    "column, change, words",
+    [
+        ("torque", lambda x: 0.0, "torque is 0 in every row: expected measured values"),
+        ("torque", lambda x: 2.5, "torque is 2.5 in every row: expected measured values"),
+        ("sinkage", lambda x: 0.02, "sinkage is 0.02 in every row"),
+        ("drawbar_pull", lambda x: 0.0, "drawbar_pull is 0 in every row"),
+        ("drawbar_pull", lambda x: x / 1000.0, "expected newtons (if it is kilonewtons, times 1000)"),
+        ("torque", lambda x: x / 1000.0, "expected newton metres (if it is kilonewton metres, times 1000)"),
+    ],
+)
+def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it(tmp_path, column, change, words):
+    lines = list(csv.reader(table_text({}).splitlines()))
+    k = lines[0].index(column)
+    for line in lines[1:]:
+        line[k] = repr(change(float(line[k])))
+    (said,) = examined(tmp_path, "\n".join(",".join(line) for line in lines) + "\n")
+    assert words in said
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sinkage_alone_does_not_tell_the_sign_of_the_slip(tmp_path, seed):
+    """Slip-sinkage may raise it with slip, and the base model lets it fall."""
+    text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",), seed=seed)
+    assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
+
+
+def test_a_diameter_for_the_radius_is_told(tmp_path):
+    setup = SETUP.replace("radius: 0.15", "radius: 0.3")
+    assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(examined(tmp_path, table_text({}), setup))
+
+
+def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust(tmp_path):
+    text = changed(table_text({}, loads=(400, 600, 800)), "load", 1 / 9.81)
+    with pytest.raises(ParameterError, match=r"torque/radius is [\d.]+ times the strength .* with load as kilograms"):
+        examined(tmp_path, text, WEAK)
+
+
+def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
+    """Only tables that begin at low slip and end below zero say anything about the sign."""
+    data, setup = write_files(tmp_path, table_text({}), SETUP)
+    setup = read_setup(setup)
+    problem = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0]
+    assert doubts._pull_falls(problem) == "" and doubts._beyond_strength(problem) == ""
+    pull, slip = problem.data.y[:, 1], problem.data.rows.slip
+    pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
+    assert doubts._pull_falls(problem) == ""
+    pull[:] = 20.0 - 100.0 * slip
+    assert re.match("drawbar_pull falls with slip in every group of rows that differ", doubts._pull_falls(problem))
+    problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
+    assert doubts._pull_falls(problem) == ""
+
+
+def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
+    """With nothing known of the soil the base model fits such a table to the noise; the thrust is too large all the
+    same. Known cohesion that can bear it is no doubt."""
+    bare = "wheel: {radius: 0.15, width: 0.12}\nsoil: {density: 1600}\nnoise: {sinkage: 0.0006, drawbar_pull: 0.8}\n"
+    text = changed(table_text({}), "load", 1 / 9.81)
+    assert any(
+        re.search("times the load .* kilograms or kgf, multiply it by 9.81", d) for d in examined(tmp_path, text, bare)
+    )
+    assert examined(tmp_path, table_text({}), bare) == ()
+    table = read_table(tmp_path / "data.csv")
+    sticky = Setup(SetupWheel(0.15, 0.12), SoilPriors(cohesion=Prior(60e3, 5e3)))
+    assert load_doubt(kilograms(table), Setup(SetupWheel(0.15, 0.12))) and not load_doubt(kilograms(table), sticky)
+
+
+def test_some_loads_in_kilograms_are_doubted(tmp_path):
+    text = table_text({})
+    (tmp_path / "data.csv").write_text(text)
+    table, setup = read_table(tmp_path / "data.csv"), Setup(SetupWheel(0.15, 0.12))
+    assert load_doubt(table, setup) == ""
+    some = table.load < 140.0
+    mixed = dataclasses.replace(table, load=np.where(some, table.load / 9.81, table.load))
+    assert re.search(
+        r"times the load in \d+ rows with loads up to 10.2 N, .* in newtons in every row", load_doubt(mixed, setup)
+    )
+
+
+def kilograms(table):
+    return dataclasses.replace(table, load=table.load / 9.81)
+
+
+def test_sound_tables_are_rarely_doubted():
+    """Of 60 sound tables of many wheels and soils at most 1 in 20 (8 of 60 has probability 0.01 at 1 in 20)."""
+    tables = list(sound.sound_tables(60, 11))
+    assert sum(bool(sound.doubts(t)) for t in tables) < 8
+    assert sum(bool(sound.doubts(sound.in_kilograms(t))) for t in tables[:20]) >= 17
+
+
+# --- rows that stand alone --------------------------------------------------------------------------------------------
+
+LOADS = (100, 120, 150, 180, 220)
+
+
+def said(folder, text):
+    data, setup = write_files(folder, text)
+    setup = read_setup(setup)
+    problem, noise = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))
+    return doubts.of_lone_rows(problem, noise, search(problem), lambda text: None), noise
+
+
+def with_slip(text: str, line: int, slip: str) -> str:
+    """The table with another slip in a line of the file; the second column is slip."""
+    lines = text.splitlines()
+    cells = lines[line - 1].split(",")
+    lines[line - 1] = ",".join([cells[0], slip, *cells[2:]])
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("effects", [{}, PLANTED])
+def test_a_table_whose_rows_check_each_other_raises_no_doubt(tmp_path, effects):
+    found, noise = said(tmp_path, table_text(effects, LOADS))
+    assert found == () and not noise.alone.any()
+
+
+def test_a_mistyped_slip_that_decides_is_told(tmp_path):
+    found, noise = said(tmp_path, with_slip(table_text(PLANTED, LOADS), 5, "1.0"))
+    assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
+    (doubt,) = found
+    assert doubt.startswith("Line 5 (slip 1, load 100 N) stands alone") and "without it that is slip-sinkage." in doubt
+
+
+def test_a_row_that_stands_alone_and_is_right_raises_no_doubt(tmp_path):
+    """A run at a slip of its own, of the same wheel."""
+    rows, alone = table_text(PLANTED, LOADS), table_text(PLANTED, (150,), (0.95,), seed=1).splitlines()[1]
+    found, noise = said(tmp_path, rows + alone + "\n")
+    assert noise.alone[-1] and found == ()

@@ -1,0 +1,211 @@
+"""Random valid configurations of the environment for tests/test_fuzz.py.
+
+Everything the loaders accept can be drawn; sizes are related to each other (a wheel's load to its area, its torque to
+its load), since else no course would be passable. What the loaders refuse is refused here too (`ParameterError`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from soil_env.parameters import (
+    Belief,
+    Limits,
+    Noise,
+    Scenario,
+    SoilSpread,
+    load_scenario,
+    scenario_names,
+    soils,
+    wheels,
+)
+from soil_env.simulation.task import VARIANTS
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import GROUPS, ResidualTerm
+
+#: Correlations that, drawn anywhere within their bounds, soon contradict others.
+CONTRADICTING = ("friction_stiffness", "friction_shear_modulus", "stiffness_shear_modulus")
+
+
+class Random:
+    """Numbers by a random generator; one in twenty is a bound."""
+
+    def __init__(self, rng: np.random.Generator):
+        self.rng = rng
+
+    def number(self, low: float, high: float) -> float:
+        """Draw a number in [low, high]."""
+        if self.rng.random() < 0.05:
+            return float(low if self.rng.random() < 0.5 else high)
+        return min(max(float(self.rng.uniform(low, high)), low), high)
+
+    def pick(self, options: list):
+        """Draw one of the options."""
+        return options[int(self.rng.integers(len(options)))]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One configuration."""
+
+    scenario: Scenario
+    observation: str
+    model: WheelSoilModel | None
+
+
+def draw_case(choices: Random, most_substeps: int = 60) -> Case:
+    """Draw a configuration of at most `most_substeps` steps a control period. Raises `ParameterError` if refused."""
+    changes = _scenario(choices, most_substeps)
+    scenario = load_scenario(choices.pick(scenario_names()), changes)
+    model = _model(choices, scenario) if choices.pick([True, False]) else None
+    return Case(scenario, choices.pick(list(VARIANTS)), model)
+
+
+def _log(choices: Random, low: float, high: float) -> float:
+    return min(max(math.exp(choices.number(math.log(low), math.log(high))), low), high)
+
+
+def _pair(choices: Random, low: float, high: float) -> list[float]:
+    return sorted(choices.number(low, high) for _ in range(2))
+
+
+def _within(c: Random, f: dataclasses.Field) -> float:
+    """Draw a number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
+    low, high = f.metadata["low"], f.metadata["high"]
+    return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
+
+
+def _half(c: Random, cls: type, leave: tuple[str, ...] = ()) -> dict[str, float]:
+    """About half of the parameters of a class that have bounds, each anywhere within them."""
+    bounded = [f for f in dataclasses.fields(cls) if "low" in f.metadata and f.name not in leave]
+    return {f.name: _within(c, f) for f in bounded if c.pick([True, False])}
+
+
+def _scenario(c: Random, most_substeps: int) -> dict:
+    gravity = c.pick([9.81, 9.81, 3.71, 1.62, _log(c, 0.1, 30.0)])
+    out: dict = {"gravity": gravity, "relaxation": _log(c, 0.05, 50.0)}
+    wheel = _wheel(c, gravity)
+    if wheel is not None:
+        out["wheel"] = wheel
+    if wheel is not None or c.pick([True, False]):
+        names = sorted(soils())
+        out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 2, 3]))}
+    spread = _half(c, SoilSpread, CONTRADICTING)
+    if spread and c.pick([True, False]):
+        out["spread"] = spread
+    out["course"] = _course(c)
+    out["noise"] = _noise(c)
+    out["belief"] = _belief(c) if c.pick([True, False]) else {}
+    out["limits"] = _half(c, Limits)
+    out["reward"] = {name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)]) for name in
+                     ("progress", "energy", "immobilisation")}  # fmt: skip
+    out["reward"]["information"] = out["reward"]["energy"]
+    period = c.pick([0.1, _log(c, 1e-3, 1.0)])
+    substep = c.pick([0.05, period, max(_log(c, 1e-4, 0.5), period / most_substeps)])
+    out["control"] = {
+        "period": period, "substep": min(max(substep, period / most_substeps, 1e-4), 0.5),
+        "time_limit": _log(c, 1.0, 300.0), "action": c.pick(["torque", "wheel_speed", "rim_acceleration"]),
+        "repeat": 1,  # the invariants are those of a control period
+    }  # fmt: skip
+    return out
+
+
+def _belief(c: Random) -> dict:
+    """Draw a prior of the identifier, sometimes with a library of soils."""
+    out = _half(c, Belief, CONTRADICTING)
+    if c.pick([True, False, False]):
+        names = sorted(soils())
+        out["soils"] = {c.pick(names): c.number(0.1, 1.0) for _ in range(c.pick([1, 3, 12]))}
+        out["spread"] = _half(c, SoilSpread, CONTRADICTING)
+    return out
+
+
+def _wheel(c: Random, gravity: float):
+    """Return the name of a preset, a wheel of any size, or None for that of the scenario."""
+    kind = c.pick(["scenario", "preset", "any", "any"])
+    if kind == "scenario":
+        return None
+    if kind == "preset":
+        return c.pick(sorted(wheels()))
+    radius = _log(c, 0.01, 3.0)
+    width = min(max(radius * _log(c, 0.2, 3.0), 0.005), 3.0)
+    pressure = _log(c, 300.0, 1e5)  # [Pa] on a patch of width x radius / 2
+    mass = min(max(0.5 * pressure * radius * width / gravity, 0.1), 1e5)
+    return {
+        "radius": radius, "width": width, "body_mass": mass,
+        "inertia": min(max(mass * radius**2 * _log(c, 0.0201, 10.0), 1e-6), 1e5),
+        "stall_torque": min(max(mass * gravity * radius * _log(c, 0.1, 10.0), 1e-3), 1e6),
+        "no_load_speed": min(max(_log(c, 0.02, 10.0) / radius, 1e-3), 1e3),
+    }  # fmt: skip
+
+
+def _course(c: Random) -> dict:
+    length = c.pick([2.0, 10.0, _log(c, 1.0, 60.0)])
+    shortest = _log(c, 0.2, 10.0)
+    course = {
+        "length": length, "patch_length": [shortest, shortest * c.number(1.0, 4.0)],
+        "border": min(_log(c, 0.01, 10.0), shortest),
+    }  # fmt: skip
+    others = {
+        "grade_deg": lambda: _pair(c, -25.0, 35.0), "margin": lambda: _pair(c, 0.0, 0.15),
+        "payload": lambda: c.pick([[0.0, 0.0], [0.0, 1.0], _pair(c, 0.0, 20.0)]),
+        "halt_interval": lambda: sorted(_log(c, 0.05, 30.0) for _ in range(2)),
+        "halt_time": lambda: c.pick([0.0, 0.8, _log(c, 1e-3, 1e3)]),
+    }  # fmt: skip
+    return course | {name: draw() for name, draw in others.items() if c.pick([True, False])}
+
+
+def _noise(c: Random) -> dict:
+    high = {f.name: f.metadata["high"] for f in dataclasses.fields(Noise)}
+    kind = c.pick(["default", "none", "small", "any"])
+    if kind == "default":
+        return {}
+    if kind == "none":
+        return dict.fromkeys(high, 0.0)
+    return {name: _log(c, 1e-6, 1e-2 if kind == "small" else most) for name, most in high.items()}
+
+
+# --- effects ----------------------------------------------------------------------------------------------------------
+
+
+def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
+    """One to four effects with parameters of the size of their prior, or anywhere in their bounds."""
+    w = scenario.wheel
+    wide = c.pick([False, False, False, True])
+    effects = {}
+    for _ in range(c.pick([1, 1, 2, 4])):
+        effect = CATALOGUE[c.pick(list(CATALOGUE))]
+        form = c.pick(list(effect.forms))
+        names = [p.name for p in effect.parameters] if wide else list(form.free)
+        values = {} if wide else dict(form.fixed)
+        for name in names:
+            p = effect.parameter(name)
+            low, high = p.low, p.high
+            if (effect.name, name) == ("drivetrain_friction", "constant"):
+                high = 0.3 * w.stall_torque
+            elif (effect.name, name) == ("drivetrain_friction", "viscous"):
+                high = 0.3 * w.stall_torque / w.no_load_speed
+            elif not wide and p.scale > 0.0:
+                middle = p.neutral if p.centre is None else p.centre
+                spread = 2.0 * p.scale * (1.0 if p.centre is None else middle)
+                low, high = max(low, middle - spread), min(high, middle + spread)
+            values[name] = c.number(low, high)
+        effects[effect.name] = values
+    height = c.pick([0.0, c.number(0.0, min(0.3 * w.radius, 1.0))])
+    soil = soils()[c.pick(sorted(soils()))] if c.pick([True, False, False, False]) else None
+    terms = ()
+    if c.pick([True, False, False, False]):
+        terms = tuple(
+            ResidualTerm(
+                c.pick(["drawbar_pull", "torque"]), c.number(-0.1, 0.1),
+                {c.pick(list(GROUPS)): c.pick([0.5, 1.0, 2.0]) for _ in range(2)},
+                {group: [0.0, 1.0] for group in GROUPS},
+            )
+            for _ in range(c.pick([1, 2]))
+        )  # fmt: skip
+    return WheelSoilModel(ModelWheel(w.radius, w.width, height), soil, effects, terms, scenario.gravity)

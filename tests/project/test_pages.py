@@ -1,0 +1,273 @@
+"""Pages against the code: snippets run, commands parse, tables of the contract agree, named code exists.
+
+Links within the site are checked by `mkdocs build --strict`. `python -m tests.project.test_pages` writes the table of
+named effects into its page again.
+"""
+
+import functools
+import importlib.util
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+GUIDE = sorted((DOCS / "guide").glob("*.md"))
+OUTSIDE = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "examples" / "README.md"]
+PAGES = [*sorted(DOCS.rglob("*.md")), *OUTSIDE]
+EFFECTS = DOCS / "physics" / "effects.md"
+FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<reason>.+?) -->\n)?```(?P<language>\w*)[^\n]*\n(?P<code>.*?)^```", re.M | re.S
+)
+SECONDS = 300  # a page may take, on a slow machine with nothing compiled
+
+pytestmark = pytest.mark.documents
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path, *languages: str) -> list[re.Match]:
+    return [block for block in FENCE.finditer(page.read_text(encoding="utf-8")) if block["language"] in languages]
+
+
+def tables(page: Path) -> dict[str, list[dict[str, str]]]:
+    """Rows of the first table below each heading, each by the names of its columns."""
+    found = {}
+    for section in re.split(r"^#+ ", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
+        lines = re.findall(r"^\| .*$|^$", section, re.MULTILINE)  # without the line below the header
+        first = next((k for k, line in enumerate(lines) if line), None)
+        if first is not None:
+            rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in _run(lines[first:])]
+            found[section.splitlines()[0]] = [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
+    return found
+
+
+def _run(lines: list[str]) -> list[str]:
+    return lines[: lines.index("")] if "" in lines else lines
+
+
+# --- Python -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", [p for p in [ROOT / "README.md", *GUIDE] if any(not b["reason"] for b in blocks(p, "python"))], ids=name_of
+)
+def test_the_python_of_a_page_runs(page, tmp_path):
+    """All blocks in order, in one process, in a folder that has examples/ and nothing else."""
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    code = "\n".join(block["code"] for block in blocks(page, "python") if not block["reason"])
+    (tmp_path / "page.py").write_text(code, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=SECONDS, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_the_python_of_a_page_compiles(page):
+    for block in blocks(page, "python"):
+        compile(block["code"], name_of(page), "exec")
+
+
+# --- commands ---------------------------------------------------------------------------------------------------------
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Words of the commands in the shell blocks of a page."""
+    text = "".join(block["code"] for block in blocks(page, "sh", "bash")).replace("\\\n", " ")
+    return [words for line in text.splitlines() if (words := shlex.split(line, comments=True))]
+
+
+@functools.cache
+def help_of(*command: str) -> str:
+    """Help text of a Python command."""
+    environment = {**os.environ, "COLUMNS": "200", "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, *command, "--help"], cwd=ROOT, capture_output=True, text=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr[-1000:]
+    return done.stdout
+
+
+def check_options(words: list[str], text: str) -> None:
+    """Every option is in the help text; --changes.course.length also as --changes.KEY, --ppo.history as --ppo.KEY."""
+    for word in words:
+        if word.startswith("--"):
+            option = word.partition("=")[0]
+            group = option.partition(".")[0] + "." if "." in option else ""
+            known = re.search(re.escape(option) + r"(?![\w-])", text) or (group and re.search(group + "[A-Z]", text))
+            assert known, word
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
+def test_the_commands_of_a_page_exist(page):
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    for words in commands(page):
+        while "=" in words[0]:
+            words = words[1:]
+        if words[0] == "make":
+            assert words[1] in targets, words
+        elif words[:2] == ["python", "-m"] and words[2].split(".")[0] in ("soil_env", "agents", "benchmarks", "tests"):
+            assert importlib.util.find_spec(words[2]) is not None, words
+        elif words[0] == "python" and words[1].startswith(("examples/", "train.py", "benchmarks/")):
+            assert (ROOT / words[1]).is_file(), words
+            check_options(words[2:], help_of(words[1]))
+
+
+@pytest.mark.skipif(not (ROOT / "soil_env" / "cli").is_dir(), reason="no command soil-env")
+@pytest.mark.parametrize("page", [p for p in PAGES if any(w[0] == "soil-env" for w in commands(p))], ids=name_of)
+def test_the_soil_env_commands_of_a_page_parse(page):
+    """Subcommands and options are those of the parser, as its help lists them."""
+    from click.testing import CliRunner
+
+    from soil_env.cli import soil_env
+
+    for words in commands(page):
+        if words[0] == "soil-env" and not words[1].startswith("-"):
+            shown = CliRunner().invoke(soil_env, [words[1], "--help"])
+            assert shown.exit_code == 0, words
+            check_options(words[2:], shown.output)
+
+
+# --- the contract -----------------------------------------------------------------------------------------------------
+
+
+def entries(env_id: str, **keywords) -> list[tuple[str, float, float, float, float]]:
+    """(name, min, max, centre, scale) of each entry of the observation."""
+    plain = gymnasium.make(env_id, scaled=False, **keywords)
+    low, high = (np.float64(bound) for bound in (plain.observation_space.low, plain.observation_space.high))
+    scaled = gymnasium.make(env_id, **keywords).observation_space
+    scale = (high - low) / (np.float64(scaled.high) - np.float64(scaled.low))
+    centre = low - np.float64(scaled.low) * scale
+    return list(zip(plain.unwrapped.observation_names, low, high, centre, scale, strict=True))
+
+
+def agree(rows: list[dict[str, str]], expected: list[tuple]) -> None:
+    """Rows of a page have the numbers of the code, each at its place."""
+    assert rows
+    for row in rows:
+        name, *numbers = expected[int(row["#"])]
+        assert row["name"] == name
+        assert [float(row[key]) for key in ("min", "max", "centre", "scale")] == pytest.approx(numbers, abs=1e-4), name
+
+
+def test_the_observation_tables_of_the_environment():
+    found = tables(DOCS / "guide" / "environment.md")
+    identified = entries("soil_env:SoilWheel-v0", observation="identified")
+    true_soil = entries("soil_env:SoilWheel-v0", observation="true_soil")
+    agree(
+        found["Sensors"] + found["Identified soil"] + found["Camera"] + found["Camera and identified soil"], identified
+    )
+    agree(found["True soil"] + found["Camera and true soil"], true_soil)
+    beside = len(found["Camera and identified soil"])  # the same entries again, of the line beside
+    assert int(found["Camera and identified soil"][-1]["#"]) + beside + 1 == len(identified)
+    assert int(found["Camera and true soil"][-1]["#"]) + len(found["Camera and true soil"]) + 1 == len(true_soil)
+
+
+def test_the_observation_tables_of_the_rover():
+    found = tables(DOCS / "guide" / "rover.md")
+    identified = entries("soil_env:SoilRover-v0", observation="identified")
+    true_soil = entries("soil_env:SoilRover-v0", observation="true_soil")
+    agree(found["Body"] + found["Axles"] + found["Identified soil"], identified)
+    agree(found["True soil"], true_soil)
+    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["Identified soil"]) == len(identified)
+    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["True soil"]) == len(true_soil)
+
+
+def test_actions_rewards_causes_and_info_of_the_environment():
+    found = tables(DOCS / "guide" / "environment.md")
+    env = gymnasium.make("soil_env:SoilWheel-v0", info="full")
+    env.reset(seed=0)
+    *_, info = env.step(np.zeros(1, np.float32))
+    assert {row["key"] for row in found["Info"]} == set(info)
+    weights = env.unwrapped.scenario.reward
+    assert {row["term"]: float(row["weight"]) for row in found["Reward"]} == {
+        term: getattr(weights, term) for term in info["reward_terms"]
+    }
+    for row in found["Action space"]:
+        control = gymnasium.make("soil_env:SoilWheel-v0", action=row["action"].split()[0]).unwrapped.scenario.control
+        assert control.held == int(row["repeat"])
+    kind = type(_cause(env))
+    assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {c.name: c.value for c in kind}
+    keys = {row["key"].strip("`") for row in tables(DOCS / "guide" / "traversability.md")["Traversability and warning"]}
+    assert keys == set(info["traversability"])
+
+
+def _cause(env):
+    """Cause of the end as the enumeration of the task."""
+    from soil_env.simulation.task import Cause
+
+    return Cause[env.unwrapped.reset(seed=0)[1]["cause"]]
+
+
+# --- names ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", OUTSIDE, ids=name_of)
+def test_links_of_a_page_outside_the_site(page):
+    for target in re.findall(r"\]\(([^)#\s]+)", FENCE.sub("", page.read_text(encoding="utf-8"))):
+        assert re.match(r"https?:|mailto:", target) or (page.parent / target).exists(), target
+
+
+def test_code_that_pages_name_exists():
+    hooks = pytest.importorskip("mkdocs_hooks")
+    lines = [
+        line for page in PAGES for line in re.findall(r"^Code: .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
+    lines += [row["names"] for row in tables(ROOT / "CONTRIBUTING.md")["Where to look"]]
+    assert len(lines) > 20
+    for name in (name for line in lines for name in re.findall(r"`([\w.]+)`", line)):
+        hooks.resolve(name)  # LookupError for a name that no module, or more than one, defines
+
+
+def test_every_equation_number_in_the_code_is_on_a_page():
+    pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "physics").glob("*.md"))
+    tagged = set()
+    for first, last in re.findall(r"\\tag\{(\d+)(?:-(\d+))?\}", pages):
+        tagged |= set(range(int(first), int(last or first) + 1))
+    used = set()
+    for source in (*(ROOT / "soil_env").rglob("*.py"), *(ROOT / "agents").rglob("*.py")):
+        for group in re.findall(r"Eqs?\.\s*((?:\(\d+\)(?:\s*(?:,|and|-)\s*)*)+)", source.read_text(encoding="utf-8")):
+            used |= {int(n) for n in re.findall(r"\((\d+)\)", group)}
+    assert {1, 10} <= used  # the pattern finds them
+    assert used <= tagged
+
+
+def effects_page() -> str:
+    """Page of named effects with the table of the catalogue."""
+    from soil_env.terramechanics.effects.text import markdown
+
+    table = f"<!-- effects -->\n{markdown().strip()}\n<!-- end -->"
+    return re.sub(
+        r"<!-- effects -->.*<!-- end -->", lambda _: table, EFFECTS.read_text(encoding="utf-8"), flags=re.DOTALL
+    )
+
+
+def test_the_page_of_effects_has_the_catalogue():
+    pytest.importorskip("soil_env.terramechanics.effects.text")
+    assert EFFECTS.read_text(encoding="utf-8") == effects_page(), "run python -m tests.project.test_pages"
+
+
+def test_the_raw_results_that_pages_name_exist():
+    results = DOCS / "results"
+    if not (results / "README.md").is_file():
+        pytest.skip("no raw results")
+    for page in (DOCS / "results.md", *GUIDE):
+        for name in re.findall(r"`(?:docs/results/)?(\w+\.json)`", page.read_text(encoding="utf-8")):
+            if "results" in name_of(page) or f"docs/results/{name}" in page.read_text(encoding="utf-8"):
+                assert (results / name).is_file(), f"{name_of(page)}: {name}"
+
+
+if __name__ == "__main__":
+    EFFECTS.write_text(effects_page(), encoding="utf-8")

@@ -1,0 +1,119 @@
+"""The printed equations: one for every form, and each is what the compiled laws compute."""
+
+import math
+import re
+
+import pytest
+
+from soil_env.parameters import SoilState
+from soil_env.terramechanics import effects
+from soil_env.terramechanics.contact import mobilised
+from soil_env.terramechanics.effects import CATALOGUE, bulldozing, grade, grousers, pack_effects, shear_softening, text
+
+FORMS = [(effect, form) for effect in CATALOGUE.values() for form in effect.forms]
+of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS, ids=[f"{e.name}-{f.name}" for e, f in FORMS])
+SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
+GAMMA, WIDTH, HEIGHT, RADIUS = 15000.0, 0.12, 0.012, 0.15
+AT = {"i": 0.3, "z": 0.03, "z_w": 0.02, "theta1": 0.7, "r": RADIUS, "h": HEIGHT, "b": WIDTH, "N": 3.0, "S": 3e5,
+      "K": 0.02, "c": 900.0, "phi": math.atan(0.6), "gamma": GAMMA, "V": 0.08, "v": 0.04, "j": 0.09, "tau_max": 1.0,
+      "n": 0.8, "T": 4.0, "T_0": 0.0, "DP_0": 0.0, "w": 0.7, "W": 120.0, "i_measured": 0.25,
+      "Kp": math.tan(math.pi / 4 + math.atan(0.6) / 2) ** 2, "X": math.pi / 4 - math.atan(0.6) / 2}  # fmt: skip
+FUNCTIONS = {"exp": math.exp, "ln": math.log, "sqrt": math.sqrt, "tan": math.tan, "sin": math.sin, "cos": math.cos,
+             "tanh": math.tanh, "cot": lambda x: 1.0 / math.tan(x)}  # fmt: skip
+
+
+def values_of(effect, form, size=0.3):
+    """Every parameter of a form at some value that is not neutral, and what the form fixes."""
+    out = {}
+    for k, p in enumerate(form.free):
+        p = effect.parameter(p)
+        out[p.name] = min(max(p.neutral + size * (1.0 + 0.37 * k) * (p.scale or 0.1), p.low), p.high)
+    if "sharpness" in out:
+        out["sharpness"] = 3.0
+    if form.name == "decaying":
+        out["onset"] = 0.03
+    known = {p.name for p in effect.parameters}
+    return out | dict(form.fixed) | ({"reference_speed": 0.05} if "reference_speed" in known else {})
+
+
+def evaluated(effect, form, values, **more):
+    """Left sides of the printed equation with numbers in, evaluated as ordinary algebra."""
+    out, parts = dict(AT | more), text.fitted(effect, form, values, units=False, digits=17).split("; ")
+    order = ("D1", "D2", "k", "x")  # what others need comes first
+    for part in sorted(parts, key=lambda part: order.index(part[:2].strip()) if part[:2].strip() in order else 9):
+        left, right = part.split(", ")[0].split(" = ", 1)
+        code = right.replace("[", "(").replace("]", ")").replace("^", "**")
+        code = re.sub(r"\|([^|]+)\|", r"abs(\1)", code)
+        code = re.sub(r"(?<=[\w.)]) (?=[\w(])", "*", code)  # a space between factors
+        out[left] = eval(code, {"__builtins__": {}, "abs": abs, **FUNCTIONS}, out)
+    return out
+
+
+def model(name, form, values):
+    """{left side: value} by the compiled laws."""
+    fx = pack_effects({name: values})
+    at = AT
+    ground = effects.soil_in_contact(SOIL, fx, at["i"], at["V"], at["v"], at["N"], 0.0)
+    if name == "slip_sinkage":
+        ratio = effects.slip_sinkage_ratio(at["i"], *effects.digging(SOIL, fx))
+        if form == "apparent":
+            return {"z_measured": ratio * at["z"]}
+        return {"exponent": {"n(i)": ground.sinkage_exponent}, "ratio": {"z": ratio * at["z_w"]},
+                "excavation": {"z": at["z_w"] + effects.excavated_depth(at["i"], fx)}}[form]  # fmt: skip
+    if name in ("rear_contact", "stress_peak_shift"):
+        ends = dict(zip(("theta2", "thetam"), effects.arc_ends(at["theta1"], at["i"], fx), strict=True))
+        return ends if name == "rear_contact" else {"thetam": ends["thetam"]}
+    if name == "grousers":
+        if form == "blades":
+            force = grousers.blade_force(at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx)
+            return {"F": force, "DP": force, "T": force * (RADIUS + HEIGHT / 2)}
+        if form.startswith("shear"):
+            return {"r_s": RADIUS * grousers.shear_radius_ratio(RADIUS, HEIGHT, fx)}
+        return {"r_w": RADIUS + fx.grousers_radius_share * HEIGHT}
+    if name == "bulldozing":
+        return {"DP": -bulldozing.bulldozing_resistance(at["z"], SOIL, GAMMA, WIDTH, fx)}
+    if name == "multipass":
+        out = {"S_N": ground.sinkage_coefficient, "K_N": ground.shear_modulus}
+        out |= {"tan(phi_N)": ground.tan_phi} if fx.multipass_strength else {}
+        return out | ({"c_N": ground.cohesion} if fx.multipass_cohesion else {})
+    if name == "penetration_rate":
+        return {"S_V": ground.sinkage_coefficient}
+    if name == "shear_rate":
+        return {"c_v": ground.cohesion, "tan(phi_v)": ground.tan_phi}
+    if name == "shear_softening":
+        K, law = at["K"] * shear_softening.shear_length_ratio(fx), shear_softening.shear_law(fx)
+        return {"tau": mobilised(at["j"], K, law)[0]}
+    if name == "grade":
+        sine = math.sin(0.1)
+        out = {"W_n": at["W"] * (1 - fx.grade_share * (1 - math.cos(0.1))), "DP": -fx.grade_share * at["W"] * sine}
+        return out | ({"S_b": at["S"] * grade.slope_factor(SOIL, sine, fx)} if fx.grade_weakening else {})
+    if name == "drivetrain_friction":
+        return {"T_measured": effects.drive_torque(at["T"], at["w"], 1e-15, fx)}
+    if name == "slip_bias":
+        return {"i": effects.true_slip(at["i_measured"], fx)}
+    return {"z_measured": at["z"] + fx.sinkage_offset_offset}
+
+
+@of_every_form
+@pytest.mark.parametrize("size", [0.3, -0.2])
+def test_the_printed_equation_is_what_the_model_computes(effect, form, size):
+    values = values_of(effect, form, size)
+    own = {"b": 0.1} if effect.name == "grade" else {}
+    passes = {p: effect.parameter(p).neutral for p in text.used(form) if p not in values}
+    got = evaluated(effect, form, values | passes, **own)
+    expected = model(effect.name, form.name, values)
+    assert expected
+    for left, value in expected.items():
+        assert got[left] == pytest.approx(value, rel=1e-9), left
+
+
+@of_every_form
+def test_an_equation_has_all_that_its_form_frees_and_every_symbol_is_explained(effect, form):
+    used = text.used(form)
+    assert set(form.free) <= set(used) <= set(form.free) | {"reference_speed"}
+    printed = text.published(effect, form)
+    assert "{" not in printed + text.fitted(effect, form, values_of(effect, form))
+    printed = printed.split(", slip")[0].split(", the bracket")[0]
+    words = set(re.findall(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?", printed))
+    known = {*text.legend(effect, form), *(p.symbol for p in effect.parameters)}
+    assert words - known - set(FUNCTIONS) - {"D1", "D2", "x", "k"} == set()
