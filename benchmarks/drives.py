@@ -163,7 +163,7 @@ def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any)
     "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
     "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own filter, and of all wheels.
     """
-    simulation = RoverSimulation(courses, scenario, "blind", 2)
+    simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))

@@ -85,7 +85,7 @@ def test_every_scenario_gives_finite_estimates(name):
 @pytest.mark.parametrize("name", rover_names())
 def test_every_rover_gives_finite_estimates(name):
     scenario = load_rover(name, {"control": {"action": "wheel_speed", "repeat": 1}})
-    simulation, rovers = RoverSimulation(2, scenario, "blind", 1), 2
+    simulation, rovers = RoverSimulation(2, scenario, "blind", 1, estimates=True), 2
     for j in range(rovers):
         simulation.seed(j, np.random.default_rng([SEED, j]))
     simulation.restart_where(np.ones(rovers, dtype=bool))

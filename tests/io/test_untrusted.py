@@ -78,7 +78,7 @@ def test_plain_aliases_and_merges_still_work():
 
 
 def test_no_unsafe_loading_in_the_sources():
-    """No yaml.load but the one with our SafeLoader; pickles after a warning, or from the parent process; no other code."""
+    """No yaml.load but the one with our SafeLoader; pickles only after a warning, or from the parent process."""
     found = []
     for folder in ("soil_env", "agents", "benchmarks", "examples"):
         for path in (ROOT / folder).rglob("*.py"):
