@@ -1,14 +1,14 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
-The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
-pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the
-identifier makes of the bag is what it made of the same readings while driving. `python -m soil_env.logs BAG --map MAP
---out DIR` reads it likewise and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed), WrenchStamped (drawbar
+pull, load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
+estimates from the bag equal those of the drive. `soil-env logs BAG --map MAP --out DIR` reads it too and writes a
+report. Needs `pip install "soil_env[logs]"`, no ROS.
 
 Examples:
     python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml
     python examples/record_bag.py --seed 3 --out runs/b    another course, another place
-    python -m soil_env.logs drive --map drive.map.yaml --out drive.report
+    soil-env logs drive --map drive.map.yaml --out drive.report
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""The online identifier by itself, for a rover instead of the simulated world: one call for each set of readings.
+"""Online identifier for the readings of a rover: one call for each set of readings.
 
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     estimate = identifier.update(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021, drawbar_pull=14.0, torque=5.1))
     estimate.friction_angle_deg, estimate.friction_angle_sd_deg, estimate.status
 
-It is the identifier that `SoilWheel-v0` runs (`identification.online`): the same readings give the same estimate.
+`SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same estimate.
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ from soil_env.identification.online.identifier import (
     observe_rows,
 )
 from soil_env.identification.online.status import Status
-from soil_env.identification.table.priors import soil_state
-from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, Wheel
+from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
 from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
@@ -47,7 +46,7 @@ _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not me
 
 
 class Readings(NamedTuple):
-    """What the sensors of one wheel read at one time, in SI units; NaN where nothing was measured.
+    """Sensor readings of one wheel at one time, in SI units; NaN where nothing was measured.
 
     Forward speeds, a pull in the direction of travel and an uphill pitch are positive.
     """
@@ -69,9 +68,9 @@ _UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2"
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
-    """Sizes beyond which a reading is no wheel's but a fault or another unit; those of forces by the weight on it.
+    """Largest plausible readings; larger ones are faults or in another unit.
 
-    Sinkage is at most the radius, where the hub is at the ground; a force at most 100 times the weight.
+    Sinkage is at most the radius, where the hub is at the ground; a force is at most 100 times the weight.
     """
     force = 100.0 * wheel.body_mass * gravity
     twist = force * wheel.radius
@@ -79,7 +78,7 @@ def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
 
 
 def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
-    """The error for the first reading that is no number, or larger than its limit; None where there is none."""
+    """Error for the first reading that is no number, or larger than its limit; None if all are fine."""
     for name, value, limit, unit in zip(Readings._fields, r, largest, _UNITS, strict=True):
         if not isinstance(value, Real):
             expected = f"a number [{unit or '-'}], NaN where nothing was measured"
@@ -111,12 +110,12 @@ class Estimate:
 
     @property
     def valid(self) -> bool:
-        """True where readings that agree tell much of phi and ln K: the status is CONVERGED."""
+        """True if phi and ln K are much narrower than the prior and the readings agree: status CONVERGED."""
         return self.status == Status.CONVERGED
 
 
 class Traversability(NamedTuple):
-    """Whether the wheel can pass the ground as identified (source paper, Section 6)."""
+    """Drawbar margin of the ground as identified (source paper, Section 6)."""
 
     best_slip: float  # [-] of the highest steady drawbar pull
     drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
@@ -129,18 +128,6 @@ class Traversability(NamedTuple):
 @compiled_root(nogil=True)
 def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
-
-
-@compiled_root(nogil=True)
-def _ready(values: np.ndarray, limits: np.ndarray) -> bool:
-    """Whether `values` [10], in the order of `SensorReading`, are within the limits; the slip is completed."""
-    for i in range(values.size):
-        if not abs(values[i]) <= limits[i] and not (i == 0 and np.isnan(values[0])):
-            return False
-    if np.isnan(values[0]):
-        values[0] = slip_ratio(values[6], values[5], REST_SPEED)
-    values[0] = min(max(values[0], -1.0), 1.0)
-    return True
 
 
 @compiled_root(nogil=True)
@@ -160,23 +147,22 @@ class OnlineIdentifier:
     """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one driven wheel.
 
     `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
-    `traversability`. `belief`: the prior, which should be that of the ground to be expected. `noise`: standard
-    deviations of the sensors. `period` [s]: time between two updates whose readings bear no time. `relaxation` [wheel
-    radii]: distance in which sinkage adapts. `gravity` [m/s2].
+    `traversability`. `belief`: the prior of the ground to be expected. `noise`: standard deviations of the sensors.
+    `period` [s]: time between readings without a time. `relaxation` [wheel radii]: distance in which sinkage adapts.
+    `gravity` [m/s2].
 
-    What is not measured is left NaN, now and then or always:
+    Missing readings are NaN, now and then or always:
 
-    * no torque, pull, motor torque or acceleration: the channel has no weight. An accelerometer tells the pull with the
-      mass on the wheel (gravity along the slope is in both);
-    * no load: the weight m g cos(pitch) stands for it, of a mass that is doubted by 5 %;
-    * no slip: it follows from the two speeds, with their noise;
-    * no sinkage: it is followed by the law of slip-sinkage, from that of the belief under the weight;
-    * no wheel speed or no speed, and no slip in its place: the readings are passed over.
+    * torque, pull, motor torque or acceleration: the channel has no weight. An accelerometer times the mass on the
+      wheel is a pull (gravity along the slope is in both);
+    * load: the weight m g cos(pitch) stands for it, of a mass that is doubted by 5 %;
+    * slip: it follows from the two speeds, with their noise;
+    * sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight;
+    * wheel speed or speed, and no slip in its place: the set is passed over.
 
-    Readings are averaged to points of a few control periods, each with the channels that it has.
-
-    An instance is not for several threads at once. It can be pickled and copied. Raises TypeError for arguments of
-    other types, `ParameterError` for numbers out of range.
+    Readings are averaged to points of a few control periods, each with the channels that it has. An instance is not for
+    several threads at once; it can be pickled and copied. Raises TypeError for arguments of other types,
+    `ParameterError` for numbers out of range.
     """
 
     def __init__(
@@ -200,13 +186,10 @@ class OnlineIdentifier:
         any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
         try:
             control = replace(Control(period=period), substep=min(period, 0.05))
-            scenario = Scenario(
-                wheel, {"any": 1.0}, {"any": any_soil}, gravity=gravity, relaxation=relaxation, belief=belief,
-                noise=noise, control=control,
-            )  # fmt: skip
+            self._set(Scenario(wheel, {"any": 1.0}, {"any": any_soil}, gravity=gravity, relaxation=relaxation,
+                               belief=belief, noise=noise, control=control))  # fmt: skip
         except ParameterError as error:  # begins with the class that the argument went into
             raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
-        self._set(scenario)
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> OnlineIdentifier:
@@ -224,19 +207,13 @@ class OnlineIdentifier:
         twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._ready, self._observe = FastCall(_ready), FastCall(observe_rows)
-        self._start, self._best = FastCall(_start), FastCall(best_working_point)
+        self._start, self._observe, self._best = FastCall(_start), FastCall(observe_rows), FastCall(best_working_point)
         self._numbers = identifier_numbers(scenario)
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
         units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
         self._unknown = [_UNKNOWN * unit for unit in units]
-        most = self._largest = largest_readings(wheel, scenario.gravity)
-        rim = most.wheel_speed * wheel.radius
-        self._limits = np.array(
-            [most.slip, most.sinkage, most.drawbar_pull, most.load, most.torque, most.speed, rim, most.pitch,
-             most.motor_torque, most.acceleration]
-        )  # fmt: skip
+        self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
         self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_replay(1)
         self.reset()
@@ -255,37 +232,24 @@ class OnlineIdentifier:
     def update(self, readings: Readings) -> Estimate:
         """Take one set of readings; the estimate after it, renewed about every eighth time, on a border every time.
 
-        Raises, and takes nothing: TypeError for what is no `Readings` and no number; ValueError for a time that is not
+        Raises, and changes nothing: TypeError for anything but `Readings` of numbers; ValueError for a time that is not
         later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
         that lead to no soil at all start the identifier anew.
         """
         if not isinstance(readings, Readings):
             raise TypeError(f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)")
-        try:
-            return self._updated(readings)
-        except (TypeError, ValueError) as error:
-            raise _refusal(readings, self._largest) or error from None
-
-    def _updated(self, r: Readings) -> Estimate:
-        sum(r)  # TypeError where one is no number: numpy would take text for one
-        period = self._period(r.time)
-        rim, speed = r.wheel_speed * self._radius, r.speed
-        if rim != rim or speed != speed:
-            rim, speed = _completed(rim, speed, r.slip)
+        if refusal := _refusal(readings, self._largest):
+            raise refusal
+        period = self._period(readings.time)
+        rim, speed = self._speeds(readings)
         outcome = HELD
         if rim == rim and speed == speed:
-            self._put(r, rim, speed)
-            if not self._ready(self._values, self._limits):
-                raise ValueError(f"{r}: expected the speeds and forces of a wheel; these lead beyond {self._largest}")
+            self._put(readings, rim, speed)
             self._observe(self._ids, _ONE, self._values[None], self._numbers_of(period), self._done)
             outcome = self._done.outcome.item()
-        elif refusal := _refusal(r, self._largest):
-            raise refusal
-        self._time = r.time if r.time == r.time else self._time + period
-        if outcome != HELD:
-            self._estimate = self._published(True)
-        elif self._estimate.renewed:
-            self._estimate = self._published(False)
+        self._time = readings.time if readings.time == readings.time else self._time + period
+        if outcome != HELD or self._estimate.renewed:
+            self._estimate = self._published(outcome != HELD)
         return self._estimate
 
     @property
@@ -303,8 +267,9 @@ class OnlineIdentifier:
         return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **identified)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Whether the wheel can pass the ground as identified, under `load` [N] (its weight if left out) at `pitch`
-        [rad], uphill positive. A load below 5 % of the weight counts as 5 % of it, as in the environments.
+        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill positive.
+
+        A load below 5 % of the weight counts as 5 % of it, as in the environments.
 
         Raises ParameterError for a load that is no finite number above zero and a pitch beyond a right angle.
         """
@@ -337,23 +302,26 @@ class OnlineIdentifier:
             return numbers
         return numbers._replace(filter=numbers.filter._replace(period=period))
 
+    def _speeds(self, r: Readings) -> tuple[float, float]:
+        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
+        rim, speed = r.wheel_speed * self._radius, r.speed
+        if speed != speed:
+            speed = float(travel_speeds(rim, r.slip))
+        elif rim != rim and r.slip < 1.0:
+            rim = float(rim_speeds(speed, r.slip))
+        if abs(rim) > self._largest.wheel_speed * self._radius or abs(speed) > self._largest.speed:
+            raise ValueError(f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}")
+        return rim, speed
+
     def _put(self, r: Readings, rim: float, speed: float) -> None:
-        """Put readings and their standard deviations where the compiled code takes them; what is missing has none."""
+        """Store readings and their standard deviations for the compiled code; missing ones have no weight."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
-        load = self._weight * math.cos(pitch)
-        given = (
-            r.slip,
-            r.sinkage,
-            r.drawbar_pull,
-            r.load,
-            r.torque,
-            r.speed,
-            r.wheel_speed,
-            0.0,
-            r.motor_torque,
-            r.acceleration,
-        )
-        instead = r.slip, self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
+        load, slip = self._weight * math.cos(pitch), r.slip
+        if slip != slip:
+            slip = float(slips(np.array([rim]), np.array([speed]))[0])
+        given = (r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed, r.wheel_speed, 0.0, r.motor_torque,
+                 r.acceleration)  # fmt: skip
+        instead = min(max(slip, -1.0), 1.0), self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
         noise, values = self._numbers.filter.noise, self._values
         for i, measured in enumerate(given):
             missing = measured != measured
@@ -361,33 +329,27 @@ class OnlineIdentifier:
             noise[i] = self._unknown[i] if missing else self._sd[i]
 
     def _published(self, renewed: bool) -> Estimate:
-        ids = self._ids
-        told = published(
-            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), self.scenario.belief.dig_gain
-        )
-        return Estimate(**told, status=_STATUS[ids.status.item(0)], renewed=renewed, borders=int(ids.borders[0]))
+        ids, gain = self._ids, self.scenario.belief.dig_gain
+        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), gain)
+        return Estimate(**numbers, status=_STATUS[ids.status.item(0)], renewed=renewed, borders=int(ids.borders[0]))
 
 
 def _finite(given: object) -> bool:
-    """Whether it is a number, neither infinite nor NaN nor a bool."""
+    """True for a number that is neither infinite nor NaN nor a bool."""
     return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
 
 
 def _bearing_sinkage(scenario: Scenario) -> float:
     """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
     b, wheel = scenario.belief, scenario.wheel
-    soil = soil_state(vars(b), (0.0, b.dig_recovery))
+    soil = SoilState(
+        math.tan(math.radians(b.friction_angle_deg)), b.cohesion, b.shear_modulus, b.sinkage_coefficient,
+        b.sinkage_exponent, 0.0, b.dig_recovery,
+    )  # fmt: skip
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
-_DERIVED = (5, 6, 7)  # of `SensorReading`: speed, rim speed, pitch
+_DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
 _ONE = np.zeros(1, dtype=np.int64)  # the one wheel of an `OnlineIdentifier`
 _STATUS = {status.value: status for status in Status}
-
-
-def _completed(rim: float, speed: float, slip: float) -> tuple[float, float]:
-    """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
-    if speed != speed:
-        return rim, float(travel_speeds(rim, slip))
-    return (float(rim_speeds(speed, slip)) if slip < 1.0 else _NAN), speed

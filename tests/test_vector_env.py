@@ -51,11 +51,6 @@ def actions(steps, vehicles, motors=1, seed=0):
     return np.repeat(held, 7, axis=0)[:steps].astype(np.float32)
 
 
-def now(env):
-    """Info of a single environment as it is now."""
-    return env.infos.one(env.simulation.worlds, 0) if isinstance(env, SoilWheelEnv) else env.infos.one(0)
-
-
 def same_info(info, k, scalar):
     """The short info of vehicle k is that of a single environment."""
     assert Cause(info["cause"][k]).name == scalar["cause"] and info["immobilised"][k] == scalar["immobilised"]
@@ -100,7 +95,7 @@ def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
     for a in actions(70, ROVERS, many.single_action_space.shape[0]):
         observations, rewards, terminated, truncated, info = many.step(a)
         for k, env in enumerate(one):  # after an end the step resets, whatever the action
-            expected = (*env.reset()[:1], 0.0, False, False, now(env)) if done[k] else env.step(a[k])
+            expected = (*env.reset()[:1], 0.0, False, False, env.infos.one(0)) if done[k] else env.step(a[k])
             np.testing.assert_array_equal(observations[k], expected[0])
             assert (rewards[k], terminated[k], truncated[k]) == expected[1:4]
             same_info(info, k, expected[4])
@@ -199,7 +194,7 @@ def test_nothing_is_identified_unless_something_asks(kind):
     many = kind.many(2, observation="blind", autoreset_mode="SameStep", max_episode_steps=2)
     assert blind.simulation.belief is many.simulation.belief is None
     assert {"state", "reward_terms"} <= set(blind.reset(seed=0)[1]) <= set(full.reset(seed=0)[1])
-    assert "estimate" not in repr(now(blind)) and "estimate" in repr(now(full))
+    assert "estimate" not in repr(blind.infos.one(0)) and "estimate" in repr(full.infos.one(0))
     many.reset(seed=0)
     for _ in range(2):
         a = np.full(kind.motors, 0.4)

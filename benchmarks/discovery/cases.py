@@ -326,7 +326,7 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
 
 
 def _plain(x):
-    """The same as plain values with six significant digits; None where a number is not finite."""
+    """Plain values with six significant digits; None where a number is not finite."""
     if isinstance(x, dict):
         return {k: _plain(v) for k, v in x.items()}
     if isinstance(x, (list, tuple)):

@@ -39,7 +39,7 @@ class Answer:
     """Answer of an entrant to a table. Raises `ValueError` for unknown names.
 
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty where the verdict is
-    unlisted, none or undetermined. `alternatives`: those that cannot be told from the named ones. `probabilities`: of
+    unlisted, none or undetermined. `alternatives`: those that look like the named ones. `probabilities`: of
     each mechanism to be in the table; those left out count as 0. Names are those of the catalogue.
     """
 
@@ -109,7 +109,7 @@ LUGS = 0.1  # height over the radius where the setup says nothing of lugs
 
 @dataclass(frozen=True)
 class Chosen:
-    """An effect in one of its forms."""
+    """Effect in one of its forms."""
 
     effect: str
     form: Form
@@ -117,7 +117,7 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
+    """Least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
 
     chosen: tuple[Chosen, ...]
     squares: np.ndarray  # [channels], priors left out
@@ -236,11 +236,11 @@ class Bank:
         )  # fmt: skip
 
     def signature(self, base: Fitted, chosen: Chosen) -> np.ndarray:
-        """What an effect of a fifth of its prior scale adds to the table [3, N] on the soil of a fit."""
+        """Change of the table [3, N] by an effect of a fifth of its prior scale, on the soil of a fit."""
         return self.predict(base.soil, [chosen], self._start([chosen])[0]) - base.predicted
 
     def soil_signatures(self, base: Fitted) -> list[np.ndarray]:
-        """What a hundredth of each soil parameter adds to the table [3, N]."""
+        """Changes of the table [3, N] by a hundredth of each soil parameter."""
         return [self.predict(base.soil | {n: 1.01 * base.soil[n]}, (), np.zeros(0)) - base.predicted for n in SOIL]
 
     @cached_property
@@ -271,7 +271,7 @@ def bic(data: Path, setup: Path) -> Answer:
 
 
 def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
-    """The answer by a criterion: base model, every effect in its best form, and pairs of these with the best effect."""
+    """Return the answer by a criterion: base model, every effect in its best form, and pairs with the best effect."""
     base = bank.fit()
     singles: dict[str, tuple[float, Fitted]] = {}
     for chosen in bank.candidates:
@@ -285,7 +285,7 @@ def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
 
 
 def weighed(found: list[tuple[float, Fitted]]) -> Answer:
-    """The answer that BIC weights give: names above one half; where none is, the first with those of 5 % and more."""
+    """Return the answer of BIC weights: names above one half; else the first name with those of 5 % and more."""
     values, fits = np.array([value for value, _ in found]), [f for _, f in found]
     weight = np.exp(-0.5 * (values - values.min()))
     weight /= weight.sum()
@@ -320,7 +320,7 @@ def gls(data: Path, setup: Path) -> Answer:
 
 
 class CorrelatedBank(Bank):
-    """A bank whose fits count with errors of the laws."""
+    """Bank whose fits count with errors of the laws."""
 
     def __init__(self, data: Path, setup: Path):
         super().__init__(data, setup)

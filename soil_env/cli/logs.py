@@ -16,7 +16,7 @@ from soil_env.cli.running import PATH, out_option
 from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
-from soil_env.logs.replay import replay, what_can_be_told
+from soil_env.logs.replay import findings, replay
 from soil_env.logs.report import ALWAYS, channel_table, contents, ground_table, soil_table, summary
 from soil_env.logs.steady import steady_windows
 
@@ -62,7 +62,7 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     print(soil_table(found).text(2))
     if len(parts) > 1:
         print(ground_table(parts).text(2))
-    for line in (*what_can_be_told(found, log), *advice(found, parts, steady)):
+    for line in (*findings(found, log), *advice(found, parts, steady)):
         print(f"- {line}")
     for line in (*log.notes, *found.warnings):
         print(f"! {line}")

@@ -15,6 +15,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
 from soil_env.driving.wheels import Simulation, Worlds
+from soil_env.simulation.wheels import Record
 
 
 def clone(
@@ -37,7 +38,7 @@ def _wheels(worlds: Worlds) -> int:
 
 def _copy(a, wheels, b, places, count, into, name):
     """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds `into`."""
-    if a is None or b is None:  # one of them has no estimator
+    if a is None or b is None or isinstance(a, Record):  # no estimator; a record is written anew by every step
         return
     if isinstance(a, Rows):
         each = a.count // count  # columns of a wheel
@@ -53,5 +54,5 @@ def _copy(a, wheels, b, places, count, into, name):
     elif a.shape[1:] != b.shape[1:]:
         raise ParameterError(f"clone: {name} is {a.shape[1:]} in one simulation and {b.shape[1:]} in the other: "
                              "expected the same scenario")  # fmt: skip
-    elif len(a) and len(b):  # records and averages are kept only where something asks for them
+    elif len(a) and len(b):  # averages are kept only where something asks for them
         b[places] = a[wheels]

@@ -71,6 +71,11 @@ class RoverInfos:
                 info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
         return info if self.kind != "numeric" else _flat(info)
 
+    def follow(self, reset: np.ndarray) -> None:
+        """Nothing to note after a step: estimates are taken as they are."""
+
+    renew = follow
+
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""
         return masked(self.many(), ended)

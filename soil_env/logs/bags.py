@@ -119,46 +119,57 @@ def _objects(data: bytes) -> Any:
 # --- MCAP -------------------------------------------------------------------------------------------------------------
 
 
-def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
-    try:
-        from mcap.exceptions import EndOfFile, InvalidMagic, McapError
-        from mcap.records import Channel, Chunk, DataEnd, Footer, Message as Record, Schema
-        from mcap.stream_reader import StreamReader, breakup_chunk
-    except ImportError:
-        raise ParameterError(_NEEDED) from None
-    decoder, schemas, channels = _Decoder(), {}, {}
+def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
+    """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left out."""
+    from mcap.exceptions import EndOfFile, InvalidMagic, McapError
+    from mcap.records import Chunk, DataEnd, Footer, Message as Record
+    from mcap.stream_reader import StreamReader, breakup_chunk
+
     size, last, record = file.stat().st_size, None, None
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
-        while not isinstance(record, (DataEnd, Footer)):  # the rest is an index
+        while not isinstance(record, (DataEnd, Footer)):
             try:
                 record = next(records)
             except InvalidMagic:
                 raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
-            except EndOfFile:
-                return _cut(notes, file, stream.tell(), size, last)
-            except (McapError, struct.error, ValueError, MemoryError) as error:
-                return _cut(notes, file, stream.tell(), size, last, f" ({error})")
+            except (EndOfFile, McapError, struct.error, ValueError, MemoryError) as error:
+                why = "" if isinstance(error, EndOfFile) else f" ({error})"
+                at = f"after the message recorded at {last * 1e-9:.3f} s" if last else "before its first message"
+                end = "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
+                notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read")
+                return
             try:
                 inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
             except Exception as error:  # checksum, decompression: each library has errors of its own
                 notes.add(f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})")
                 continue
             for r in inside:
-                if isinstance(r, Schema):
-                    schemas[r.id] = r
-                elif isinstance(r, Channel):
-                    channels[r.id] = r, schemas.get(r.schema_id)
-                    kind = schemas[r.schema_id].name if r.schema_id in schemas else r.message_encoding
-                    notes.topics.setdefault(r.topic, kind)
-                    if r.topic in wanted:
-                        _prepare(decoder, file, r, schemas.get(r.schema_id))
-                elif isinstance(r, Record) and r.channel_id in channels:
-                    channel, schema = channels[r.channel_id]
-                    last = r.log_time
-                    if channel.topic in wanted:
-                        yield _message(decoder, file, channel, schema, r)
+                last = r.log_time if isinstance(r, Record) else last
+                yield r
             report(stream.tell())
+
+
+def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
+    """Messages of an MCAP file."""
+    try:
+        from mcap.records import Channel, Message as Record, Schema
+    except ImportError:
+        raise ParameterError(_NEEDED) from None
+    decoder, schemas, channels = _Decoder(), {}, {}
+    for r in _mcap_records(file, notes, report):
+        if isinstance(r, Schema):
+            schemas[r.id] = r
+        elif isinstance(r, Channel):
+            schema = schemas.get(r.schema_id)
+            channels[r.id] = r, schema
+            notes.topics.setdefault(r.topic, schema.name if schema else r.message_encoding)
+            if r.topic in wanted:
+                _prepare(decoder, file, r, schema)
+        elif isinstance(r, Record) and r.channel_id in channels:
+            channel, schema = channels[r.channel_id]
+            if channel.topic in wanted:
+                yield _message(decoder, file, channel, schema, r)
 
 
 def _prepare(decoder: _Decoder, file: Path, channel, schema) -> None:
@@ -178,12 +189,6 @@ def _message(decoder: _Decoder, file: Path, channel, schema, record) -> Message:
         return Message(channel.topic, record.log_time, schema.name if schema else "json", _objects(record.data))
     content = decoder.cdr(schema.name, record.data, f"{file}: topic {channel.topic}")
     return Message(channel.topic, record.log_time, schema.name, content)
-
-
-def _cut(notes: Notes, file: Path, position: int, size: int, last: int | None, why: str = "") -> None:
-    at = "before its first message" if last is None else f"after the message recorded at {last * 1e-9:.3f} s"
-    end = "at its end" if position >= size else f"at byte {position} of {size}"
-    notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read, the rest is lost")
 
 
 # --- SQLite -----------------------------------------------------------------------------------------------------------

@@ -90,14 +90,14 @@ class _Doubts:
     # --- words ---
 
     def _place(self, name: str) -> str:
-        return f"{name}: {self.map.channels.given()[name].place}"
+        return f"{name}: {self.map.channels.sources()[name].place}"
 
     def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
         self.lines.append(f"{self._place(name)}: reads {said}: expected {expected}: {reason}?")
 
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
-        source, others = self.map.channels.given()[name], ("A", "quaternion")
+        source, others = self.map.channels.sources()[name], ("A", "quaternion")
         if source.unit in others:
             return []
         now = UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
@@ -137,6 +137,7 @@ class _Doubts:
         return slip is None or self._slip(slip, both)
 
     def _slip(self, slip: np.ndarray, both: np.ndarray) -> bool:
+        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is doubtful."""
         sound = both & (np.abs(slip) < 0.8)
         scale = _median(self.speed[sound] / (self.rim[sound] * (1.0 - slip[sound]))) if sound.sum() >= _LEAST else 1.0
         units = self._units("speed", 0.8 / scale, 1.25 / scale) if scale > 0.0 else []
@@ -244,6 +245,7 @@ class _Doubts:
                 self._doubt(name, said, "values with the noise of a sensor", reason)
 
     def _sinkage(self) -> None:
+        """Doubt a sinkage that never reaches a thousandth of the radius."""
         radius = self.map.wheel.radius
         deepest = float(np.nanmax(np.abs(self.log.readings.get("sinkage", np.zeros(1))), initial=0.0))
         if 0.0 < deepest < _SINKAGE[0] * radius:

@@ -23,15 +23,14 @@ class NotHere(LookupError):
 def parse(field: str, where: str) -> tuple[str | int, ...]:
     """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for indices."""
     steps: list[str | int] = []
-    for part in field.split("."):
-        found = _STEP.match(part)
+    for step in field.split("."):
+        found = _STEP.match(step)
         if not found:
             raise ParameterError(
                 f"{where} = {field!r}: expected a path as twist.twist.linear.x or velocity[front_left]"
             )
-        steps.append(found[1])
-        for inner in re.findall(r"\[([^\[\]]+)\]", found[2]):
-            steps.append(int(inner) if inner.isdecimal() else f"[{inner}]")
+        inner = re.findall(r"\[([^\[\]]+)\]", found[2])
+        steps += [found[1], *(int(i) if i.isdecimal() else f"[{i}]" for i in inner)]
     return tuple(steps)
 
 
@@ -48,29 +47,30 @@ def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: b
         elif hasattr(value, step):
             value = getattr(value, step)
         else:
-            raise _unknown(message, steps, where)
+            raise ParameterError(f"{where}: the message has no such field; {_near(message, steps)}")
     if quaternion:
         try:
             return uphill(value.x, value.y, value.z, value.w)
         except AttributeError:
             raise ParameterError(f"{where}: expected an orientation with x, y, z and w for unit quaternion") from None
     if not isinstance(value, Real):
-        raise ParameterError(f"{where}: is no number but {_what(value)}; {_near(message, steps)}")
+        raise ParameterError(f"{where}: is no number but {_kind(value)}; {_near(message, steps)}")
     return float(value)
 
 
 def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
+    """Element of a list by its index, or by its "[name]" in the list of names of the message."""
     if not hasattr(values, "__len__") or isinstance(values, str):
-        raise ParameterError(f"{where}: {step} of something that is no list: {_what(values)}")
+        raise ParameterError(f"{where}: {step} of something that is no list: {_kind(values)}")
     if isinstance(step, str):
-        names = next((getattr(message, key) for key in _LISTS_OF_NAMES if hasattr(message, key)), None)
+        names = next((list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None)
         if names is None:
             raise ParameterError(f"{where}: the message has no list of names: expected a number in brackets")
         name = step[1:-1]
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
             raise NotHere(f"{where}: no name {name!r}{nearest(name, names)} (names: {known})")
-        step = list(names).index(name)
+        step = names.index(name)
     if step >= len(values):
         raise NotHere(f"{where}: the list has {len(values)} values: expected more than {step}")
     return values[step]
@@ -82,35 +82,25 @@ def uphill(x: float, y: float, z: float, w: float) -> float:
     return math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
 
 
-def paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
-    """The paths of a message that lead to numbers or lists."""
-    if dataclasses.is_dataclass(value):
-        names = [f.name for f in dataclasses.fields(value) if not f.name.startswith("_")]
-    elif isinstance(value, SimpleNamespace):
-        names = list(vars(value))
-    elif isinstance(value, Real):
+def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
+    """Paths of a message that lead to numbers or lists."""
+    if isinstance(value, Real):
         return [prefix]
-    elif hasattr(value, "__len__") and not isinstance(value, str):
-        return [f"{prefix}[0]"]
-    else:
-        return []
-    if depth == 0:
-        return []
-    return [p for n in names for p in paths(getattr(value, n), f"{prefix}.{n}" if prefix else n, depth - 1)]
+    if dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace):
+        fields = {n: v for n, v in vars(value).items() if not n.startswith("_")} if depth else {}
+        return [p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)]
+    return [f"{prefix}[0]"] if hasattr(value, "__len__") and not isinstance(value, str) else []
 
 
-def _what(value: Any) -> str:
+def _kind(value: Any) -> str:
     return f"a list of {len(value)}" if hasattr(value, "__len__") else type(value).__name__.removesuffix("_")
 
 
 def _near(message: Any, steps: tuple[str | int, ...]) -> str:
+    """The most similar path of a message, and the others."""
     asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
-    known = paths(message)
-    ends = [p for p in known if p.endswith("." + asked) or p.split("[")[0].endswith("." + asked)]
+    known = _paths(message)
+    ends = [p for p in known if p.split("[")[0].endswith("." + asked)]
     near = ends or difflib.get_close_matches(asked, known, n=1, cutoff=0.4)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return f"{hint}(fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
-
-
-def _unknown(message: Any, steps: tuple[str | int, ...], where: str) -> ParameterError:
-    return ParameterError(f"{where}: the message has no such field; {_near(message, steps)}")

@@ -95,19 +95,20 @@ class Channels:
     acceleration: Source | None = None
 
     def __post_init__(self) -> None:
-        for name, source in self.given().items():
+        for name, source in self.sources().items():
             _check_source(self, name, source)
         if self.wheel_speed is None or (self.speed is None and self.slip is None):
             raise ParameterError("expected wheel_speed, and speed or slip; without them no slip is known")
         if self.wheel_speed.constant is not None:
             raise FieldError(self, "wheel_speed", ": expected readings, which make the time axis; no constant")
 
-    def given(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, Source]:
         """The sources by the name of the reading."""
         return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
 
 
 def _check_source(channels: Channels, name: str, s: Source) -> None:
+    """Raise `ParameterError` for a source whose fields do not go together."""
     kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
     if kinds != 1 or bool(s.topic) != bool(s.field):
         raise FieldError(channels, name, ": expected topic and field, or column, or constant")
@@ -218,7 +219,7 @@ class LogMap(Checked):
         weight, twist, most = self.weight, self.weight * self.wheel.radius, {f.name: f.metadata for f in fields(Noise)}
         scale = {"drawbar_pull": weight, "load": weight, "torque": twist, "motor_torque": twist}
         sd = {}
-        for name, source in self.channels.given().items():
+        for name, source in self.channels.sources().items():
             if source.sd is not None:
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
@@ -231,23 +232,17 @@ class LogMap(Checked):
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
     mapping, where = read_yaml(Path(path)), str(path)
-    names = [f.name for f in fields(LogMap)]
-    for key in mapping:
-        if key not in names:
-            raise unknown_key(key, names, where)
-    for section in ("wheel", "channels"):
-        if section not in mapping:
-            raise ParameterError(f"{where}: missing {section}: expected wheel and channels")
-    wheel = mapping["wheel"]
+    wheel = mapping.get("wheel")
     if isinstance(wheel, str):
         wheel = {"preset": wheel}
     if isinstance(wheel, dict) and "preset" in wheel:
         if wheel["preset"] not in wheels():
             raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
-        wheel = merge(to_dict(wheels()[wheel["preset"]]), {k: v for k, v in wheel.items() if k != "preset"})
+        own = {k: v for k, v in wheel.items() if k != "preset"}
+        mapping = mapping | {"wheel": merge(to_dict(wheels()[wheel["preset"]]), own)}
     if isinstance(mapping.get("belief"), dict):
         refuse_idle_prior(mapping["belief"], where)
-    found: LogMap = load(LogMap, {**mapping, "wheel": wheel}, where)
+    found: LogMap = load(LogMap, mapping, where)
     if "border" not in (mapping.get("belief") or {}):
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))

@@ -53,7 +53,7 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
         raise ParameterError(f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file")
     if path.is_file() and path.stat().st_size == 0:
         raise ParameterError(f"{path}: is empty (0 bytes)")
-    for name, source in log_map.channels.given().items():
+    for name, source in log_map.channels.sources().items():
         if (source.topic and table) or (source.column and not table):
             expected = "column" if table else "topic and field"
             raise ParameterError(f"channels.{name}: has a {source.place}: expected {expected} for {path.name}")
@@ -109,7 +109,7 @@ class _Reader:
     """Numbers of a recording, in SI units and by channel."""
 
     def __init__(self, log_map: LogMap) -> None:
-        self.map, given = log_map, log_map.channels.given()
+        self.map, given = log_map, log_map.channels.sources()
         self.constants = {
             n: s.constant * factor(n, s) + s.offset for n, s in given.items() if s.constant is not None
         }  # fmt: skip
@@ -197,6 +197,7 @@ class _Reader:
         return message.time
 
     def _check_found(self, path: Path, notes: Notes, lacking: dict[str, NotHere]) -> None:
+        """Raise `ParameterError` for a topic that is not in the recording and a field that no message has."""
         if not notes.topics:
             said = f" ({'; '.join(notes.lines)})" if notes.lines else ""
             raise ParameterError(f"{path}: has no topics: not one message is whole{said}")
@@ -223,7 +224,7 @@ def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None
 
 def _remarks(found: Aligned, log_map: LogMap) -> list[str]:
     """Notes on channels without readings, with implausible or slow ones, and on gaps."""
-    lines, given = [], log_map.channels.given()
+    lines, given = [], log_map.channels.sources()
     for name, c in found.channels.items():
         if name in given and given[name].constant is not None:
             continue

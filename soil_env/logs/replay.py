@@ -269,7 +269,7 @@ _MISFIT = (
 )
 
 
-def what_can_be_told(found: Replay, log: Aligned) -> list[str]:
+def findings(found: Replay, log: Aligned) -> list[str]:
     """Sentences on what can be identified from the channels of this log, and what was."""
     measured, lines = found.measured, []
     if "motor_torque" in log.readings and "motor_torque" not in measured:
@@ -277,17 +277,17 @@ def what_can_be_told(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
-    for names, text in _WITHOUT.items():
-        if measured.isdisjoint(names) and (forces or names[0] in ("load", "slip")):
+    for readings, text in _WITHOUT.items():
+        if measured.isdisjoint(readings) and (forces or readings[0] in ("load", "slip")):
             lines.append(text)
     lines += [text for (one, other), text in _INSTEAD.items() if one in measured and other not in measured]
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
     shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():
-        told = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
+        result = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
         if shares[name] < _LEARNT <= current[name]:
-            told = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
-        lines.append(f"{words}: {told} (standard deviation at best {shares[name]:.2f} of the prior's)")
+            result = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
+        lines.append(f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)")
     share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
     lines.append(f"The estimate was current in {share[Status.CONVERGED]:.0%} of the steps.")
     if share[Status.MISFIT] > _CONTRADICTS:

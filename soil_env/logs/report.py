@@ -17,7 +17,7 @@ from soil_env.logs import grounds as by_ground
 from soil_env.logs.align import Aligned
 from soil_env.logs.grounds import Ground
 from soil_env.logs.mapping import UNITS, LogMap
-from soil_env.logs.replay import SD_OF, Replay, what_can_be_told
+from soil_env.logs.replay import SD_OF, Replay, findings
 from soil_env.logs.steady import Steady, cell
 from soil_env.online import Status
 
@@ -41,7 +41,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
     """All files of the folder by name: `ALWAYS`, and tables and setups where there are steady points."""
     parts = by_ground.grounds(found, steady)
     estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
-    told = what_can_be_told(found, log)
+    lines = findings(found, log)
     body = render(
         "soil_env.logs:report.html",
         recording=recording,
@@ -50,7 +50,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         notes=log.notes,
         channels=channel_table(log),
         readings=html_image(readings, "Readings over time in SI units; steady stretches are shaded."),
-        told=told,
+        findings=lines,
         soil=soil_table(found),
         estimates=html_image(
             estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
@@ -69,7 +69,7 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         "channels": {name: channel.facts() for name, channel in log.channels.items()},
         "doubts": log.doubts,
         "notes": log.notes,
-        "told": told,
+        "findings": lines,
         "learnt": found.learnt(),
         "warnings": found.warnings,
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},

@@ -45,7 +45,7 @@ def test_study(tmp_path):
 
 def test_blind(tmp_path):
     """Times apart."""
-    calm, again = killed("blind", tmp_path, 4)
+    calm, again = killed("blind", tmp_path, 3)
     assert {"study.json", "discovery.md", "truth/none-few-10-000.json"} <= set(calm)
     assert sorted(calm) == sorted(again)
     for file in calm:

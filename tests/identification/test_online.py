@@ -258,7 +258,8 @@ def test_without_identification_a_wheel_drives_as_with_it():
     """To the bit; the estimate stays at the prior."""
     runs = {}
     for method in ("filter", "none"):
-        runs[method] = simulation = Simulation(1, load_scenario("mixed", {"belief": {"method": method}}), "blind", 1)
+        scenario = load_scenario("mixed", {"belief": {"method": method}})
+        runs[method] = simulation = Simulation(1, scenario, "blind", 1, estimates=True)
         simulation.seed(0, np.random.default_rng(3))
         simulation.restart(0)
         for action in np.repeat([0.3, 0.6, 0.2], 10):

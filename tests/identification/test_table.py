@@ -211,7 +211,7 @@ def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
     assert e.parameters["friction_angle_deg"].value == pytest.approx(31.0, rel=5e-3)
 
 
-# --- what the data cannot tell ----------------------------------------------------------------------------------------
+# --- what the data do not determine -----------------------------------------------------------------------------------
 
 
 def test_names_what_the_data_cannot_tell(tmp_path):
@@ -220,8 +220,8 @@ def test_names_what_the_data_cannot_tell(tmp_path):
     table = table_of(tmp_path, rows, np.random.default_rng(1), leave_out=("torque",))
     e = identify_table(table, setup_of((), sinkage_exponent=Prior(0.9, 0.02)))
     words = " ".join(e.warnings)
-    assert "cannot tell the sinkage exponent" in words
-    assert "friction angle and cohesion together" in words or "cannot tell the friction angle" in words
+    assert "do not determine the sinkage exponent" in words
+    assert "friction angle and cohesion together" in words or "do not determine the friction angle" in words
     p = e.parameters["sinkage_exponent"]
     assert p.sd_over_prior > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition

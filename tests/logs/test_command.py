@@ -15,7 +15,7 @@ from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.align import Aligned, Channel
 from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
-from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, what_can_be_told
+from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
 from soil_env.logs.report import contents
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.online import OnlineIdentifier, Status
@@ -120,14 +120,14 @@ def test_what_is_told_is_what_was_learnt(log_map):
     part = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
     assert part.learnt()["friction_angle_deg"] > 0.6  # correlations of the belief
     assert part.learnt()["sinkage_coefficient"] < 0.8
-    assert len(what_can_be_told(part, log)) > len(what_can_be_told(replay(log, log_map), log))
+    assert len(findings(part, log)) > len(findings(replay(log, log_map), log))
     del kept["sinkage"]
     blind = replay(Aligned(0, log.time, kept, {}, log.period), log_map)
     assert min(blind.learnt().values()) == pytest.approx(1.0, abs=0.15)
     seen = {n: v for n, v in log.readings.items() if n != "sinkage"}
     unseen = replay(Aligned(0, log.time, seen, {}, log.period), log_map)
     assert unseen.learnt()["shear_modulus"] < 0.5
-    assert any(line.startswith("No sinkage") and "follows" in line for line in what_can_be_told(unseen, log))
+    assert any(line.startswith("No sinkage") and "follows" in line for line in findings(unseen, log))
 
 
 def test_a_motor_torque_without_inertia_is_left_out(log_map):
@@ -138,11 +138,11 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
     bare = replay(motor, log_map)
     without = replay(Aligned(0, log.time, readings, {}, log.period), log_map)
     assert np.array_equal(bare.values["shear_modulus"], without.values["shear_modulus"])
-    assert sum("wheel.inertia" in line for line in what_can_be_told(bare, motor)) == 1
+    assert sum("wheel.inertia" in line for line in findings(bare, motor)) == 1
     known = dataclasses.replace(log_map, wheel=dataclasses.replace(log_map.wheel, inertia=0.5))
     found = replay(motor, known)
     assert found.learnt()["shear_modulus"] < 0.7 * bare.learnt()["shear_modulus"]
-    assert not any("wheel.inertia" in line for line in what_can_be_told(found, motor))
+    assert not any("wheel.inertia" in line for line in findings(found, motor))
 
 
 @pytest.mark.parametrize(
@@ -171,17 +171,17 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
 @pytest.mark.xfail(strict=True, reason="a sinkage without the digging that is believed in is taken for another soil")
 def test_a_short_log_of_a_sand_without_slip_sinkage_tells_something(log_map):
     log = made(log_map, [(s, 2.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": identified" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in findings(replay(log, log_map), log)) >= 2
 
 
 def test_nothing_is_told_by_readings_that_contradict(log_map):
     """A wheel speed in rpm that is taken for rad/s: no estimate is current, and no parameter is said to be told."""
     log = made(log_map, [(s, 4.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": identified" in line for line in what_can_be_told(replay(log, log_map), log)) >= 2
+    assert sum(": identified" in line for line in findings(replay(log, log_map), log)) >= 2
     log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
     wrong = replay(log, log_map)
     assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
-    said = what_can_be_told(wrong, log)
+    said = findings(wrong, log)
     assert not any(": identified" in line for line in said) and any("0% of the steps" in line for line in said)
 
 

@@ -39,7 +39,7 @@ def step_spoilt(sim, k, command):
 
 @pytest.mark.parametrize("length", [10.0, 200.0])
 def test_a_step_reads_only_the_course_beside_the_wheel(length):
-    """So its cost can depend neither on the length of the course nor on how far the wheel has come."""
+    """Its cost then depends neither on the length of the course nor on the distance driven."""
     changes = {
         "course": {"length": length, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]},
         "control": {"action": "torque", "time_limit": 900.0},

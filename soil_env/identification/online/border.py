@@ -2,7 +2,7 @@
 
 Over `Belief.border` metres the ground passes from one soil to the next with the share of the new soil
 (`ground.share_of_next`), a cubic of the distance from the middle of the border. The soils of a course have a grade
-each, which passes with them, so the grade tells where a border is before the forces do. `CANDIDATES` places, evenly
+each, which passes with them, so that the grade shows a border before the forces do. `CANDIDATES` places, evenly
 over the length of a border, are tested by every reading of the pitch: with y the pitch less that of this soil so far, w
 the share of the new soil if the border were there, d = N(0, t^2) the unknown rise and v the variance of a reading, the
 likelihood of a border over that of none is (Bayesian linear regression)
@@ -65,7 +65,7 @@ def share_here(banks, k, x, spread, numbers):
 
 @compiled_inline
 def _variance_of_pitch(p, k, numbers):
-    """Of a reading less the grade of this soil so far."""
+    """Variance [rad2] of a reading less the grade of this soil so far."""
     return numbers.noise[7] * numbers.noise[7] * (1.0 + 1.0 / max(min(p.grades[k], _KEPT), 1.0))
 
 
@@ -134,7 +134,7 @@ def _locate(banks, k, numbers):
 
 @compiled_part
 def cross_where_the_grade_changes(banks, k, numbers):
-    """`begin` at the border that the grade tells of, if it tells of one."""
+    """`begin` at the border that the grade shows, if it shows one."""
     odds, place, variance, rise, share, square = _locate(banks, k, numbers)
     odds += math.log(_HAZARD * numbers.offsets[1])
     if odds >= _ODDS:
@@ -146,7 +146,7 @@ def cross_where_the_grade_changes(banks, k, numbers):
 
 @compiled_inline
 def follow_border(banks, k, numbers):
-    """Renew place and rise of the border under wheel k, if the grade tells of it."""
+    """Renew place and rise of the border under wheel k, unless its place is fixed."""
     p = banks.point
     if p.fixed[k] == 0.0 and numbers.grade_change > 0.0:
         _, p.border[k], p.border_variance[k], p.rise[k], _, _ = _locate(banks, k, numbers)
@@ -154,7 +154,7 @@ def follow_border(banks, k, numbers):
 
 @compiled_inline
 def cross_here(banks, k, numbers):
-    """`begin` where the forces tell of a border."""
+    """`begin` where the forces show a border."""
     ahead, misfit = _FOUND * numbers.border, banks.point.misfit[k]
     begin_known_border(banks, k, numbers, banks.point.place[k] + ahead, ahead * ahead)
     banks.point.misfit[k], banks.point.by_forces[k] = misfit, 1.0  # the misfit until the next point
@@ -178,7 +178,7 @@ def begin(banks, k, numbers, place, place_variance, rise):
 
 @compiled_inline
 def begin_known_border(banks, k, numbers, place, place_variance):
-    """`begin` at a place that the grade has not told; what contradicted the laws so far was the border."""
+    """`begin` at a place that the grade does not move; the contradictions of the laws so far came from the border."""
     begin(banks, k, numbers, place, place_variance, 0.0)
     banks.point.fixed[k], banks.point.form_error[k], banks.point.flagged[k] = 1.0, numbers.model_error, 0.0
 

@@ -1,7 +1,7 @@
-"""What the identifier has learnt of each terrain class on a course: estimates and best drawbar pull, with their sd.
+"""Memory of terrain classes on a course: estimates and best drawbar pull of each, with their sd.
 
-Every patch of a class tells of its soil by the last estimate made on it, away from its borders as the camera sees them.
-Each of these holds the prior, which counts once: of posteriors (m_i, s_i) and the prior (m_0, s_0) the class has
+A patch of a class counts with the last estimate made on it, away from its borders as the camera sees them. Each of
+these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and the prior (m_0, s_0) the class has
 
     s^-2 = s_0^-2 + sum (s_i^-2 - s_0^-2),    s^-2 m = s_0^-2 m_0 + sum (s_i^-2 m_i - s_0^-2 m_0),
 
@@ -40,7 +40,7 @@ class ClassMemory(NamedTuple):
 
 
 class MemoryNumbers(NamedTuple):
-    """What `ClassMemory` takes from a `Scenario`."""
+    """Numbers of a `Scenario` that the memory needs."""
 
     prior: np.ndarray  # [6]
     precision: np.ndarray  # [6]
@@ -87,22 +87,22 @@ def remember(memory, k, c, patch, ids, numbers):
         for i in range(UNKNOWNS):
             mean[i], precision[i] = memory.estimate[k, c, i], memory.sd[k, c, i] ** -2.0
     for i in range(UNKNOWNS):
-        told, sd = ids.best_pull[k, 0], ids.best_pull[k, 1]
+        value, sd = ids.best_pull[k, 0], ids.best_pull[k, 1]
         if i < PULL:
-            told, sd = ids.estimate[k, i], ids.sd[k, i]
+            value, sd = ids.estimate[k, i], ids.sd[k, i]
         own = max(WIDER * sd if i == PULL else sd, _LEAST_SD) ** -2.0
         more = own - numbers.precision[i]
         if more > 0.0:
             total = precision[i] + more
-            news = own * told - numbers.precision[i] * numbers.prior[i]
+            news = own * value - numbers.precision[i] * numbers.prior[i]
             memory.estimate[k, c, i] = (precision[i] * mean[i] + news) / total
             apart = 0.0
             if memory.patches[k, c] > 1:
-                apart = (told - mean[i]) ** 2 / (1.0 / own + 1.0 / precision[i])
+                apart = (value - mean[i]) ** 2 / (1.0 / own + 1.0 / precision[i])
             memory.sd[k, c, i] = (max(apart, 1.0) / total) ** 0.5
 
 
 @compiled_inline
 def clear_of_borders(since, left, numbers):
-    """Whether an estimate made `since` [m] the last border and with so much `left` to the next is of one soil."""
+    """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one soil."""
     return since > (0.5 + _FOUND) * numbers.border and left > 0.5 * numbers.border

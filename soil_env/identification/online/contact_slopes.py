@@ -54,7 +54,7 @@ class Slopes(NamedTuple):
 
 
 class Reaction(NamedTuple):
-    """What the wheel gets from the ground."""
+    """Forces of the ground on the wheel."""
 
     pull: Slopes  # [N]
     torque: Slopes  # [N m]

@@ -1,11 +1,11 @@
 """Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and sinkage.
 
-Readings are averaged to points first, over times in which little changes. Points that tell of the same slip and sinkage
+Readings are averaged to points first, over times in which little changes. Points of like slip and sinkage
 are averaged into one bin of the curve. A bin of many readings has little noise left in its slip, so a fit to the bins
 does not take that noise for excitation: a filter that takes each noisy slip as new is drawn to a low K and a low
 friction angle, and is sure of both (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
 
-Points are grouped by the slip that their slip, pull and torque tell together under the soil so far, which hardly
+Points are grouped by the most likely slip, by slip, pull and torque together under the soil so far, which hardly
 depends on the noise in slip: groups by the slip reading itself would select its noise (Wald 1940, Annals of
 Mathematical Statistics 11:284-300).
 """
@@ -60,7 +60,7 @@ def _merge(bins, a, b):
 
 @compiled_inline
 def _unlike(bins, a, b, border):
-    """How unlike two bins are, squared; those on a border differ by their places."""
+    """Squared distance of two bins; those on a border differ by their places."""
     if bins[a + ON_BORDER] > 0.0:
         apart = (bins[a + PLACE] - bins[b + PLACE]) / (_BORDER * border)
         return apart * apart + _APART

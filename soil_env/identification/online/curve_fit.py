@@ -276,6 +276,7 @@ def _inverse(L, out, at):
 
 @compiled_inline
 def _step(banks, k, A, g, cost, volume, numbers):
+    """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
     nodes, L, step = banks.nodes[k], _matrix2(), _vector()
     log_det = _factor(A, L)
     _inverse(L, nodes, COVARIANCE)
@@ -316,7 +317,7 @@ def _within(share, step, longest):
 
 @compiled_inline
 def _above(share, room, step):
-    """The same for a step that uses up `room`: at most nine tenths of it."""
+    """The largest share of a step that uses up nine tenths of `room` at most."""
     room = larger(room, 0.0)
     return where_less(room, share * step, larger(0.9 * room / larger(step, 1e-12), 0.02), share)
 

@@ -29,7 +29,7 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
 
 
 def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """What is told of an estimate x [5] and its standard deviations, and of the best drawbar pull [2] and its own.
+    """Published numbers of an estimate x [5] with its sd [5] and of the best drawbar pull [2] with its sd.
 
     Of arrays [5, wheels] and [2, wheels] with `of` numpy.
     """

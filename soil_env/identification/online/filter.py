@@ -72,7 +72,7 @@ _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip,
 #: the laws, and one above `_ANOTHER_SOIL` the soil.
 CONTRADICTION_OF_POINTS = 10.0
 _ANOTHER_SOIL = 7.0
-# Points of a soil up to which readings contradict the laws, not the soil; where the grade says nothing of borders.
+# Points of a soil up to which readings contradict the laws, not the soil; where the grade shows no borders.
 _SHORT, _SHORTER = 12.0, 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample, 0.7 is seldom.
@@ -80,7 +80,7 @@ _SINKAGE_EXPECTED, _OF_SINKAGE, _MOST_OF_SINKAGE = 0.7, 3.0, 5.0
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
 _BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
-_LATER = 12.0  # `_BEGINS` where only forces tell of borders, which are found after they have spoilt the fit
+_LATER = 12.0  # `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
 _FIELDS = len(Slopes._fields)
 _PULL, _TORQUE, _LN_S = 0, _FIELDS, 2 * _FIELDS  # rows of `_slopes`
 _slopes = scratch(3 * _FIELDS * COUNT)

@@ -112,19 +112,11 @@ def filter_numbers(scenario: Scenario) -> FilterNumbers:
 
 def new_banks(wheels: int) -> FilterBanks:
     """Empty banks; `restart` sets one to the prior."""
-    return FilterBanks(
-        OpenPoint(wheels),
-        FilterPoint(wheels),
-        np.zeros((wheels, NODE_ROWS * COUNT)),
-        np.zeros((wheels, (BINS + 1) * FIELDS)),
-        np.zeros((wheels, BINS * FIT_ROWS * COUNT)),
-        np.zeros((wheels, 2 * GAUSSIAN)),
-        np.zeros((wheels, PRIOR_SIZE)),
-        np.zeros((wheels, PRIOR_SIZE)),
-        np.zeros((wheels, SINKAGE_ROWS * COUNT)),
-        np.zeros((wheels, COUNT)),
-        np.zeros((wheels, 2 * CANDIDATES)),
-    )
+    sizes = (
+        NODE_ROWS * COUNT, (BINS + 1) * FIELDS, BINS * FIT_ROWS * COUNT, 2 * GAUSSIAN, PRIOR_SIZE, PRIOR_SIZE,
+        SINKAGE_ROWS * COUNT, COUNT, 2 * CANDIDATES,
+    )  # fmt: skip
+    return FilterBanks(OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes))
 
 
 @compiled_inline

@@ -17,8 +17,8 @@ from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 
-#: What a set of readings did to the estimate: nothing; the wheel is elsewhere on a border, and so on other ground; it
-#: completed a point.
+#: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to other ground; a
+#: point was completed.
 HELD, MOVED, RENEWED = 0, 1, 2
 _MAY_BE_NEXT = 0.02  # `next_square` above which the pull is renewed with every point
 _OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every third one
@@ -38,7 +38,7 @@ class Identifiers(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """What each of T sets of readings did, and what was known after it."""
+    """Outcome of each of T sets of readings, and the estimate after it."""
 
     outcome: np.ndarray  # [T] `HELD`, `MOVED` or `RENEWED`
     estimate: np.ndarray  # [T, 5] as in `Identifiers`
@@ -54,7 +54,7 @@ def new_replay(count: int) -> Replay:
 
 
 class IdentifierNumbers(NamedTuple):
-    """What the identifier takes from a `Scenario`."""
+    """Numbers of a `Scenario` that the identifier needs."""
 
     prior: np.ndarray  # [5] of (phi, ln K, ln S, cohesion, ln(gain of digging / dig_gain))
     prior_covariance: np.ndarray  # [5, 5]
@@ -121,7 +121,7 @@ def observe(ids, k, reading, numbers):
     if p.crossing[k] > crossed:
         ids.borders[k] += int(p.by_forces[k])
     elif p.crossing[k] < crossed and p.by_forces[k] == 0.0 and p.same[k] == 0.0:
-        ids.borders[k] += 1  # the grade told of a border, and it was one of soil
+        ids.borders[k] += 1  # the grade showed a border, and the soil changed there
     # on a border the soil under the wheel changes from reading to reading
     often = p.crossing[k] > 0.0 or p.points[k] < _OFTEN or p.next_square[k] > _MAY_BE_NEXT
     anew = done and (often or p.points[k] % 3.0 == 0.0)

@@ -21,11 +21,9 @@ from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to
 DEPTH, PRESSURE, GAIN, OLD_PRESSURE, OLD_GAIN, STATES = range(6)
 HERE = 3  # states away from borders
 #: Rows of `sinkage`, COUNT numbers each: states, lower triangle of their covariance, ln weight.
-COVARIANCE, LOG_WEIGHT, SINKAGE_ROWS = (
-    STATES,
-    STATES + STATES * (STATES + 1) // 2,
-    STATES + STATES * (STATES + 1) // 2 + 1,
-)
+COVARIANCE = STATES
+LOG_WEIGHT = COVARIANCE + STATES * (STATES + 1) // 2
+SINKAGE_ROWS = LOG_WEIGHT + 1
 _REACH = 1.9  # [sd of ln gain] of the outermost filters
 _WIDTH = 0.75 * 2.0 * _REACH / (COUNT - 1)  # [sd] of each
 _YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
@@ -39,7 +37,7 @@ _row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(S
 
 
 class Ground(NamedTuple):
-    """What a point of the sinkage filter takes from the forces and the border."""
+    """Ground under the wheel at a point, by the forces and the border."""
 
     ln_s: float  # ln of the mobilised sinkage coefficient
     depth: float  # [m] at this sinkage
@@ -51,7 +49,7 @@ class Ground(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What happened since the last point."""
+    """Motion since the last point."""
 
     path: float  # integral of A dt
     sliding: float  # integral of |r w - V| dt / l
@@ -110,7 +108,7 @@ def spread(s, i, j):
 
 @compiled_part
 def begin_next_sinkage(banks, k, numbers):
-    """The soil so far becomes the old one, and a new one begins, of which the sinkage has told nothing."""
+    """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
     s = banks.sinkage[k]
     z, y, g = mean(s, DEPTH), mean(s, PRESSURE), mean(s, GAIN)
     zz, zy, zg = spread(s, DEPTH, DEPTH), spread(s, DEPTH, PRESSURE), spread(s, DEPTH, GAIN)
@@ -162,6 +160,43 @@ def _normal_share(x):
 
 
 @compiled_inline
+def _lacking(lag, scatter):
+    """Mean and variance of max(lag, 0), and the probability of lag > 0, of a normal `lag` with sd `scatter`."""
+    likely, density = _normal_share(lag / scatter)
+    lacking = lag * likely + scatter * density
+    square = (lag * lag + scatter * scatter) * likely + lag * (scatter * density) - lacking * lacking
+    return lacking, square, likely
+
+
+@compiled_inline
+def _covariance_with(s, slopes, size, out):
+    """Covariance of the states with a quantity that has these slopes by them, into `out`; its variance."""
+    variance = fill(0.0)
+    for i in range(size):
+        v = fill(0.0)
+        for j in range(size):
+            v = fma(from_array(s, cell(i, j)), from_array(slopes, j * COUNT), v)
+        to_array(v, out, i * COUNT)
+        variance = fma(v, from_array(slopes, i * COUNT), variance)
+    return variance
+
+
+@compiled_inline
+def _read_sinkage(s, of_depth, e, expected, size, r):
+    """Kalman update by a reading `e` above its prediction; `of_depth`: covariance of the states with the sinkage."""
+    for i in range(size):
+        to_array(from_array(of_depth, i * COUNT), s, cell(i, DEPTH))
+    for i in range(size):
+        v = from_array(of_depth, i * COUNT) / expected
+        to_array(fma(v, e, from_array(s, i * COUNT)), s, i * COUNT)
+        for j in range(i + 1):
+            c = from_array(s, cell(i, j))
+            to_array(fma(-1.0 * v, from_array(of_depth, j * COUNT), c), s, cell(i, j))
+    to_array(smaller(larger(from_array(s, DEPTH * COUNT), 1e-3 * r), 1.9 * r), s, DEPTH * COUNT)
+    to_array(smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT)
+
+
+@compiled_inline
 def _follow(s, ground, motion, last_bearing, size, numbers):
     """Time update of the sinkage, and its update by the reading: (innovation, its variance), a value a lane."""
     slopes, of_bearing, of_depth, r = _row(), _row2(), _row3(), numbers.radius
@@ -184,23 +219,16 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
     if size > HERE:
         to_array(((share - 1.0) / n) * now, slopes, OLD_PRESSURE * COUNT)
         to_array(fill(0.0), slopes, OLD_GAIN * COUNT)
-    variance = fill(0.0)
+    variance = _covariance_with(s, slopes, size, of_bearing)
     for i in range(size):
-        v = fill(0.0)
-        for j in range(size):
-            v = fma(from_array(s, cell(i, j)), from_array(slopes, j * COUNT), v)
-        to_array(v, of_bearing, i * COUNT)
-        variance = fma(v, from_array(slopes, i * COUNT), variance)
         to_array(from_array(s, cell(i, DEPTH)), of_depth, i * COUNT)
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
     variance = variance + from_array(of_depth, 0) - 2.0 * from_array(of_bearing, 0)
     scatter, lag = sqrt(larger(variance, 0.0) + 1e-7 * r * r), bearing - z
-    likely, density = _normal_share(lag / scatter)
-    lacking = lag * likely + scatter * density
-    square = (lag * lag + scatter * scatter) * likely + lag * (scatter * density) - lacking * lacking
+    lacking, square, likely = _lacking(lag, scatter)
     yields = left * (1.0 - math.exp(-_YIELD_RATE * max(motion.time, 0.0)))
     rise, stay = (come * bearing + dug) / bearing + yields * likely, left - yields * likely
-    for i in range(size):
+    for i in range(size):  # covariance with the sinkage after the motion
         v = fma(rise, from_array(of_bearing, i * COUNT), stay * from_array(of_depth, i * COUNT))
         v = fma(per_gain * gain, from_array(s, cell(i, GAIN)), v)
         if size > HERE:
@@ -223,19 +251,9 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
         own = own + ground.place_variance * misplaced * misplaced
     variance = variance + own
     to_array(variance, of_bearing, DEPTH * COUNT)
-    expected = variance + motion.variance
-    e = motion.sinkage - after
+    expected, e = variance + motion.variance, motion.sinkage - after
     to_array(after, s, DEPTH * COUNT)
-    for i in range(size):
-        to_array(from_array(of_bearing, i * COUNT), s, cell(i, DEPTH))
-    for i in range(size):
-        v = from_array(of_bearing, i * COUNT) / expected
-        to_array(fma(v, e, from_array(s, i * COUNT)), s, i * COUNT)
-        for j in range(i + 1):
-            c = from_array(s, cell(i, j))
-            to_array(fma(-1.0 * v, from_array(of_bearing, j * COUNT), c), s, cell(i, j))
-    to_array(smaller(larger(from_array(s, DEPTH * COUNT), 1e-3 * r), 1.9 * r), s, DEPTH * COUNT)
-    to_array(smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT)
+    _read_sinkage(s, of_bearing, e, expected, size, r)
     return e, expected
 
 

@@ -35,10 +35,10 @@ STAYS = COUNT - 1  # the node to which the soil stays the same on a border
 REACH = 3.0  # [sd of ln K] of the outermost nodes
 _CLOSER = 4.0  # [steps of the nodes] that the range of new ones has at least
 _LEAST_SD = 0.02  # of ln K, that the nodes resolve
-_BETWEEN = 0.4  # [steps of the nodes] least sd of ln K: nothing is told of what lies between two of them
+_BETWEEN = 0.4  # [steps of the nodes] least sd of ln K: nodes resolve no less
 _WIDE, _OFF, _NARROW = 1.35, 0.25, 0.7  # of the range: where nodes are spread anew
 _SAME = 0.05  # probability that the soil stays the same where a border is found
-_SURELY = 0.85  # the probability at which it is said to have
+_SURELY = 0.85  # the probability from which it counts as the same
 _LOOSER = 1e-4  # share of the prior variance by which a soil that stays the same may differ
 _rows, _gaussian = scratch(5 * COUNT), scratch(GAUSSIAN)
 _of_sinkage = scratch(8)
@@ -79,7 +79,7 @@ def _conditional(gaussian, g, prior):
 
 @compiled_inline
 def renew_prior(banks, k, numbers):
-    """The prior of the soil of wheel k, given what its sinkage has told of it."""
+    """The prior of the soil of wheel k, given the Gaussian of its sinkage filter."""
     prior, s, g, covariance = numbers.prior, banks.sinkage[k], _gaussian(), numbers.prior.sinkage_covariance
     a, b = mean(s, PRESSURE) - prior.sinkage[0], mean(s, GAIN) - prior.sinkage[1]
     aa = covariance[0] - spread(s, PRESSURE, PRESSURE)
@@ -151,8 +151,7 @@ def begin_soil(banks, k, numbers):
 
 @compiled_part
 def begin_next_soil(banks, k, numbers):
-    """What is known of the soil becomes that of the old one; a new one begins, which is the same with some
-    probability."""
+    """Begin a new soil, which is the same with some probability; the soil so far becomes the old one."""
     nodes, known, old = banks.nodes[k], banks.known[k], banks.old_prior[k]
     for i in range(GAUSSIAN):
         known[OLD + i] = known[i]
@@ -268,7 +267,7 @@ def _respread(nodes, centre, half, before):
 
 @compiled_inline
 def fit_is_sound(banks, k):
-    """Whether what is known of the soil is finite."""
+    """True if all that is known of the soil is finite."""
     known, all_ = banks.known[k], total(from_array(banks.sinkage[k], DEPTH * COUNT))
     for i in range(GAUSSIAN):
         all_ += abs(known[i])

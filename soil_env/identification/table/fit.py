@@ -1,8 +1,8 @@
 """Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
 
 Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
-that the setup does not give as known. `weighted.py` has the equations; here the solution is turned into intervals, and
-into words on what the data cannot tell.
+that the setup does not give as known. `problem.py` has the equations; here the solution is turned into intervals and
+warnings.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ LABELS = (
     "friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion", "tilt of the rig",
 )  # fmt: skip
 SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
-UNTOLD = 0.7  # share of the prior sd above which the data do not tell a parameter
+UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
@@ -91,7 +92,7 @@ class TableEstimate:
 
 
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
-    """The most probable soil under the setup's priors, with intervals and what the data cannot tell.
+    """The most probable soil under the setup's priors, with intervals and warnings.
 
     The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
     and the intervals are over its sizes. Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage
@@ -145,7 +146,7 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
     return u, converged
 
 
-# --- what is told of the solution -------------------------------------------------------------------------------------
+# --- the estimate of a solution -------------------------------------------------------------------------------------
 
 
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -160,9 +161,9 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
 def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain,
              scatter: Scatter | None) -> TableEstimate:  # fmt: skip
     scaling, free = _scaling(problem)
-    told = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
-    told[PHI, PHI], told[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
-    by_u = (told @ scaling)[free]
+    published = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
+    published[PHI, PHI], published[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
+    by_u = (published @ scaling)[free]
     share, mean, under = problem.by_size(u)
     off = mean - u
     whole = mixed(share, mean, under)[1] + np.outer(share @ off, share @ off)  # about u
@@ -177,7 +178,7 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
     parameters = _parameters(problem, u, whole, scaling, scatter)
     first = _units(problem, parameters, plain.fits)
-    warnings = first + _untold(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
+    warnings = first + _undetermined(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
     return TableEstimate(
         parameters=parameters,
         free=labels,
@@ -240,6 +241,7 @@ def _parameters(
 
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
+    """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
     (errors, left), variances = problem.errors(u), problem.variances
     out, fits = problem.predict(u), {}
     for j, name in enumerate(SOURCES):
@@ -266,7 +268,7 @@ def _exact(problem: TableProblem) -> tuple[str, ...]:
 
 
 def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
-    """What looks like a wrong unit in setup and table."""
+    """Warnings of a wrong unit in setup or table."""
     words = problem.setup.doubts()
     load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
     if load < LIGHT:
@@ -290,65 +292,59 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
     return words
 
 
-def _untold(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
-    named = ((label, parameters[name]) for name, label in zip(NAMES, LABELS, strict=True) if name in parameters)
+def _undetermined(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
+    """Warnings of parameters that the data hardly determine, alone or in pairs."""
+    label = dict(zip(NAMES, LABELS, strict=True))
     words = [
-        f"The data cannot tell the {label}: its standard deviation is "
-        + (
-            f"{100 * p.sd_over_prior:.0f} % of that before the table."
-            if p.sd_over_prior <= 1.0
-            else f"{p.sd_over_prior:.2g} times that before the table."
-        )
-        for label, p in named
-        if p.sd_over_prior > UNTOLD
+        f"The data do not determine the {label[name]}: its standard deviation is {p.sd_over_prior:.0%} of the prior's."
+        for name, p in parameters.items()
+        if name in label and p.sd_over_prior > UNDETERMINED
     ]
-    for i in range(len(labels)):
-        for j in range(i):
-            if abs(correlation[i, j]) > TIED:
-                words.append(
-                    f"The data tie {labels[j]} and {labels[i]} together (correlation {correlation[i, j]:+.3f}): a "
-                    "combination of the two is determined, neither of them alone."
-                )
+    for i, j in combinations(range(len(labels)), 2):
+        if abs(correlation[i, j]) > TIED:
+            words.append(
+                f"The data tie {labels[i]} and {labels[j]} together (correlation {correlation[i, j]:+.3f}): a "
+                "combination of the two is determined, neither of them alone."
+            )
     return words
 
 
 def _doubts(
     problem: TableProblem, u: np.ndarray, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
 ) -> list[str]:
-    """Told of the solution u with its `fits`; whether the model fits, and agrees with its priors, by the plain one."""
-    words = []
-    (low, high), label = problem.bounds, dict(zip(NAMES, LABELS, strict=True))
+    """Warnings on the solution u with its `fits`, and on the model by the solution under noise alone."""
+    words, label, setup = [], dict(zip(NAMES, LABELS, strict=True)), problem.setup
+    (low, high) = problem.bounds
     edge = 1e-6 * np.minimum(1.0, high - low)
-    at_end = (u <= low + edge) | (u >= high - edge)
-    if np.any(at_end):
-        names = ", ".join(label[k.name] for k, at in zip(problem.unknowns, at_end, strict=True) if at)
-        words.append(f"At the end of its admissible range: {names}; its interval is not reliable.")
-    soil = problem.setup.soil
+    at_end = [
+        label[k.name] for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True) if at
+    ]
+    if at_end:
+        words.append(f"At the end of its admissible range: {', '.join(at_end)}; its interval is not reliable.")
+    given = {name: getattr(setup.soil, name, None) for name in NAMES}
+    given |= {"sinkage_coefficient": setup.soil.lumped(setup.wheel.width), "tilt_deg": setup.tilt_deg}
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
-        s = unknown.name == "sinkage_coefficient"
-        tilt = unknown.name == "tilt_deg"
-        given = soil.lumped(problem.setup.wheel.width) if s else None if tilt else getattr(soil, unknown.name)
-        given = problem.setup.tilt_deg if tilt else given
-        if given is not None and abs(d) > 3.0:
+        if given[unknown.name] is not None and abs(d) > 3.0:
             words.append(
                 f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} standard deviations from "
                 "its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
-    first = f"Check whether {exact} can be taken as exact (noise: in the setup), then" if exact else "Check"
-    first += " units and signs, and whether an effect is missing (python -m soil_env.discrepancy)."
+    check = f"Check whether {exact} can be taken as exact (noise: in the setup), then" if exact else "Check"
+    check += " units and signs, and whether an effect is missing (soil-env discover)."
     for name, fit in fits.items():
+        channel = name.replace("_", " ")
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(fit.residual**2)))
             words.append(
-                f"The base model does not fit the {name.replace('_', ' ')} to its noise: residuals are {rms:.3g} times "
-                f"the given standard deviation. The intervals allow for stress laws that are wrong, not for a wrong "
-                f"unit or sign or an effect that is missing. {first}"
+                f"The base model does not fit the {channel} to its noise: residuals are {rms:.3g} times the given "
+                "standard deviation. The intervals allow for stress laws that are wrong, not for a wrong unit or sign "
+                f"or an effect that is missing. {check}"
             )
         elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
             words.append(
-                f"The residuals of {name.replace('_', ' ')} follow slip and load instead of scattering: the base model "
-                f"does not fit, and its error counts here as noise. {first}"
+                f"The residuals of {channel} follow slip and load instead of scattering: the base model does not fit, "
+                f"and its error counts here as noise. {check}"
             )
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
@@ -383,7 +379,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
 
 
 def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
-    """Whether a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
+    """True if a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
     kept = np.isfinite(residual)
     e, i, w = residual[kept], slip[kept], np.log(load[kept])
     w = w - np.mean(w) if np.ptp(w) > 0.1 else np.zeros_like(w)  # else the same load throughout

@@ -119,7 +119,7 @@ class Process:
 
 
 def _condition(name: str) -> str:
-    """What a coordinate is of."""
+    """Name of the condition of a coordinate."""
     return "slip" if name == "log_slip" else name
 
 
@@ -149,7 +149,7 @@ class StressChange(NamedTuple):
 
 
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
-    """What a form error of the relative size h does to the stresses; `sinkage` [m], a typical one.
+    """Changes of the stresses by a form error of the relative size h; `sinkage` [m], a typical one.
 
     The normal stress can be larger all along the arc; so can the shear stress. Where the error of the normal stress
     changes along the arc, its resultant moves, and it is more or less concentrated: both by as much as an error that is

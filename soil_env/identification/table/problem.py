@@ -167,6 +167,7 @@ class TableProblem:
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
+        """Set noise, its floor and whether it is estimated, from the setup or from first guesses."""
         size, r = float(np.median(self.rows.load)), float(self.rows.wheels[0, 0])
         guess = {"sinkage": 0.05 * self.z_ref, "drawbar_pull": 0.03 * size, "torque": 0.03 * size * r}
         self.noise: np.ndarray = np.zeros(5)

@@ -26,7 +26,7 @@ LABELS = {
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """What to check first, estimates, channels, correlations and the other warnings."""
+    """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
     parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
     parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
@@ -39,7 +39,7 @@ def text_of(estimate: TableEstimate) -> str:
             [(label, *(f"{c:+.3f}" for c in line)) for label, line in rows],
         )
         parts += ["", "Correlation", grid.text(2)]
-    hardly = " (hardly told apart)" if estimate.condition > 1e3 else ""
+    hardly = " (hardly separable)" if estimate.condition > 1e3 else ""
     parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
     rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
     return "\n".join([*parts, *(f"! {warning}" for warning in rest)])

@@ -1,4 +1,4 @@
-"""What a rig measures at the rows of a table: the steady model, with load and pull resolved as the setup says."""
+"""Measurements of a rig at the rows of a table: the steady model, with load and pull resolved as the setup says."""
 
 from __future__ import annotations
 
