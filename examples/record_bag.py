@@ -2,13 +2,13 @@
 
 The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
 pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the
-identifier makes of the bag is what it made of the same readings while driving. `python -m soil_env.logs BAG --map MAP
---out DIR` reads it likewise and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+identifier makes of the bag is what it made of the same readings while driving. `soil-env logs BAG --map MAP --out DIR`
+reads it likewise and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
 
 Examples:
     python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml
     python examples/record_bag.py --seed 3 --out runs/b    another course, another place
-    python -m soil_env.logs drive --map drive.map.yaml --out drive.report
+    soil-env logs drive --map drive.map.yaml --out drive.report
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ import yaml
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
-from soil_env_agents.extras import needing
 
-with needing("logs", "record_bag.py"):
+try:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
+except ImportError:
+    raise SystemExit("record_bag.py needs the extra logs: pip install 'soil_env[logs]'") from None
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
