@@ -41,7 +41,7 @@ def trace(
 ) -> tuple[dict[str, np.ndarray], str]:
     """One course driven by `controller`: arrays over time, and the cause of its end."""
     rows = []
-    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model):
+    for w, _ in drive(controller, scenario, seed, course, 1, threads=1, model=model, warnings=True):
         s = {name: float(w.state[name][0]) for name in ("x", "slip", "sinkage", "bearing_sinkage")}
         soil, grade, _ = ground_at(w.courses, 0, s["x"], 0, scenario.course.border)
         same = sinkage_coefficient_at(soil, scenario.belief.sinkage_exponent, s["bearing_sinkage"])

@@ -1,4 +1,4 @@
-"""Train the probability of immobilisation that is shipped in soil_env/identification/immobilisation.json.
+"""Train the probability of immobilisation that is shipped in soil_env/identification/online/immobilisation.json.
 
 Drives of several families of drivers over the scenarios are recorded, and a network learns two hazards from them: to be
 immobilised within 3 s, and within 5 s if not before (discrete hazards, Gensheimer & Narasimhan 2019, PeerJ 7:e6257).
@@ -7,7 +7,7 @@ docs/results/warning.json has what it is worth: area under the ROC curve 0.92, a
 
 Examples:
   python -m agents.warning --out /tmp/w.json --smoke                  a minute, weights without meaning
-  python -m agents.warning --out soil_env/identification/immobilisation.json
+  python -m agents.warning --out soil_env/identification/online/immobilisation.json
 """
 
 from __future__ import annotations
@@ -30,14 +30,21 @@ from soil_env.identification.online.immobilisation import (
     SCALES,
     ImmobilisationWarning,
     Network,
+    score_inputs,
 )
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
-from soil_env.slip import rim_speeds
 
 from .cli import needing_training
-from .controllers import Controller, make_controller
-from .controllers.soil import BestSlipIdentified
+from .controllers import (
+    BestSlipIdentified,
+    ConstantSpeed,
+    Controller,
+    FullThrottle,
+    SlipLimiter,
+    SoftStart,
+    make_controller,
+)
 from .evaluate.driving import drive
 from .evaluate.warning import KEPT, RELEASE
 from .progress import show
@@ -54,75 +61,57 @@ _STUCK = [cause.value for cause in IMMOBILISED]
 
 # --- drivers ----------------------------------------------------------------------------------------------------------
 
+FAMILIES = ("constant_speed", "soft_start", "slip", "random_speed", "random_throttle", "full_throttle", "best_slip")
+#: Families that somebody might drive with. The random ones bring the wheel into states that good drivers avoid.
+DRIVERS = tuple(name for name in FAMILIES if not name.startswith("random"))
+_AT_ONCE = 100.0  # [m/s2]: no ramp
 
-class Drawn(Controller):
-    """A blind driver of one family whose settings are drawn for each course.
 
-    constant_speed: a rim speed. soft_start: a rim speed that rises from rest up to a cap, after every halt anew. slip:
-    the rim speed of a slip, between a start and a cap. random_speed: rim speeds drawn anew every now and then, some
-    backwards; random_throttle: the same of the torque. The random ones bring the wheel into states that good drivers
-    avoid.
-    """
+class Random(Controller):
+    """Rim speeds drawn anew every 0.3 to 5 s on average, one in ten backwards; with `throttle` torques."""
 
-    def __init__(self, scenario: Scenario, family: str, rng: np.random.Generator, count: int):
+    def __init__(self, scenario: Scenario, rng: np.random.Generator, count: int, throttle: bool):
         super().__init__(scenario)
-        self.family, self.rng = family, rng
-        self.cap = rng.uniform(0.3, 0.95, count)  # all three in shares of the top rim speed
-        self.start = rng.uniform(0.05, 0.4, count)
-        self.level = rng.uniform(0.05, 0.9, count)
-        self.rate = np.exp(rng.uniform(np.log(0.04), np.log(0.7), count)) * self.period  # of a ramp, a control period
-        self.slip = rng.uniform(0.05, 0.7, count)
-        self.mean = np.exp(rng.uniform(np.log(0.3), np.log(5.0), count))  # [s] between two random levels
+        self.rng, self.throttle, self.level = rng, throttle, rng.uniform(0.0, 1.0, count)
+        self.mean = np.exp(rng.uniform(np.log(0.3), np.log(5.0), count))  # [s]
 
     def beside(self, batch):
-        """Lines to choose: either with equal chance for the random families."""
-        return self.rng.random(len(batch)) < 0.5 if self.family.startswith("random") else super().beside(batch)
+        """Either line with equal chance."""
+        return self.rng.random(len(batch)) < 0.5
 
     def rim_speed(self, observation, state):
-        """Rim speeds to follow [m/s]."""
-        if self.family == "soft_start":
-            resting = state["fresh"] | self.halted(observation)
-            state["ramp"] = np.where(resting, 0.0, np.minimum(state.get("ramp", 0.0) + self.rate, self.cap))
-            return state["ramp"] * self.top_speed
-        if self.family == "slip":
-            speed = np.maximum(observation[:, self.column["speed"]], 0.0)
-            wanted = rim_speeds(speed, self.slip) + 0.2 * self.start
-            return np.clip(wanted, self.start, np.maximum(self.cap, self.start)) * self.top_speed
-        if self.family.startswith("random"):
-            backwards, new = self.rng.random((2, len(self.level)))
-            change = self.rng.random(len(self.level)) < self.period / self.mean
-            self.level = np.where(change, np.where(backwards < 0.1, -0.4, new), self.level)
+        """The level of this control period, of the top rim speed."""
+        backwards, new, change = self.rng.random((3, len(self.level)))
+        drawn = np.where(backwards < 0.1, -0.4, new)
+        self.level = np.where(change < self.period / self.mean, drawn, self.level)
         return self.level * self.top_speed
 
     def command(self, batch, rim_speed, state):
-        """Actions that follow the rim speeds, or the levels as torques."""
-        if self.family == "random_throttle":
+        """Actions that follow the rim speed, or the level itself."""
+        if self.throttle:
             return (rim_speed / self.top_speed).astype(np.float32)[:, None]
         return super().command(batch, rim_speed, state)
 
 
-class BestSlip(BestSlipIdentified):
-    """The rim speed of the best slip on the identified soil, at once, with no ramp."""
-
-    def rim_speed(self, observation, state):
-        """V/(1 - i) with the measured V and a lead, between 10 and 40 % of the top rim speed."""
-        speed = np.maximum(observation[:, self.column["speed"]] * self.top_speed, 0.0)
-        slip, start = np.minimum(self.target_slip(observation, state), 0.95), 0.1 * self.top_speed
-        return np.clip(rim_speeds(speed, slip) + 0.2 * start, start, 4.0 * start)
-
-
-FAMILIES = ("constant_speed", "soft_start", "slip", "random_speed", "random_throttle", "full_throttle", "best_slip")
-#: Families that somebody might drive with.
-DRIVERS = tuple(name for name in FAMILIES if not name.startswith("random"))
-
-
 def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int) -> Controller:
-    """A driver of a family for `count` courses; `seed` draws its settings."""
-    if family == "full_throttle":
-        return make_controller(family, scenario)
-    if family == "best_slip":
-        return BestSlip(scenario)
-    return Drawn(scenario, family, np.random.default_rng([*seed, FAMILIES.index(family)]), count)
+    """A driver of a family, each of `count` courses with settings of its own that `seed` draws."""
+    rng, top = np.random.default_rng([*seed, FAMILIES.index(family)]), make_controller("soft_start", scenario).top_speed
+    share = lambda low, high: rng.uniform(low, high, count) * top  # noqa: E731
+    start = share(0.05, 0.4)
+    match family:
+        case "constant_speed":
+            return ConstantSpeed(scenario, speed=share(0.05, 0.9))
+        case "soft_start":
+            rate = np.exp(rng.uniform(np.log(0.04), np.log(0.7), count)) * top
+            return SoftStart(scenario, acceleration=rate, speed=share(0.2, 0.95))
+        case "slip":
+            cap, slip = np.maximum(share(0.3, 0.95), start), rng.uniform(0.05, 0.7, count)
+            return SlipLimiter(scenario, slip=slip, start=start, acceleration=_AT_ONCE, speed=cap)
+        case "best_slip":
+            return BestSlipIdentified(scenario, start=0.1 * top, acceleration=_AT_ONCE, speed=0.4 * top)
+        case "full_throttle":
+            return FullThrottle(scenario)
+    return Random(scenario, rng, count, family == "random_throttle")
 
 
 # --- drives -----------------------------------------------------------------------------------------------------------
@@ -223,8 +212,6 @@ def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Ne
 
 def probabilities(network: Network, found: Drives) -> np.ndarray:
     """Probability within the longer horizon [periods, courses]; 0 where a course has ended."""
-    from soil_env.identification.online.immobilisation import score_inputs
-
     out = np.zeros(found.alive.shape)
     out[found.alive] = score_inputs(found.inputs[found.alive], network)[:, -1]
     return out
@@ -261,7 +248,7 @@ def train(courses: int, tuning: int, share: float, epochs: int) -> dict:
     alarm = round(threshold([probabilities(network, found) for found in tests], tests), 4)
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and {HORIZONS[1]:g} s of driving",
-        "command": "python -m agents.warning --out soil_env/identification/immobilisation.json",
+        "command": "python -m agents.warning --out soil_env/identification/online/immobilisation.json",
         "scales": list(SCALES),
         "version": soil_env.__version__,
         "scenarios": list(SCENARIOS),

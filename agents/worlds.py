@@ -55,11 +55,6 @@ class SeveralWorlds(VecEnv):
         super().__init__(sum(p.num_envs for p in self.parts), first.observation_space, first.action_space)
         self._ends = np.cumsum([p.num_envs for p in self.parts])
 
-    @property
-    def seconds(self) -> float:
-        """Spent in `step_wait`."""
-        return sum(p.seconds for p in self.parts)
-
     def reset(self) -> np.ndarray:
         """New courses for all wheels."""
         return np.concatenate([p.reset() for p in self.parts])

@@ -133,7 +133,7 @@ def _used(log: dict, scenario: Scenario) -> int:
 
 
 def derivatives(log: dict, scenario: Scenario) -> np.ndarray:
-    """Of the readings [T, unknowns, 10] by soils, grades, borders and mass, over the noise."""
+    """Derivatives of the readings [T, unknowns, 10] by soils, grades, borders and mass, over the noise."""
     p, mass = _used(log, scenario), float(log["mass"][0])
     soils, centre = log["soils"][:p], unknowns(log["soils"][:p], scenario)
     step = np.tile(_STEP, (p, 1))

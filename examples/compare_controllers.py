@@ -4,7 +4,7 @@
     python examples/compare_controllers.py --scenario field_vehicle --courses 1000 --out compared.png
 
 The slip and speed controllers are tuned first, on courses of their own. The picture shows how often each controller
-gets stuck and how often it finishes. `soil-env-evaluate` does the same for trained agents and for classes of
+gets stuck and how often it finishes. `soil-env evaluate` does the same for trained agents and for classes of
 your own, with resume, many processes and a report.
 """
 

@@ -37,7 +37,8 @@ def main() -> None:
     env = gymnasium.make(
         "soil_env:SoilRover-v0",
         rover=options.rover,
-        observation="blind",  # nothing is read but `info`
+        observation="blind",
+        info="full",  # with what is identified
         action="wheel_speed",
         render_mode="rgb_array" if options.out else None,
     )

@@ -1,10 +1,10 @@
-"""Find what the model is missing in a table of measurements, and draw the gap before and after.
+"""Find the effect that the base model lacks in a measurement table, and draw the gap before and after.
 
     python examples/find_missing_effect.py                            examples/data/rig.csv
     python examples/find_missing_effect.py my.csv --setup my.yaml --out gap.png
 
-Prints the effect that is named, how probable it and its rivals are, and how far the gap closes; writes model.yaml, the
-corrected model, beside the picture. `python -m soil_env.discrepancy` does the same with a whole report.
+Prints the named effect, the probabilities of it and its rivals, and the gap before and after. Writes the corrected
+model, model.yaml, beside the picture. `soil-env discover` does the same with a whole report.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Identify a soil from a table of measurements, and draw how well it explains them.
+"""Identify a soil from a measurement table, and draw measured and fitted points.
 
     python examples/identify_soil.py                                  examples/data/single_wheel.csv
     python examples/identify_soil.py my.csv --setup my.yaml --out soil.png

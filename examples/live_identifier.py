@@ -1,7 +1,7 @@
 """Identify the soil while a rover drives: one JSON object of readings a line, from stdin or by UDP, estimates out.
 
-It stands for a ROS 2 node where there is no ROS (docs/logs.md has the node): the same call for each message. Readings
-are named as in `soil_env.online.Readings`, in SI units; what is not measured is left out.
+A ROS 2 node makes the same call for each message. The names are those of `soil_env.online.Readings`, in SI units;
+readings that are not measured are left out.
 
 Examples:
     python examples/live_identifier.py                   a rover in the simulator sends its readings by UDP
@@ -27,7 +27,7 @@ SCENARIO = load_scenario("mixed")
 
 
 def identify(lines: Iterable[str]) -> tuple[int, OnlineIdentifier]:
-    """The whole node: readings in, renewed estimates out. Returns how many readings there were."""
+    """Print renewed estimates; return the number of readings, and the identifier."""
     identifier, count = OnlineIdentifier.of_scenario(SCENARIO), 0
     for line in lines:
         try:
@@ -54,7 +54,7 @@ def datagrams(port: socket.socket, quiet: float) -> Iterator[str]:
 
 
 def rover(steps: int, seed: int) -> Iterator[str]:
-    """Readings of a drive of SoilWheel-v0 as JSON, of those sensors that most rovers have: no pull, no load."""
+    """Readings of a drive of SoilWheel-v0 as JSON, of the sensors of most rovers: no pull, no load."""
     import gymnasium
 
     env = gymnasium.make("soil_env:SoilWheel-v0", scenario=SCENARIO, action="torque", scaled=False).unwrapped

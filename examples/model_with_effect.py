@@ -3,8 +3,8 @@
     python examples/model_with_effect.py
     python examples/model_with_effect.py --courses 500 --out bulldozing.png
 
-The soil that a wheel pushes ahead of it (bulldozing) takes drawbar pull: the picture shows pull and sinkage over slip
-with and without. The same model then becomes a world of which neither identifier nor controller knows.
+Soil pushed ahead of the wheel (bulldozing) reduces the drawbar pull. The picture shows pull and sinkage over slip with
+and without it. The same model is then a world unknown to identifier and controller.
 """
 
 import argparse

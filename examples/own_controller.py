@@ -1,7 +1,7 @@
 """Write a controller of your own, and see it on a course beside full throttle.
 
     python examples/own_controller.py
-    soil-env-evaluate --controllers soft_start,careful=examples.own_controller:Careful --out evaluation
+    soil-env evaluate --controllers soft_start,careful=examples.own_controller:Careful --out evaluation
 
 The picture has a column for each of the two on the same course: grade, slip, sinkage, and the soil as identified. The
 second command, from the root of the repository, compares the class with others on 1000 courses.
@@ -18,12 +18,12 @@ from soil_env_agents.plots import course_figure
 
 
 class Careful(Controller):
-    """Turns the wheel the slower, the steeper the ground and the deeper the rut.
+    """A rim speed that falls with the slope and with the depth of the rut.
 
-    The base makes torque of a rim speed. Any class with `variant` and `predict` will do instead, see agents.evaluate.
+    The base follows the rim speed. Any other class with `variant` and `predict` can be evaluated too.
     """
 
-    variant = "identified"  # the observation it reads
+    variant = "identified"  # observation that the controller reads
 
     def rim_speed(self, observation, state):
         """Rim speed [m/s] of each wheel [n] for observations [n, D]; `state` may keep arrays [n] between calls."""

@@ -1,4 +1,4 @@
-"""A task of your own: a soil that no preset has, another wheel, longer courses.
+"""An own task: a soil that no preset has, another wheel, longer courses.
 
     python examples/own_soil.py
     python examples/own_soil.py --phi 24 --shear-modulus 0.03 --out softer.png
@@ -56,8 +56,8 @@ def main() -> None:
         over, steps = terminated or truncated, steps + 1
     matplotlib.image.imsave(options.out, env.render())
     found = info["estimate"]
-    told = f"{found['friction_angle_deg']:.1f} +- {found['friction_angle_sd_deg']:.1f} deg, {found['status']}"
-    print(f"{info['cause']} at {info['state']['x']:.2f} m; identified {told}")
+    soil = f"{found['friction_angle_deg']:.1f} +- {found['friction_angle_sd_deg']:.1f} deg, {found['status']}"
+    print(f"{info['cause']} at {info['state']['x']:.2f} m; identified {soil}")
     print(f"written: {options.out}, beach.yaml")
 
 

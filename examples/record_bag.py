@@ -1,9 +1,9 @@
 """Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
 
-The bag has what a rover's would: JointState (wheel speed and torque), Odometry (travel speed), WrenchStamped (drawbar
-pull and load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). What the
-identifier makes of the bag is what it made of the same readings while driving. `soil-env logs BAG --map MAP --out DIR`
-reads it likewise and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed), WrenchStamped (drawbar
+pull, load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
+estimates from the bag equal those of the drive. `soil-env logs BAG --map MAP --out DIR` reads it too and writes a
+report. Needs `pip install "soil_env[logs]"`, no ROS.
 
 Examples:
     python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml
@@ -25,12 +25,11 @@ import yaml
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
+from soil_env_agents.extras import needing
 
-try:
+with needing("logs", "record_bag.py"):
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
-except ImportError:
-    raise SystemExit("record_bag.py needs the extra logs: pip install 'soil_env[logs]'") from None
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types

@@ -1,10 +1,10 @@
-"""Many wheels in one call: how far each gets under a constant torque.
+"""Many wheels in one call: the end of each course under a constant torque.
 
     python examples/vector_env.py
     python examples/vector_env.py --wheels 4096 --steps 2000
 
-Prints steps a second and how the courses ended, and draws where they ended: a constant torque digs in at the start or
-later, hardly any wheel finishes.
+Prints the steps a second and the causes of the ends, and draws the places of the ends. Under a constant torque hardly
+any wheel finishes.
 """
 
 import argparse

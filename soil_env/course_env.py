@@ -1,4 +1,4 @@
-"""What all environments of a course have in common: one course, or many side by side. Orchestration only."""
+"""Common base of the environments of a course: one course, or many side by side. Orchestration only."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Sequence
 from numbers import Integral
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -17,11 +17,16 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
+from soil_env.driving.core import Vehicles
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
 
+if TYPE_CHECKING:
+    from soil_env.rendering.view import CourseView
+
 _RUNNING = Cause.RUNNING.value
+_ONLY, _NONE = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
 
 
 def check_count(name: str, count: object) -> None:
@@ -76,30 +81,12 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     return a.clip(-1.0, 1.0)
 
 
-class View(Protocol):
-    """What draws a course."""
-
-    def clear(self) -> None:
-        """Forget the history."""
-
-    def record(self, simulation: Any, k: int) -> None:
-        """Add the present state to the history."""
-
-    def draw(self, simulation: Any, k: int) -> NDArray[np.uint8] | None:
-        """A frame, or none where it went to a window."""
-
-    def close(self) -> None:
-        """Close the window."""
-
-
 class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
-    """Base of the environments of one course; a subclass says what is simulated, told and drawn.
-
-    It sets `simulation` (with `seed`, `restart`, `worlds`) on construction.
-    """
+    """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes the view."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
-    simulation: Any
+    simulation: Vehicles
+    infos: Any
 
     def __init__(
         self,
@@ -123,29 +110,18 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self._shape: tuple[int, ...] = actions.shape
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / scenario.control.duration))}
-        self._renderer: View | None = None
+        self._renderer: CourseView | None = None
         self._seeded = False
         self._over = True
         self._spec: EnvSpec | None = None
 
     @abstractmethod
-    def _act(self, action: NDArray[np.float64]) -> None:
-        """One step with an action that is checked."""
-
-    @abstractmethod
-    def _info(self) -> dict[str, Any]:
-        """Info of now."""
-
-    @abstractmethod
-    def _new_view(self, mode: str) -> View:
-        """What draws, in this mode."""
-
-    def _begun(self) -> None:
-        """After a reset."""
+    def _new_view(self, mode: str) -> CourseView:
+        """A view in this mode."""
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make` was given, with the length of an episode, which wrappers ask for."""
+        """Spec of `gymnasium.make` with the length of an episode, which wrappers ask for."""
         return self._spec
 
     @spec.setter
@@ -168,19 +144,21 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._seeded = True
         self.simulation.restart(0)
         self._over = False
-        self._begun()
+        self.infos.renew(_ONLY)
         if self.render_mode is not None:
             self._view().clear()
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
-        return self.scaling(self.simulation.worlds.observation[0]), self._info()
+        return self.scaling(self.simulation.worlds.observation[0]), self.infos.one(0)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
         if self._over:
             raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
-        self._act(actions_of(action, self._shape))
+        commands = actions_of(action, self._shape)
+        self.simulation.step(0, commands if commands.size > 1 else commands.item())
+        self.infos.follow(_NONE)
         worlds = self.simulation.worlds
         cause = Cause(worlds.cause[0])
         self._over = cause != Cause.RUNNING
@@ -189,7 +167,7 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             if self.render_mode == "human":
                 self.render()
         seen = self.scaling(worlds.observation[0])
-        return seen, float(worlds.reward[0]), self._over, False, self._info()
+        return seen, float(worlds.reward[0]), self._over, False, self.infos.one(0)
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""
@@ -214,7 +192,7 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._renderer.close()
             self._renderer = None
 
-    def _view(self) -> View:
+    def _view(self) -> CourseView:
         if self._renderer is None:
             assert self.render_mode is not None
             self._renderer = self._new_view(self.render_mode)
@@ -222,14 +200,11 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
 
 class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """Base of the environments of many courses; a subclass says what is simulated and told.
+    """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and `infos`."""
 
-    It sets `scenario` and `simulation` (with `seed`, `restart_where`, `worlds`) on construction.
-    """
-
-    simulation: Any
+    simulation: Vehicles
     scenario: Any
-    _tells: bool  # whether there is any info
+    infos: Any
 
     def __init__(
         self,
@@ -270,25 +245,6 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         # [control periods] after which an episode is truncated
         self._longest = np.inf if self._most_steps is None else self._most_steps * held
 
-    @abstractmethod
-    def _act(self, actions: NDArray[np.float64], what: NDArray[np.int8]) -> None:
-        """One step with actions that are checked, or a restart, as `what` says."""
-
-    @abstractmethod
-    def _steps(self) -> NDArray[np.int64]:
-        """Control periods since the reset [N]."""
-
-    @abstractmethod
-    def _infos(self) -> dict[str, Any]:
-        """Info of now."""
-
-    @abstractmethod
-    def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        """Info of the courses that have `ended` [N], before they are reset."""
-
-    def _renew(self, which: NDArray[np.bool_]) -> None:
-        """After the reset of the courses `which` [N]."""
-
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -303,11 +259,11 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
                 self._rngs[k] = rng
         self.simulation.restart_where(mask)
         self._done[mask] = False
-        self._renew(mask)
-        return self.scaling(self.simulation.worlds.observation), self._infos()
+        self.infos.renew(mask)
+        return self.scaling(self.simulation.worlds.observation), self.infos.many()
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        """[N] which courses are reset."""
+        """Courses that are reset [N] bool."""
         if options is not None and not isinstance(options, dict):
             raise ValueError(f"reset options = {options!r:.80}: expected a dictionary")
         options = dict(options or {})
@@ -344,18 +300,19 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         worlds = self.simulation.worlds
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
             raise gymnasium.error.ResetNeeded("a course has ended: reset(options={'reset_mask': ...}) it first")
-        self._act(commands, self._done.view(np.int8))  # True restarts
+        self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
+        self.infos.follow(self._done)
         terminated = worlds.cause != _RUNNING
-        truncated = ~terminated & (self._steps() >= self._longest)
+        truncated = ~terminated & (self.simulation.steps >= self._longest)
         np.logical_or(terminated, truncated, out=self._done)
         reward = worlds.reward.copy()
         finals: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._done.any():
             finals = self._finals()
             self.simulation.restart_where(self._done)
-            self._renew(self._done)
+            self.infos.renew(self._done)
             self._done[:] = False
-        return self.scaling(worlds.observation), reward, terminated, truncated, self._infos() | finals
+        return self.scaling(worlds.observation), reward, terminated, truncated, self.infos.many() | finals
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""
@@ -368,6 +325,6 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         for k in np.flatnonzero(ended):
             final[k] = self.scaling(worlds.observation[k])
         out: dict[str, Any] = {"final_obs": final, "_final_obs": ended}
-        if self._tells:
-            out |= {"final_info": self._final_infos(ended), "_final_info": ended.copy()}
+        if self.infos.kind != "none":
+            out |= {"final_info": self.infos.final(ended), "_final_info": ended.copy()}
         return out

@@ -1,4 +1,4 @@
-"""What courses are drawn from, and what a camera sees of them: frozen dataclasses in SI units, part of a `Scenario`."""
+"""Distribution of courses, and errors of the camera: frozen dataclasses in SI units, part of a `Scenario`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class CourseSpec(Checked):
     The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
     at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
 
-    With `classes` the ground is of that many terrain classes, which a camera tells apart (`Camera`). What soil a class
-    is, is drawn anew for every course; its patches scatter about it by `class_scatter` of the scenario's spread. The
+    With `classes` the ground is of that many terrain classes, which a camera can distinguish (`Camera`). The soil of a
+    class is drawn anew for every course; its patches scatter about it by `class_scatter` of the scenario's spread. The
     first patches show each class once. With `lines` = 2 the wheel may go on along one of two lines over each patch
     after those, of different classes and each with a grade of its own. It is halted `halt_before` the border, and the
     sign of the action at the end of a halt chooses: below 0 the line beside, else the one straight ahead. On a share
@@ -74,7 +74,7 @@ class CourseSpec(Checked):
 
 @dataclass(frozen=True)
 class Camera(Checked):
-    """What a camera on the rover tells of the ground ahead where it has terrain classes (`CourseSpec.classes`).
+    """Camera on the rover, which sees the ground ahead if it has terrain classes (`CourseSpec.classes`).
 
     It sees the class of each line, which is wrong with probability `label_error`, the grade, and how far off the border
     is. Label and grade of a patch are read from its look: they are wrong in the same way in every image. The distance

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
@@ -20,10 +19,12 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
+if TYPE_CHECKING:
+    from soil_env.rendering.view import CourseView
+
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "observation_space"]
 #: Keywords that are no part of a scenario.
 _OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
-_ONLY = np.ones(1, dtype=np.bool_)
 
 
 def build_scenario(
@@ -120,11 +121,11 @@ class SoilWheelEnv(CourseEnv):
     | 10 | halted | 0 or 1 | 0 | 1 |
     | 11 | motor_torque | of weight x radius | -10 | 10 |
     | 12 | acceleration | of gravity, accelerometer along the course: of travel, and sin(grade) | -10 | 10 |
-    | 13 | rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
+    | 13 | rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
 
     Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an episode
     (`noise={"odometry_scale": ...}`, 1.5 %): its difference over an action is the mean of the readings in it, of which
-    `speed` is the last. With `repeat` 1 both are the same reading, which tells the scale.
+    `speed` is the last. With `repeat` 1 both are the same reading, which gives the scale away.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from those readings:
 
@@ -239,8 +240,8 @@ class SoilWheelEnv(CourseEnv):
     | TIME_LIMIT | neither finished nor immobilised in `control={"time_limit": ...}` (90 s) |
 
     No progress: 10 s, halts left out, without getting 0.1 m further than ever before, whatever the wheel does (spin,
-    stand, rock, creep back); or 0.5 m behind the start. Never truncated, but by a wrapper of yours: being late costs
-    what being stuck costs.
+    stand, rock, creep back); or 0.5 m behind the start. Episodes are never truncated. Running out of time costs as
+    much as getting stuck.
 
     ## Info
     | key | content |
@@ -298,22 +299,10 @@ class SoilWheelEnv(CourseEnv):
         super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
         info = checked(info, observation)
-        self.infos: Infos = Infos(self.scenario, info, 1)
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
+        self.infos: Infos = Infos(self.simulation, info)
 
-    def _act(self, action: NDArray[np.float64]) -> None:
-        self.simulation.step(0, action.item(0))
-        changed = self.simulation.worlds.changed
-        if changed is not None and changed[0]:
-            self._begun()
-
-    def _begun(self) -> None:
-        self.infos.renew(self.simulation.worlds, _ONLY)
-
-    def _info(self) -> dict[str, Any]:
-        return self.infos.one(self.simulation.worlds, 0)
-
-    def _new_view(self, mode: str) -> View:
+    def _new_view(self, mode: str) -> CourseView:
         from soil_env.rendering.side_view import Renderer
 
         return Renderer(self.scenario, mode)

@@ -85,7 +85,7 @@ class Noise(Checked):
     Odometry integrates the readings of the speed sensor, with their noise, times a scale that is drawn once a course,
     of the order that visual odometry of rovers is off by (Maimone, Cheng & Matthies 2007, J. Field Robotics
     24:169-186). The speed sensor has no such scale, so whoever sees all its readings (an action a control period,
-    `repeat` 1) can tell the scale and is left with the place that the speeds add up to.
+    `repeat` 1) can find the scale and is left with the place that the speeds add up to.
     """
 
     slip: float = quantity("", 0.0, 1.0, default=0.01)

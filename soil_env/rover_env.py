@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from soil_env.course_env import CourseEnv, View, scenario_changes
+from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.core import asks_for_estimates
 from soil_env.driving.infos import asks, checked
 from soil_env.driving.rover_infos import RoverInfos
@@ -21,6 +20,9 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
 __all__ = ["SoilRoverEnv", "build_rover", "rover_action_space"]
+
+if TYPE_CHECKING:
+    from soil_env.rendering.view import CourseView
 
 _OWN = ("rover", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 
@@ -98,7 +100,7 @@ class SoilRoverEnv(CourseEnv):
     | 10 | front_rim_speed | of top rim speed | -5 | 5 |
     | 11 | front_motor_torque | of weight x radius | -10 | 10 |
     | 12 | front_last_action | - | -1 | 1 |
-    | 13 | front_rim_command | of top rim speed, what the drive is told to follow; 0 with "torque" | -1 | 1 |
+    | 13 | front_rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
 
     With two axles the same of the rear one follow as 14 to 22, `rear_slip` to `rear_rim_command`. With three they are
     those of the middle one, `middle_slip` to `middle_rim_command`, and those of the rear one are 23 to 31.
@@ -170,7 +172,7 @@ class SoilRoverEnv(CourseEnv):
 
     No progress: 10 s, halts left out, in which x gets not `no_progress_distance` further than ever before; or 0.5 m
     behind the start. A wheel that is stuck is no end as long as the others get the rover on. Distances and times that
-    are not named here are in the rover's file. Never truncated, but by a wrapper of yours.
+    are not named here are in the rover's file. Episodes are never truncated.
 
     ## Info
     | key | content |
@@ -223,13 +225,7 @@ class SoilRoverEnv(CourseEnv):
         self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
-    def _act(self, action: NDArray[np.float64]) -> None:
-        self.simulation.step(0, action)
-
-    def _info(self) -> dict[str, Any]:
-        return self.infos.one(0)
-
-    def _new_view(self, mode: str) -> View:
+    def _new_view(self, mode: str) -> CourseView:
         from soil_env.rendering.rover_view import RoverRenderer
 
         return RoverRenderer(self.scenario, mode)

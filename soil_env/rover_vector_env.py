@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from soil_env.course_env import CourseVectorEnv
 from soil_env.driving.core import asks_for_estimates
@@ -60,17 +58,3 @@ class SoilRoverVectorEnv(CourseVectorEnv):
             self.num_envs, self.scenario, observation, threads, load_model(model), wanted
         )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
-        self._tells = info != "none"
-
-    def _act(self, actions: NDArray[np.float64], what: NDArray[np.int8]) -> None:
-        self.simulation.step_all(actions, what)
-
-    def _steps(self) -> NDArray[np.int64]:
-        steps: NDArray[np.int64] = self.simulation.worlds.rovers.body_counts["steps"]
-        return steps
-
-    def _infos(self) -> dict[str, Any]:
-        return self.infos.many()
-
-    def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        return self.infos.final(ended)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from soil_env.course_env import CourseVectorEnv
 from soil_env.driving.infos import Infos, asks, checked
@@ -61,29 +59,9 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
         self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
-        self.infos: Infos = Infos(self.scenario, checked(info), self.num_envs)
-        self._tells = info != "none"
-        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and self._tells and observation == "identified"
-        self._follow = finals or asks(info)  # True if the traversability is asked for
+        info = checked(info)
+        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and info != "none" and observation == "identified"
         self.simulation: Simulation = Simulation(
-            self.num_envs, self.scenario, observation, threads, load_model(model), self._follow
+            self.num_envs, self.scenario, observation, threads, load_model(model), finals or asks(info)
         )
-
-    def _act(self, actions: NDArray[np.float64], what: NDArray[np.int8]) -> None:
-        self.simulation.step_all(actions[:, 0], what)
-        if self._follow:
-            self.infos.renew(self.simulation.worlds, self.simulation.worlds.changed | self._done)
-
-    def _steps(self) -> NDArray[np.int64]:
-        steps: NDArray[np.int64] = self.simulation.worlds.counts["steps"]
-        return steps
-
-    def _infos(self) -> dict[str, Any]:
-        return self.infos.many(self.simulation.worlds)
-
-    def _final_infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
-        return self.infos.final(self.simulation.worlds, ended)
-
-    def _renew(self, which: NDArray[np.bool_]) -> None:
-        if self._follow:
-            self.infos.renew(self.simulation.worlds, which)
+        self.infos: Infos = Infos(self.simulation, info)

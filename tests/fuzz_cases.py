@@ -75,7 +75,7 @@ def _pair(choices: Random, low: float, high: float) -> list[float]:
 
 
 def _within(c: Random, f: dataclasses.Field) -> float:
-    """A number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
+    """Draw a number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
     low, high = f.metadata["low"], f.metadata["high"]
     return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
 
@@ -116,7 +116,7 @@ def _scenario(c: Random, most_substeps: int) -> dict:
 
 
 def _belief(c: Random) -> dict:
-    """A prior of the identifier, sometimes with a library of soils."""
+    """Draw a prior of the identifier, sometimes with a library of soils."""
     out = _half(c, Belief, CONTRADICTING)
     if c.pick([True, False, False]):
         names = sorted(soils())
@@ -126,7 +126,7 @@ def _belief(c: Random) -> dict:
 
 
 def _wheel(c: Random, gravity: float):
-    """The name of a preset, a wheel of any size, or None for that of the scenario."""
+    """Return the name of a preset, a wheel of any size, or None for that of the scenario."""
     kind = c.pick(["scenario", "preset", "any", "any"])
     if kind == "scenario":
         return None

@@ -72,7 +72,7 @@ class Ledger(NamedTuple):
 
 
 def ledger(before: WheelState, worlds, scenario) -> Ledger:
-    """The balance of the last control period; `before` is a copy of the state [wheels] from before it."""
+    """Balance of the last control period; `before` is a copy of the state [wheels] from before it."""
     after, r, inertia = worlds.state, scenario.wheel.radius, scenario.wheel.inertia
     substeps = math.ceil(scenario.control.period / scenario.control.substep - 1e-9)
     h = scenario.control.period / substeps

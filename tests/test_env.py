@@ -402,8 +402,8 @@ def test_traversability_never_uses_the_true_soil(monkeypatch):
     run(env, 2, 40)
 
     def warning():
-        env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
-        return env.infos.one(env.simulation.worlds, 0)["traversability"]
+        env.infos.renew(np.ones(1, dtype=bool))
+        return env.infos.one(0)["traversability"]
 
     before = warning()
     env.simulation.worlds.courses.soils[:] *= 0.5
@@ -427,13 +427,13 @@ def test_extreme_estimates_do_not_stop_the_episode():
     env.reset(seed=0)
     for corner in np.array(np.meshgrid(*zip(lower, upper, strict=True))).T.reshape(-1, 3):
         env.simulation.worlds.ids.estimate[0] = [*corner, 2e5 * (corner[0] > 1.0), 3.0 if corner[1] > -3.0 else -3.0]
-        env.infos.renew(env.simulation.worlds, np.ones(1, dtype=bool))
+        env.infos.renew(np.ones(1, dtype=bool))
         assert all(
             math.isfinite(v)
-            for k, v in env.infos.one(env.simulation.worlds, 0)["traversability"].items()
+            for k, v in env.infos.one(0)["traversability"].items()
             if k in ("best_slip",)
         )
-        assert not math.isnan(env.infos.one(env.simulation.worlds, 0)["traversability"]["drawbar_margin"])
+        assert not math.isnan(env.infos.one(0)["traversability"]["drawbar_margin"])
 
 
 def test_true_soil_is_that_of_the_course():

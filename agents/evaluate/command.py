@@ -21,7 +21,7 @@ from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
 from .evaluation import Evaluation
-from .tuning import trials_in_all, tuned_settings
+from .tuning import tuned_settings
 
 _TUNING_COURSES = 200  # as train.py
 _TUNING = "tuning.log"  # trials of a tuning that is not finished
@@ -70,7 +70,7 @@ def command(
         evaluation.check_controllers(asked)
     else:
         source = click.get_current_context().get_parameter_source
-        if keys or any(source(name) != ParameterSource.DEFAULT for name in given):
+        if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         asked = cells.load_study(Evaluation, resume)
         evaluation.check_controllers(asked)
@@ -103,6 +103,9 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
             raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
     if options.tuning_courses and options.seed == TUNING_SET:
         raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+    tuning = options.tuning_courses
+    if tuning is None:
+        tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, settings)
     with as_options():
@@ -113,22 +116,10 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
             seed=options.seed,
             block=options.block,
             resamples=options.resamples,
-            tuning_courses=_tuning_courses(options),
+            tuning_courses=tuning,
             oracle_courses=options.oracle_courses,
             model=WheelSoilModel.load(options.model).content() if options.model else {},
         )
-
-
-def _tuning_courses(options) -> int:
-    """The option, else its default."""
-    if options.tuning_courses is not None:
-        return options.tuning_courses
-    return min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
-
-
-def _untuned(controllers: dict[str, contestants.Contestant]) -> list[str]:
-    """Names of the classical controllers that tuning is for: those without --settings and under their own name."""
-    return [c.name for c in controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
 
 
 def _begin(asked: Evaluation, folder: Path) -> Evaluation:
@@ -141,12 +132,12 @@ def _begin(asked: Evaluation, folder: Path) -> Evaluation:
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
-    """`asked` with the settings of its classical controllers, found before the first course of the comparison."""
-    untuned = _untuned(asked.controllers)
-    if asked.tuned or not (asked.tuning_courses and trials_in_all(untuned, 1)):
+    """`asked` with settings of the classical controllers that have none by --settings, under their own name."""
+    if asked.tuned or not asked.tuning_courses:
         return asked
-    log = folder / _TUNING
-    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, untuned, None, asked.world, log)
+    own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
+    names, log = [c.name for c in own], folder / _TUNING
+    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, model=asked.world, log=log)
     asked = dataclasses.replace(asked, tuned=tuned)
     cells.save_study(asked, folder)
     log.unlink(missing_ok=True)

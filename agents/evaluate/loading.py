@@ -6,6 +6,7 @@ import importlib
 import inspect
 import sys
 import tempfile
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -93,12 +94,9 @@ class _Wrapped:
 
 def describe(error: BaseException) -> str:
     """An exception in one line: its class, its message, and where it was raised."""
-    where, trace = "", error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if file not in (__file__, importlib.__file__) and not file.startswith("<frozen"):  # in their code
-            where = f", {Path(file).name} line {trace.tb_lineno}"
-        trace = trace.tb_next
+    ours = __file__, importlib.__file__
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((*ours, "<frozen"))]
+    where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"
 

@@ -88,12 +88,6 @@ def load_spaces(path: Path | None = None) -> Spaces:
     return load(Spaces, read_yaml(path), path.name)
 
 
-def trials_in_all(names: Iterable[str], courses: int) -> int:
-    """Number of trials on `courses` courses that the named controllers have together."""
-    spaces = load_spaces()
-    return spaces.trials_of(courses) * sum(name in spaces.controllers for name in names)
-
-
 # --- settings that come with the package ------------------------------------------------------------------------------
 
 
@@ -182,7 +176,8 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
     for trial in study.get_trials(states=(running,)):  # of a process that was killed
         study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
     done = len(study.get_trials(states=(complete,)))
-    progress(courses * done, name)
+    if done:
+        progress(courses * done, name)
     for number in range(done, trials):
         study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
         if number == 0:
@@ -205,6 +200,8 @@ def _optuna():
     try:
         import optuna
     except ImportError:
-        raise ParameterError("tuning needs Optuna; expected: pip install 'soil_env[tune]'") from None
+        raise ParameterError(
+            "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
+        ) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -1,7 +1,7 @@
 """Arithmetic of numpy, recorded as an ONNX graph.
 
-A `Traced` array takes part in numpy's functions like an array. What comes out is another one, and a node of the graph
-for each operation. So `agents.history` is run, not written again.
+A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the graph. So
+`agents.history` is run, not written again.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Graph:
         self.names = 0
 
     def name(self) -> str:
-        """A name that nothing has yet."""
+        """A new name."""
         self.names += 1
         return f"v{self.names}"
 
     def input(self, name: str, dtype: str) -> Traced:
-        """A value that is given from outside."""
+        """An input of the graph."""
         return Traced(self, name, np.dtype(dtype))
 
     def constant(self, value, dtype) -> Traced:

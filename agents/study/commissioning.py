@@ -14,6 +14,7 @@ ground: the weight along a slope is not in them.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import shutil
 from dataclasses import dataclass
@@ -222,14 +223,12 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
 
 @dataclass(frozen=True)
 class Steady:
-    """One steady point: means of the readings, their standard errors, and when it was."""
+    """One steady point: means of the readings."""
 
     run: int
     stretch: int
-    start: float  # [s]
     time: float  # [s] of its end
     mean: dict[str, float]
-    error: dict[str, float]
 
 
 def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Steady]:
@@ -248,13 +247,13 @@ def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Ste
         rows = np.flatnonzero((key == k) & log.ran_in)
         windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
         good = [steady(log, w, scenario, plan) for w in windows]
-        best = _longest(good)
-        if best is not None and best[1] - best[0] >= least:
-            inside = np.concatenate(windows[best[0] : best[1]])
+        steady_ones = itertools.groupby(range(len(windows)), key=lambda w: good[w])
+        best = max((list(group) for is_good, group in steady_ones if is_good), key=len, default=[])
+        if best and len(best) >= least:
+            inside = np.concatenate([windows[w] for w in best])
             mean = {n: float(x[inside].mean()) for n, x in log.readings.items()}
-            error = {n: float(x[inside].std(ddof=1) / math.sqrt(inside.size)) for n, x in log.readings.items()}
-            start, end = (float(log.time[inside[i]]) for i in (0, -1))
-            out.append(Steady(int(log.run[inside[0]]), int(log.stretch[inside[0]]), start, end, mean, error))
+            run, stretch, time = (float(a[inside[-1]]) for a in (log.run, log.stretch, log.time))
+            out.append(Steady(int(run), int(stretch), time, mean))
     return out
 
 
@@ -276,26 +275,12 @@ def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) 
     )
 
 
-def _longest(good: list[bool]) -> tuple[int, int] | None:
-    """(first, end) of the longest row of True; None without any."""
-    best, start = (0, 0), 0
-    for i in range(len(good) + 1):
-        if i == len(good) or not good[i]:
-            if i - start > best[1] - best[0]:
-                best = (start, i)
-            start = i + 1
-    return best if best[1] > best[0] else None
-
-
 def write_table(points: list[Steady], path: Path) -> None:
-    """Write the measurement table, and beside it NAME.errors.csv with the standard errors."""
-    values, errors = [list(COLUMNS)], [["run", "start", "time", *READINGS]]
-    for p in points:
-        known = {"run": f"{p.run}", "time": f"{p.time:.1f}"}
-        values.append([known.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS])
-        errors.append([f"{p.run}", f"{p.start:.1f}", f"{p.time:.1f}", *(f"{p.error[c]:.3g}" for c in READINGS)])
-    for rows, to in ((values, path), (errors, path.with_suffix(".errors.csv"))):
-        save_csv(to, rows)
+    """Write the measurement table."""
+    rows = [
+        [{"run": f"{p.run}", "time": f"{p.time:.1f}"}.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS] for p in points
+    ]
+    save_csv(path, [COLUMNS, *rows])
 
 
 def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: list[Steady]) -> dict:

@@ -23,6 +23,7 @@ from benchmarks.discovery.forms import CHANNELS, MECHANISMS
 from benchmarks.discovery.laws import covariance
 from benchmarks.discovery.plan import SOIL
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
@@ -36,10 +37,10 @@ VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", 
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of an entrant to a table. Raises `ValueError` for unknown names.
+    """Answer of an entrant to a table. Raises `ParameterError` for unknown names.
 
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty where the verdict is
-    unlisted, none or undetermined. `alternatives`: those that cannot be told from the named ones. `probabilities`: of
+    unlisted, none or undetermined. `alternatives`: those that look like the named ones. `probabilities`: of
     each mechanism to be in the table; those left out count as 0. Names are those of the catalogue.
     """
 
@@ -51,19 +52,19 @@ class Answer:
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
-            raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+            raise ParameterError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
         for name in (*self.named, *self.alternatives, *self.probabilities):
             if name not in MECHANISMS:
-                raise ValueError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
+                raise ParameterError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
         for name, p in self.probabilities.items():
             if not (math.isfinite(p) and -1e-9 <= p <= 1.0 + 1e-6):
-                raise ValueError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
+                raise ParameterError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
 
     @classmethod
     def of(cls, content: Mapping) -> Answer:
-        """Return the answer of a mapping with the keys of this class. Raises `ValueError` for anything else."""
+        """Return the answer of a mapping with the keys of this class. Raises `ParameterError` for anything else."""
         if not isinstance(content, Mapping) or not set(content) <= set(cls.__dataclass_fields__):
-            raise ValueError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
+            raise ParameterError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
         lists = {key: tuple(content[key]) for key in ("named", "alternatives") if key in content}
         return cls(**{**content, **lists})
 
@@ -72,16 +73,16 @@ Entrant = Callable[[Path, Path], Answer | Mapping]
 
 
 def entrant(name: str) -> Entrant:
-    """Return the entrant of a name or of module:function. Raises `ValueError` where there is none."""
+    """Return the entrant of a name or of module:function. Raises `ParameterError` where there is none."""
     if name in ENTRANTS:
         return ENTRANTS[name]
     module, _, function = name.partition(":")
     if not function:
-        raise ValueError(f"entrant {name!r}: expected {', '.join(ENTRANTS)} or module:function")
+        raise ParameterError(f"entrant {name!r}: expected {', '.join(ENTRANTS)} or module:function")
     try:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"entrant {name!r}: {error}") from None
+        raise ParameterError(f"entrant {name!r}: {error}") from None
 
 
 def workflow(data: Path, setup: Path) -> Answer:
@@ -109,7 +110,7 @@ LUGS = 0.1  # height over the radius where the setup says nothing of lugs
 
 @dataclass(frozen=True)
 class Chosen:
-    """An effect in one of its forms."""
+    """Effect in one of its forms."""
 
     effect: str
     form: Form
@@ -117,7 +118,7 @@ class Chosen:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
+    """Least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
 
     chosen: tuple[Chosen, ...]
     squares: np.ndarray  # [channels], priors left out
@@ -236,11 +237,11 @@ class Bank:
         )  # fmt: skip
 
     def signature(self, base: Fitted, chosen: Chosen) -> np.ndarray:
-        """What an effect of a fifth of its prior scale adds to the table [3, N] on the soil of a fit."""
+        """Change of the table [3, N] by an effect of a fifth of its prior scale, on the soil of a fit."""
         return self.predict(base.soil, [chosen], self._start([chosen])[0]) - base.predicted
 
     def soil_signatures(self, base: Fitted) -> list[np.ndarray]:
-        """What a hundredth of each soil parameter adds to the table [3, N]."""
+        """Changes of the table [3, N] by a hundredth of each soil parameter."""
         return [self.predict(base.soil | {n: 1.01 * base.soil[n]}, (), np.zeros(0)) - base.predicted for n in SOIL]
 
     @cached_property
@@ -271,7 +272,7 @@ def bic(data: Path, setup: Path) -> Answer:
 
 
 def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
-    """The answer by a criterion: base model, every effect in its best form, and pairs of these with the best effect."""
+    """Return the answer by a criterion: base model, every effect in its best form, and pairs with the best effect."""
     base = bank.fit()
     singles: dict[str, tuple[float, Fitted]] = {}
     for chosen in bank.candidates:
@@ -285,7 +286,7 @@ def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
 
 
 def weighed(found: list[tuple[float, Fitted]]) -> Answer:
-    """The answer that BIC weights give: names above one half; where none is, the first with those of 5 % and more."""
+    """Return the answer of BIC weights: names above one half; else the first name with those of 5 % and more."""
     values, fits = np.array([value for value, _ in found]), [f for _, f in found]
     weight = np.exp(-0.5 * (values - values.min()))
     weight /= weight.sum()
@@ -320,7 +321,7 @@ def gls(data: Path, setup: Path) -> Answer:
 
 
 class CorrelatedBank(Bank):
-    """A bank whose fits count with errors of the laws."""
+    """Bank whose fits count with errors of the laws."""
 
     def __init__(self, data: Path, setup: Path):
         super().__init__(data, setup)

@@ -145,7 +145,7 @@ def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float
 
 @dataclass(frozen=True, eq=False)
 class BaseLaw:
-    """A published law in place of one of the paper's; `also`: the listed effect that it is a form of, if it is one."""
+    """Published law in place of one of the paper's; `also`: the listed effect that it is a form of, if any."""
 
     name: str
     alter: Callable[[Contact, dict], None]

@@ -1,6 +1,6 @@
 """Size of an effect in units of its detection limit, with the errors of the base law in the covariance.
 
-What an effect adds to a table, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D': the noise, the
+The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D': the noise, the
 covariance of the table by law errors (`laws.covariance`), the tangent space J of the soil with the covariance P of its
 priors, and what a base law of another form changes, D, as a direction of which nothing is known. d' V^-1 d is the
 noncentrality of the likelihood ratio of a method that knows the form of the effect and the size of all of these. The
@@ -81,7 +81,7 @@ class Measure:
         return solve_triangular(self.factor, change.ravel()[self.kept], lower=True, check_finite=False)
 
     def contribution(self, effect: Hidden, others: Sequence[Hidden] = ()) -> np.ndarray:
-        """What an effect adds beside the others, whitened; NaN where the wheel finds no balance."""
+        """Change of the table by an effect beside the others, whitened; NaN where the wheel finds no balance."""
         return self.white(
             self.bench.truth([*others, effect]) - (self.bench.truth(others) if others else self.bench.base)
         )

@@ -68,7 +68,7 @@ def contradicted(answer: Answer) -> bool:
 
 
 class Record(NamedTuple):
-    """A case with its answer."""
+    """Case with its answer."""
 
     truth: dict
     answer: Answer

@@ -61,7 +61,7 @@ class Rows:
         return self.slip.size
 
     def tiled(self, count: int) -> Rows:
-        """The same rows, `count` times one after the other."""
+        """Return the same rows `count` times, one after the other."""
         return Rows(*(np.tile(getattr(self, f.name), count) for f in fields(self)))
 
 

@@ -1,1 +1,1 @@
-"""All that touches the insides of numba: eight-wide lanes, elementary functions, compiling, random streams, threads."""
+"""Everything that depends on numba's internals: eight-wide lanes, elementary functions, compiling, streams, threads."""

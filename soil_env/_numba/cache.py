@@ -1,4 +1,4 @@
-"""The cache of compiled code on the disk: where it is, what it is valid for, and who fills it.
+"""Cache of compiled code on disk: its place, its validity, and the process that fills it.
 
 Of several processes that find it empty one compiles, and the others wait and load. The lock is a file beside the
 compiled code; the system releases it when its process ends, however that ends. Where nothing can be written, every
@@ -75,12 +75,12 @@ def _folder() -> Path | None:
 
 
 _FOLDER = _folder()
-#: Whether compiled code is kept on the disk; without a folder for it every process compiles anew.
+#: True if compiled code is kept on disk; without a folder for it every process compiles anew.
 CACHE = _FOLDER is not None
 
 
 def place() -> str:
-    """Where compiled code is kept, in words."""
+    """Folder of the compiled code, in words."""
     if _FOLDER is None:
         return "compiled code is not kept: no folder for it can be written"
     return f"kept below {_FOLDER.parents[1] if _FOLDER.name == '__pycache__' else _FOLDER.parent}"

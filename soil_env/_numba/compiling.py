@@ -55,7 +55,7 @@ def _uninterrupted(function, arguments, keywords):
     """Call compiled code that returns a tuple; Ctrl-C waits until it is done.
 
     Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what that returns without
-    looking whether there is anything: a crash.
+    checking it for an error: a crash.
     """
     if _mask is None:
         return function(*arguments, **keywords)
@@ -78,7 +78,7 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        # Whether the root gives tuples for arguments of these types; none where it was not called with them yet.
+        # True if the root gives tuples for arguments of these types; no entry before its first call with them.
         self._given: dict[tuple[type, ...], bool] = {}
         compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
@@ -169,7 +169,7 @@ class FastCall:
         return _uninterrupted(self._code, arguments, {}) if self._tuples else self._code(*arguments)
 
     def __reduce__(self):
-        """By name: numba would pickle the source of the function, and compile it anew in another process."""
+        """Pickle by name: numba would pickle the source of the function, and compile it anew in another process."""
         function = getattr(self._function, "py_func", self._function)
         return _fast_call, (function.__module__, function.__name__)
 
@@ -181,30 +181,36 @@ def _fast_call(module: str, name: str) -> FastCall:
 # --- two roots at once ------------------------------------------------------------------------------------------------
 
 
+_CHILDREN: list[subprocess.Popen] = []  # processes that compile for this one
+
+
 def compile_aside(function, arguments: tuple) -> None:
     """Start a process that compiles a root for such arguments, if the cache does not hold it yet.
 
     Meanwhile this process compiles what it needs first; a call of the root waits for the other process and loads its
-    code. Without a cache, with one processor, and in workers of `multiprocessing` it does nothing.
+    code. There are at most as many such processes as there are other processors, and none without a cache or in workers
+    of `multiprocessing`.
     """
-    if not COMPILED or not CACHE or multiprocessing.parent_process() is not None or (os.cpu_count() or 1) < 2:
+    if not (COMPILED and CACHE and sys.executable) or multiprocessing.parent_process() is not None:
         return
     signature = tuple(typeof(a) for a in arguments)
     if signature in function.overloads or is_kept(function, signature):
         return
-    path = [str(Path(__file__).resolve().parents[2]), *sys.path]
-    order = pickle.dumps((function.__module__, function.__name__)) + pickle.dumps(signature)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path)}
+    _CHILDREN[:] = [child for child in _CHILDREN if child.poll() is None]
+    if len(_CHILDREN) >= (os.cpu_count() or 1) - 1:
+        return
+    path = os.pathsep.join([str(Path(__file__).resolve().parents[2]), *sys.path])
     try:
         child = subprocess.Popen(
-            [sys.executable, "-m", "soil_env._numba.aside"],
-            env=environment, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-m", "soil_env._numba.aside"], env=os.environ | {"PYTHONPATH": path},
+            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     except OSError:
         return
-    with contextlib.suppress(OSError), child.stdin as orders:
-        orders.write(order)
+    _CHILDREN.append(child)
     atexit.register(child.kill)
+    with contextlib.suppress(OSError), child.stdin as orders:
+        orders.write(pickle.dumps((function.__module__, function.__name__, signature)))
     await_code_of(function, signature, child.wait)
 
 

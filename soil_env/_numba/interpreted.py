@@ -1,4 +1,4 @@
-"""Lanes as arrays of eight numbers, for NUMBA_DISABLE_JIT=1: what `lanes`, `elementary` and `rows` then consist of.
+"""Lanes as arrays of eight numbers, for NUMBA_DISABLE_JIT=1, in place of those of `lanes`, `elementary` and `rows`.
 
 Slow; for stepping through a law with a debugger, and as an independent reading of the compiled forms.
 """
@@ -13,7 +13,7 @@ UNSET = 0.0
 
 
 def wide(x) -> bool:
-    """Whether `x` is lanes."""
+    """True if `x` is lanes."""
     return isinstance(x, np.ndarray)
 
 

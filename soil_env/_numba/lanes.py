@@ -245,7 +245,7 @@ def over_eight(values):
 
 @intrinsic
 def turns(typingctx, pattern):
-    """How often the loop of `over_eight` runs: once for a float, eight times for lanes."""
+    """Number of passes of the loop of `over_eight`: one for a float, eight for lanes."""
     count = COUNT if pattern == lanes else 1
     pattern = lanes if pattern == lanes else types.float64
     return types.intp(pattern), lambda context, builder, sig, args: ir.Constant(ir.IntType(64), count)

@@ -1,4 +1,4 @@
-"""How numba translates the functions of this package: the passes of its compiler that they need, and no others.
+"""Passes of numba's compiler that the functions of this package need, and no others.
 
 Numba's own pipeline has 27 passes, most of which look for what no kernel here has (closures, object mode, array
 expressions, parallel loops), and LLVM optimises every function of a tree twice. Here a part runs eight passes and is

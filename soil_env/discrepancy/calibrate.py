@@ -50,7 +50,7 @@ GRAVITY = 9.81
 
 @dataclass(eq=False)
 class Problem:
-    """What all fits to one table share: unknowns of the soil, noise, values in use."""
+    """Table, unknowns of the soil, noise and values in use, which all fits to one table share."""
 
     data: Data
     noise: np.ndarray  # [3]

@@ -62,6 +62,15 @@ class Data:
         return conditions_of(self.rows)
 
     @property
+    def groups(self) -> list[np.ndarray]:
+        """Indices of the rows of each combination of the conditions other than slip."""
+        others = [c.level for name, c in self.varied.items() if name != "slip"]
+        if not others:
+            return [np.arange(self.rows.slip.size)]
+        label = np.unique(np.stack(others), axis=1, return_inverse=True)[1].ravel()
+        return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+
+    @property
     def elapsed(self) -> dict[str, np.ndarray]:
         """{"elapsed": time [N] over its span}; empty where the table does not have it or it does not vary."""
         time = self.table.time
@@ -112,7 +121,7 @@ def prepare(table: Table, setup: Setup) -> Data:
 
 
 def _one_to_one(a: Factor, b: Factor) -> bool:
-    """Whether the levels of two factors part the rows in the same way."""
+    """True if the levels of two factors part the rows in the same way."""
     pairs = np.unique(np.stack([a.level, b.level]), axis=1).shape[1]
     return bool(pairs == a.levels == b.levels)
 
@@ -171,9 +180,6 @@ def folds(data: Data) -> list[list[np.ndarray]]:
     """
     slip = data.varied["slip"]
     ways = [[slip.level == k for k in range(slip.levels)]]
-    others = [c.level for name, c in data.varied.items() if name != "slip"]
-    if others:
-        label = np.unique(np.stack(others), axis=1, return_inverse=True)[1].ravel()
-        if label.max() >= 2:
-            ways.append([label == k for k in range(int(label.max()) + 1)])
+    if len(data.groups) > 2:
+        ways.append([np.isin(np.arange(slip.level.size), rows) for rows in data.groups])
     return ways

@@ -97,9 +97,9 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
         for more in np.unique(scatter):
             at, sd = scatter == more, noise * more
             blocks = [b / sd for b in errors]
-            told = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
-            log[k, at] = told[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *told[1:])
-            mean[k, at], covariance[k, at] = told[1:]
+            found = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
+            log[k, at] = found[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *found[1:])
+            mean[k, at], covariance[k, at] = found[1:]
     log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
     total = float(logsumexp(log))
     share = np.exp(log - total)

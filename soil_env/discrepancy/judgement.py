@@ -19,11 +19,11 @@ from soil_env.identification.table.priors import Unknown
 
 SURE = 1.959964  # [sd] of a 95 % interval
 _CLOSED_DRAWS = 2000  # of the groups, for the interval of `closed`
-_LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is told
+_LEAST_GAP = 0.5  # share of those draws with a gap to close below which no interval is given
 
 
 class Interval(NamedTuple):
-    """What is believed of a value, with its 95 % interval; low = high = value where it was given."""
+    """Value with its 95 % interval; low = high = value where it was given."""
 
     value: float
     low: float
@@ -39,7 +39,7 @@ class Gap(NamedTuple):
 
 
 class Remainder(NamedTuple):
-    """What the corrected model leaves of a channel beyond the noise, on held-out data."""
+    """Held-out error of a channel beyond the noise, with the corrected model."""
 
     rms: float  # [unit of the channel]
     share: float | None  # of the mean square above the noise that the base model leaves; None where it leaves none
@@ -63,9 +63,9 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     in `own`, their model. In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
     p = len(finding.best().evidence.fit.unknowns)
-    told = [(h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p]) for h in finding.hypotheses]
-    soil = sum(w * mean for w, mean, _ in told)
-    square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in told)
+    parts = [(h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p]) for h in finding.hypotheses]
+    soil = sum(w * mean for w, mean, _ in parts)
+    square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in parts)
     mean = np.concatenate([soil, own.mean[p:]])
     sd = np.sqrt(np.concatenate([square, np.diag(own.covariance)[p:]]))
     return {k.name: _interval(k, float(u), float(s)) for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)}

@@ -62,7 +62,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         if values - basis.shape[1] < 3:
             if origin[j] == "scatter":
                 raise ParameterError(
-                    f"{data.table.source}: noise of {name}: cannot be told from {values} values without repeats; "
+                    f"{data.table.source}: noise of {name}: cannot be estimated from {values} values without repeats; "
                     "expected noise in the setup, or repeated points"
                 )
             continue

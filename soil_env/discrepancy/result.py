@@ -8,10 +8,10 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.judgement import Gap, Interval, Rank, Remainder
 from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
@@ -30,12 +30,12 @@ class EffectFound:
     parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
     probability: float
     share: float | None  # of the gap above the noise that it closes; None where there is none
-    alternatives: tuple[str, ...]  # that these data cannot tell from it
+    alternatives: tuple[str, ...]  # that these data cannot separate from it
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a run depends on besides the program."""
+    """Inputs of a run."""
 
     data: str
     setup: str
@@ -80,7 +80,7 @@ class Report:
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
 
     def remains(self, channel: str) -> bool:
-        """Whether a stated remainder of the gap is left in a channel."""
+        """True if a stated remainder of the gap is left in a channel."""
         gap = self.gap[channel]
         return gap.after > LEFT * gap.noise_floor or gap.after > (1.0 + WORSE) * gap.before
 
@@ -96,15 +96,15 @@ class Report:
 
     @property
     def corrected(self) -> bool:
-        """Whether anything was added to the base model."""
+        """True if anything was added to the base model."""
         return bool(self.model.effects or self.model.residual)
 
     def known(self, name: str) -> bool:
-        """Whether the setup gives a soil parameter as known."""
+        """True if the setup gives a soil parameter as known."""
         return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
 
     def is_free(self, effect: str, parameter: str) -> bool:
-        """Whether a parameter of a named effect was fitted; without an interval it is then at a bound of its range."""
+        """True if a parameter of a named effect was fitted; without an interval it is then at a bound of its range."""
         return f"{effect}_{parameter}" in {unknown.name for unknown in self.fit.unknowns}
 
     @property

@@ -116,7 +116,7 @@ class Finding:
 
     @property
     def blind(self) -> bool:
-        """Whether a listed effect, had one been missing, would more probably have been overlooked than seen."""
+        """True if a listed effect, had one been missing, would more probably have been overlooked than seen."""
         return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(self.detectable)
 
     def alternatives(self, name: str) -> tuple[str, ...]:
@@ -135,7 +135,7 @@ class Finding:
         return math.sqrt(sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses))
 
     def has(self, *names: str) -> bool:
-        """Whether exactly these effects were tried together."""
+        """True if exactly these effects were tried together."""
         return any({*h.names} == {*names} and not h.free for h in self.hypotheses)
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
@@ -189,7 +189,7 @@ class _Sets:
         return of[choices]
 
     def best(self, names: tuple[str, ...]) -> Evidence:
-        """Of the best form."""
+        """Evidence in the best form."""
         return max(self.found[tuple(sorted(names))].values(), key=lambda e: e.log)
 
     def log(self, names: tuple[str, ...]) -> float:
@@ -199,7 +199,7 @@ class _Sets:
 
 
 def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Finding:
-    """Probabilities of what is missing; `say` is told what is being done."""
+    """Return the probabilities of all hypotheses; `say` receives the progress."""
     names, untestable = candidates(problem)
     sets = _Sets(problem)
     say("base model")

@@ -13,14 +13,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import influence, judgement, mistakes, symbolic
+from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.discrepancy.experiment import next_tests
 from soil_env.discrepancy.fits import EXACT, Choice, Fit
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
-from soil_env.discrepancy.law_tests import law_tests
 from soil_env.discrepancy.locate import locate
+from soil_env.discrepancy.next_tests import law_tests, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
@@ -80,12 +79,12 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     data = prepare(table, setup)
     say("calibrating the base model")
     problem, noise = calibrate(data)
-    doubts = mistakes.examine(problem)
+    doubted = doubts.of_table(problem)
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.best().evidence.fit
     say("predicting what was held out")
     finding, (plain, final, before, after) = _that_predicts(problem, finding, base)
-    doubts += influence.examine(problem, noise, finding, say)
+    doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
     own, law = finding.stated.evidence, None
@@ -125,7 +124,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         model=model,
         held_before=before,
         held_after=after,
-        doubts=doubts,
+        doubts=doubted,
         settings=settings,
     )
 
@@ -213,13 +212,13 @@ def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> d
     return out
 
 
-def _effects(problem: Problem, finding: Finding, fit: Fit, told: dict[str, Interval],
+def _effects(problem: Problem, finding: Finding, fit: Fit, intervals: dict[str, Interval],
              shares: dict[str, float | None]) -> tuple[EffectFound, ...]:  # fmt: skip
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
         parameters = {
-            p: told.get(f"{name}_{p}", Interval(value, value, value))
+            p: intervals.get(f"{name}_{p}", Interval(value, value, value))
             for p, value in _parameters(problem, choice, fit.parameters()).items()
         }
         form = CATALOGUE[name].forms[choice.form].name
@@ -228,6 +227,6 @@ def _effects(problem: Problem, finding: Finding, fit: Fit, told: dict[str, Inter
     return tuple(out)
 
 
-def _soil(problem: Problem, told: dict[str, Interval]) -> dict[str, Interval]:
+def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
     given = {name: Interval(value, value, value) for name, value in problem.known.items()}
-    return {**{k.name: told[k.name] for k in problem.soil}, **given, "density": Interval(*[problem.density] * 3)}
+    return {**{k.name: intervals[k.name] for k in problem.soil}, **given, "density": Interval(*[problem.density] * 3)}

@@ -59,8 +59,8 @@ class Vehicles:
         self._lay, self._step, self._estimate = FastCall(lay), FastCall(step), FastCall(estimate)
         self._estimator, self.belief = estimator, belief
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
-        calls = self._calls(self._what)
-        for function, (_, arguments) in zip((step, estimate), calls, strict=False):
+        calls = zip((step, estimate), self._calls(self._what), strict=False)
+        for function, (_, arguments) in reversed(list(calls)):
             compile_aside(function, arguments)
         self._check_passable(trial)
 
@@ -97,7 +97,8 @@ class Vehicles:
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
         """One step with `commands`, one a motor; `what` [vehicles] int8: STEP, RESTART or IDLE."""
-        self._commands[self._rows_of(slice(None))] = commands
+        rows = self._rows_of(slice(None))
+        self._commands[rows] = np.reshape(commands, self._commands[rows].shape)
         self._all(np.ascontiguousarray(what, np.int8))
 
     def restart_where(self, which: np.ndarray) -> None:
@@ -108,6 +109,14 @@ class Vehicles:
     def _rows_of(self, k: Any) -> Any:
         """Rows of the motors of vehicle k."""
         return k
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Control periods since the reset [vehicles]."""
+        return self._counts()["steps"]
+
+    def _counts(self) -> Any:
+        return self._world.counts
 
     def _x(self) -> np.ndarray:
         """Places [m] of the vehicles along their courses [vehicles]."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
-from soil_env.driving.wheels import Worlds
+from soil_env.driving.wheels import Simulation, Worlds
 from soil_env.identification import Status
 from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
@@ -47,7 +47,7 @@ def asks(kind: str) -> bool:
 
 
 def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of a full info without nesting: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+    """Flat numbers of a full info: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
     out: dict[str, Any] = {}
     prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
     for key, value in nested.items():
@@ -70,30 +70,41 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 
 
 class Infos:
-    """Infos of the wheels of one `Worlds`.
+    """Infos of the wheels of one `Simulation`, of a `kind` of `INFOS`.
 
     `traversability` is that of the last change of the estimate: see `renew`; its probabilities of immobilisation are of
     now.
     """
 
-    def __init__(self, scenario: Scenario, kind: str, wheels: int) -> None:
-        self.scenario: Scenario = scenario
-        self.kind: str = checked(kind)
+    def __init__(self, simulation: Simulation, kind: str) -> None:
+        self.scenario: Scenario = simulation.scenario
+        self.kind: str = kind
+        self._simulation, wheels = simulation, simulation.count
         self._best: Callable[..., Any] = FastCall(best_working_point)
-        self._foresight = ImmobilisationWarning(scenario)
+        self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
 
-    def renew(self, worlds: Worlds, which: np.ndarray) -> None:
+    def follow(self, reset: np.ndarray) -> None:
+        """Note which estimates have changed after a step; `reset` [wheels] bool: wheels that it has reset."""
+        changed = self._simulation.worlds.changed
+        if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
+            which = changed | reset
+            if which.any():
+                self.renew(which)
+
+    def renew(self, which: np.ndarray) -> None:
         """Estimates of the wheels `which` [wheels] bool are new: their traversability is that of what they see now."""
+        worlds = self._simulation.worlds
         self._seen[which] = worlds.observation[which][:, _SEEN]
         self._stale |= which
 
     # --- one wheel ----------------------------------------------------------------------------------------------------
 
-    def one(self, worlds: Worlds, k: int) -> dict[str, Any]:
+    def one(self, k: int) -> dict[str, Any]:
         """Info of wheel k."""
+        worlds = self._simulation.worlds
         cause = Cause(worlds.cause.item(k))
         if self.kind == "none":
             return {}
@@ -139,8 +150,9 @@ class Infos:
 
     # --- many wheels --------------------------------------------------------------------------------------------------
 
-    def many(self, worlds: Worlds) -> dict[str, Any]:
+    def many(self) -> dict[str, Any]:
         """Info of all wheels, arrays [wheels]; `cause` and `status` are numbers."""
+        worlds = self._simulation.worlds
         if self.kind == "none":
             return {}
         terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
@@ -151,12 +163,12 @@ class Infos:
         full |= self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_), asks(self.kind))
         return full if self.kind != "numeric" else flat(full)
 
-    def final(self, worlds: Worlds, ended: np.ndarray) -> dict[str, Any]:
+    def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others.
 
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
         """
-        info = self.many(worlds)
+        worlds, info = self._simulation.worlds, self.many()
         info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         identified = worlds.recent is not None and len(worlds.recent) > 0
         info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
@@ -178,9 +190,10 @@ class Infos:
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """What is identified of the soil under each wheel, arrays [wheels], by those of `known`."""
-    told = published(known.estimate.T.copy(), known.sd.T.copy(), known.best_pull.T.copy(), scenario.belief.dig_gain, np)
-    return told | {"status": known.status.copy()}
+    """Estimates of the soil under each wheel, arrays [wheels], from the arrays of `known`."""
+    mean, sd, pull = (array.T.copy() for array in (known.estimate, known.sd, known.best_pull))
+    found = published(mean, sd, pull, scenario.belief.dig_gain, np)
+    return found | {"status": known.status.copy()}
 
 
 def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:

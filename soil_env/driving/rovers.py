@@ -88,6 +88,9 @@ class RoverSimulation(Vehicles):
         """Rows of the wheels of rover k."""
         return self.wheels[k]
 
+    def _counts(self) -> Any:
+        return self._world.rovers.body_counts
+
     def _x(self) -> np.ndarray:
         return self._world.rovers.body["x"]
 

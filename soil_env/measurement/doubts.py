@@ -1,4 +1,4 @@
-"""What of a table looks like a load in another unit than newtons, whatever model it is fitted with."""
+"""Loads that look like another unit than newtons, whatever model a table is fitted with."""
 
 from __future__ import annotations
 

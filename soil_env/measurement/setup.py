@@ -47,14 +47,14 @@ class SetupWheel(Checked):
 
 @dataclass(frozen=True)
 class Prior(Checked):
-    """What is known of a parameter before the table: its value and standard deviation, 0 if it is known exactly."""
+    """Prior of a parameter before the table: value and standard deviation, 0 if it is known exactly."""
 
     value: float = quantity("")
     sd: float = quantity("", 0.0)
 
     @property
     def known(self) -> bool:
-        """Whether the value is not to be fitted."""
+        """True if the value is not fitted."""
         return self.sd == 0.0
 
 
@@ -126,7 +126,7 @@ class NoiseLevels(Checked):
 
 @dataclass(frozen=True)
 class Setup(Checked):
-    """What is known about a measurement table.
+    """Rig, soil and sensors of a measurement table.
 
     `load` says what the column of that name is: the force normal to the ground (default), or the vertical force, which
     on a grade b is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the

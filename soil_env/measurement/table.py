@@ -150,7 +150,7 @@ class Table:
 def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
     """The measurement table in a CSV or Parquet file; with `wheel`, no sinkage may exceed its radius.
 
-    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they tell repeats apart. Raises
+    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish repeats. Raises
     `ParameterError` with one line for everything that cannot be right.
     """
     path = Path(path)
@@ -209,7 +209,7 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _check_separator(path: Path, lines: list[str]) -> None:
-    """Refuse a header without commas that has semicolons or tabs; the row below it tells of decimal commas."""
+    """Refuse a header without commas that has semicolons or tabs; the row below it shows decimal commas."""
     header, row = (*lines, "", "")[:2]
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header and "," not in header:
@@ -371,7 +371,7 @@ def _canonical(cell: str) -> float | str:
 
 
 def in_radians(cells: list[str]) -> bool:
-    """Whether grades look like radians: read so, none exceeds 40 deg and all are whole degrees to three digits or more.
+    """True if grades look like radians: read so, none exceeds 40 deg and all are whole degrees to three digits or more.
 
     One grade alone looks so by chance: in six of a thousand cases with four digits.
     """

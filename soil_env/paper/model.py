@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soil_env._numba.compiling import compiled_part, compiled_root
-from soil_env.paper.channels import channels
 from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import arc_integrals, shear_modulus_rates, simpson_integrals
-from soil_env.terramechanics.contact import compaction_resistance, entry_angle
+from soil_env.terramechanics.contact import compaction_resistance, entry_angle, forces as contact_forces, shear_forces
 
 
 class Equations(NamedTuple):
-    """How a force is computed, and what is held fixed. The stress has its peak at (peak + peak_by_slip i) theta1."""
+    """Equations and constants; the stress has its peak at (peak + peak_by_slip i) theta1."""
 
     radius: float  # [m]
     width: float  # [m]
@@ -37,7 +36,6 @@ _P = printed()
 AS_PRINTED = Equations(_P.wheel.radius, _P.wheel.width, _P.table2.cohesion, _P.table2.sinkage_exponent)
 WONG_REECE = AS_PRINTED._replace(radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1])
 
-_UNIT = 1e6
 _ITERATIONS = 100  # of Newton-Raphson at most
 _TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
 
@@ -55,10 +53,7 @@ class Linear(NamedTuple):
 
 @compiled_part
 def at_point(x, slip, sinkage, e):
-    """`Linear` at x = (phi [rad], K [m], S) for any phi, K > 0 and any S.
-
-    All forces are affine in S at a given phi and K, so their values at two S give them for every S.
-    """
+    """`Linear` at x = (phi [rad], K [m], S) for any phi, K > 0 and any S."""
     K, tan_phi, r = x[1], math.tan(x[0]), e.radius
     theta1 = entry_angle(sinkage, r)
     thetam = (e.peak + e.peak_by_slip * slip) * theta1
@@ -68,18 +63,20 @@ def at_point(x, slip, sinkage, e):
     else:
         q, by_rim, by_travel = arc_integrals(theta1, 0.0, thetam, rim, travel, K, e.exponent, r)
     k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    resistance = compaction_resistance(sinkage, 1.0, e.exponent, e.width)
-    low = channels(q, k, 1.0, tan_phi, K, e.cohesion, r, e.width, resistance if e.compaction else -1.0)
-    resistance *= _UNIT
-    high = channels(q, k, _UNIT, tan_phi, K, e.cohesion, r, e.width, resistance if e.compaction else -1.0)
-    share = (x[2] - 1.0) / (_UNIT - 1.0)
+    f = contact_forces(q, x[2], tan_phi, e.cohesion, r, e.width, 1.0)
+    by_phi = shear_forces(q, x[2] * (1.0 + tan_phi * tan_phi), 0.0, r, e.width, 1.0)
+    by_K = shear_forces(k, x[2] * tan_phi, e.cohesion, r, e.width, 1.0)
+    by_S = contact_forces(q, 1.0, tan_phi, 0.0, r, e.width, 1.0)
+    more = 0.0  # resistance of Eq. (11) less that of Eq. (12), for S = 1
+    if e.compaction:
+        more = r * e.width * q.p_sin - compaction_resistance(sinkage, 1.0, e.exponent, e.width)
     return Linear(
-        low.pull + share * (high.pull - low.pull),
-        low.load + share * (high.load - low.load),
-        low.torque + share * (high.torque - low.torque),
-        low.by_phi[0] + share * (high.by_phi[0] - low.by_phi[0]),
-        (low.by_K[0] + share * (high.by_K[0] - low.by_K[0])) / K,
-        (high.pull - low.pull) / (_UNIT - 1.0),
+        f.drawbar_pull + x[2] * more,
+        f.load,
+        f.torque,
+        by_phi.drawbar_pull,
+        by_K.drawbar_pull,
+        by_S.drawbar_pull + more,
     )
 
 

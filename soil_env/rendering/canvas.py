@@ -17,7 +17,7 @@ Point: TypeAlias = Sequence[float] | np.ndarray
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
-# Colours: Okabe & Ito, told apart with every kind of colour vision; soil runs from light to dark with friction.
+# Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with friction.
 WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
 BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
 GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)

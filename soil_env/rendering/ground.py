@@ -44,7 +44,7 @@ def _along(courses, k, x, border):
 def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float, level: bool) -> Profile:
     """Course k from `before` [m] ahead of its start up to `beyond` [m].
 
-    `level`: whether distance along the course is taken as horizontal, else as along the slope.
+    `level`: take distance along the course as horizontal, else as along the slope.
     """
     x = np.arange(-before, beyond, 0.5 * CELL)
     grade, friction = _along(courses, k, x, border)

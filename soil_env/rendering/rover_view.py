@@ -61,7 +61,7 @@ _COLOURS = {"front": (PURPLE, LIGHT_PURPLE), "middle": (AMBER, LIGHT_AMBER), "re
 
 
 class Posture(NamedTuple):
-    """Where the parts of a rover are; places (horizontal, height) [m] in the world."""
+    """Places of the parts of a rover (horizontal, height) [m] in the world."""
 
     hubs: np.ndarray  # [axles, 2]
     grades: np.ndarray  # [axles] [rad] of the ground under each wheel

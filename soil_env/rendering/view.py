@@ -1,4 +1,4 @@
-"""What all views of a course have in common: the canvas, a window of its own, and the history that charts show."""
+"""Common base of the views of a course: canvas, window, and the history that charts show."""
 
 from __future__ import annotations
 

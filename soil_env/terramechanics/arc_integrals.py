@@ -44,7 +44,7 @@ _one_arc = scratch_rows(Nodes, COUNT)
 
 
 class ArcFrame(NamedTuple):
-    """What the nodes of an arc have in common, beside what `store_nodes` writes."""
+    """Quantities that the nodes of an arc share, beside those that `store_nodes` writes."""
 
     theta1: float  # [rad]
     front: float  # [rad] length of the front zone
@@ -58,7 +58,7 @@ class ArcFrame(NamedTuple):
 
 @compiled_inline
 def store_nodes(arc, n, nodes, at):
-    """What the quadrature nodes of an `Arc` need whatever the motion and K, into columns at.. of `Nodes`; `ArcFrame`.
+    """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`; return `ArcFrame`.
 
     Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
     removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.

@@ -79,7 +79,7 @@ class ArcRates(NamedTuple):
 
 
 class Forces(NamedTuple):
-    """What the soil does to the wheel."""
+    """Forces of the soil on the wheel."""
 
     load: float  # W [N], Eq. (1), upward on the wheel
     drawbar_pull: float  # DP [N], Eq. (2), positive forward

@@ -1,4 +1,4 @@
-"""What the soil and all else do to a driven wheel at one motion, with the derivatives that an implicit step needs.
+"""Reaction of the soil and of effects to a driven wheel, with the derivatives that an implicit step needs.
 
 All functions take floats (one wheel) or lanes (eight wheels).
 """
@@ -137,7 +137,7 @@ def interaction(wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: fl
 
 
 class Ground(NamedTuple):
-    """What a wheel stands on during a substep, at the slip and the speeds that it begins with."""
+    """Ground under a wheel during a substep, at the slip and the speeds that it begins with."""
 
     soil: SoilState  # as it is sheared
     arc: Arc

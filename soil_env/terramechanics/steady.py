@@ -59,7 +59,7 @@ class Rim(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What a steady point was driven at, besides slip and load."""
+    """Conditions of a steady point besides slip and load."""
 
     speed: float  # [m/s] travel
     passes: float  # 1 = fresh soil
@@ -116,7 +116,7 @@ def steady_state(slip, load, soil, r, b):
 
 
 class _Balance(NamedTuple):
-    """What Eq. (1) is solved with."""
+    """Constants of Eq. (1) at one point."""
 
     slip: float
     rim: float  # of motion, as the sheared soil sees it

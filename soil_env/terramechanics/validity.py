@@ -47,7 +47,7 @@ def seen(slip: ArrayLike, load: ArrayLike, conditions: np.ndarray) -> dict[str, 
 def outside(
     validity: Mapping[str, tuple[float, float]], slip: ArrayLike, load: ArrayLike, conditions: np.ndarray
 ) -> str:
-    """What of the rows lies outside by more than 1 % of the range, in words; "" for nothing."""
+    """Conditions of the rows that lie outside by more than 1 % of the range, in words; "" if none."""
     asked, out = seen(slip, load, conditions), []
     for name, (low, high) in validity.items():
         if name not in asked:

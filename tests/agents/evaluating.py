@@ -3,8 +3,8 @@
 import json
 
 from agents import ppo
-from agents.evaluate.__main__ import main
 from soil_env.parameters import load_scenario
+from tests.agents.commands import evaluate as main
 
 CLASSES = "half=tests.agents.drivers:Half,tests.agents.drivers:Counting"
 SHORT = (

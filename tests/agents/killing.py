@@ -71,7 +71,7 @@ def load_study() -> None:
     import optuna  # noqa: F401
     import torch
 
-    import agents.study.__main__
+    import agents.study.command
     import agents.training  # noqa: F401
 
     torch.set_num_threads(1)
@@ -80,15 +80,15 @@ def load_study() -> None:
 
 def small_study(folder: Path) -> None:
     """A small study of `agents.study`, whose trainings begin anew after a kill."""
-    from agents.study.__main__ import main
+    from tests.agents.commands import study
     from tests.agents.test_study import config
 
     train = {"timesteps": 192, "ppo": {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}}
     beside = folder.parent / "config"
     beside.mkdir(exist_ok=True)
     path = config(beside, train=train, courses=3, seeds=1)
-    if main(["--config", str(path), "--out", str(folder)]) != 0:
-        raise RuntimeError("agents.study failed")
+    if study(["--config", str(path), "--out", str(folder)]) != 0:
+        raise RuntimeError("soil-env study failed")
 
 
 def load_blind() -> None:

@@ -122,8 +122,8 @@ def test_impassable_is_what_the_environment_calls_impassable(scenario):
             action, memory = controller.predict(env.simulation.worlds.observation, memory)
             *_, over, truncated, info = env.step(action[0])
             over = over or truncated
-            env.infos.renew(env.simulation.worlds, alive)  # every step here
-            warning = env.infos.one(env.simulation.worlds, 0)["traversability"]
+            env.infos.renew(alive)  # every step here
+            warning = env.infos.one(0)["traversability"]
             looks = bool(warnings.signs(env.simulation.worlds, alive)[0])
             slip, best = env.simulation.worlds.observation[0, 0], warning["best_slip"]
             expected = warning["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best)

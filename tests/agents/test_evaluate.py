@@ -5,7 +5,6 @@ import json
 import resource
 import shutil
 import subprocess
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,12 +16,13 @@ from scipy import stats
 from agents import cells
 from agents.controllers import make_controller
 from agents.evaluate import HELD_OUT_SET, Runs, comparing, evaluation, run_courses
-from agents.evaluate.__main__ import main
 from agents.evaluate.driving import METRICS, RATES
 from agents.evaluate.statistics import wilson
 from agents.evaluate.tuning import tuned_settings
+from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
+from tests.agents.commands import evaluate as main, typed
 from tests.agents.evaluating import FILES, SHORT, evaluate, everything, result_of, same
 from tests.agents.saved import edit, rewrite
 
@@ -209,7 +209,7 @@ def test_kill_9_and_processes_give_the_same_table(tmp_path, monkeypatch, importa
     asked = [*SHORT, "--changes.control.action=torque"]
     asked.append("--controllers=half=tests.agents.drivers:Half,tests.agents.drivers:Killer")
     monkeypatch.setenv("SOIL_ENV_TEST_KILL", str(mark))
-    command = [sys.executable, "-m", "agents.evaluate", *asked, f"--out={out}"]
+    command = typed("evaluate", *asked, f"--out={out}")
     killed = subprocess.run(command, cwd=ROOT, capture_output=True, timeout=300)
     assert killed.returncode == -9 and mark.exists() and len(list((out / "cells").iterdir())) == 1
     assert main(["--resume", str(out), "--workers=2"]) == 0
@@ -220,7 +220,7 @@ def test_kill_9_and_processes_give_the_same_table(tmp_path, monkeypatch, importa
 def test_ray_gives_what_one_process_gives(cluster, models, done, tmp_path):
     """The models travel with the cells."""
     command = [f"--controllers={everything(models)}", "--settings.fixed_slip.slip=0.2", *SHORT, "--engine=ray"]
-    command = [sys.executable, "-m", "agents.evaluate", *command, f"--out={tmp_path}", f"--address={cluster.address}"]
+    command = typed("evaluate", *command, f"--out={tmp_path}", f"--address={cluster.address}")
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 0, ended.stderr[-2000:]
     same(tmp_path, done)
@@ -346,7 +346,8 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_pat
         command.append("--controllers=full_throttle")
     assert main([*command, *arguments]) == 2
     captured = capsys.readouterr()
-    assert captured.err.startswith("agents.evaluate: ") and captured.err.count("\n") == 1 and len(captured.err) < 700
+    assert captured.err.startswith("soil-env evaluate: error: ")
+    assert captured.err.count("\n") == 1 and len(captured.err) < 700
     for part in parts:
         assert part in captured.err
     assert not out.exists() and not list(tmp_path.iterdir())
@@ -368,8 +369,11 @@ def test_nothing_at_all_is_refused(capsys, tmp_path):
             lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind", load_scenario().course)))]),
             "another observation layout",
         ),
-        (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),
-        (lambda p: rewrite(p, b"{"), "not a model saved by train.py"),
+        (
+            lambda p: edit(p, scenario=to_dict(load_scenario(changes={"control": {"action": "wheel_speed"}}))),
+            "trained with action 'wheel_speed'",
+        ),
+        (lambda p: rewrite(p, b"{"), "not a model: expected JSON"),
         (lambda p: p.write_bytes(p.read_bytes()[:-3000]), "not a model of Stable-Baselines3"),
     ],
 )

@@ -28,7 +28,7 @@ def killed(name, folder, least):
 
 def test_study(tmp_path):
     """TensorBoard's logs and Optuna's journals apart; of a model the weights."""
-    calm, again = killed("study", tmp_path, 10)
+    calm, again = killed("study", tmp_path, 8)
     calm, again = (
         {f: c for f, c in files.items() if "/tensorboard/" not in f and not f.startswith("tuned/")}
         for files in (calm, again)
@@ -45,7 +45,7 @@ def test_study(tmp_path):
 
 def test_blind(tmp_path):
     """Times apart."""
-    calm, again = killed("blind", tmp_path, 4)
+    calm, again = killed("blind", tmp_path, 3)
     assert {"study.json", "discovery.md", "truth/none-few-10-000.json"} <= set(calm)
     assert sorted(calm) == sorted(again)
     for file in calm:

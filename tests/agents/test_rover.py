@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from agents import train, training
+from agents import training
 from agents.agent import load_agent
 from agents.config import TrainConfig
 from agents.controllers.rover import ROVER_CONTROLLERS, VelocitySync, make_rover_controller
@@ -18,6 +18,7 @@ from soil_env.parameters import load_scenario
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.vehicle import load_rover
+from tests.agents import commands
 
 SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 
@@ -172,7 +173,7 @@ SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--cha
 def run_folder(tmp_path_factory):
     """What `python train.py --config rover.yaml` leaves, small."""
     out = tmp_path_factory.mktemp("rover")
-    assert train.main(["--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
+    assert commands.train(["--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
     return out / "small"
 
 
@@ -183,7 +184,7 @@ def test_train_writes_the_comparison(run_folder):
         assert set(metrics) == {*METRICS, *OF_ROVERS}
         assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())
     assert (run_folder / "comparison.png").stat().st_size > 1000
-    assert train.main(["--resume", str(run_folder)]) == 0
+    assert commands.train(["--resume", str(run_folder)]) == 0
 
 
 def test_the_config_records_the_rover_and_nothing_that_was_not_run(run_folder):
@@ -196,7 +197,7 @@ def test_the_config_records_the_rover_and_nothing_that_was_not_run(run_folder):
 @pytest.mark.parametrize("given", [["--oracle_courses", "5"], ["--oracle_courses", "50"], ["--scenario", "two_lines"]])
 def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
     """Also where it is what a wheel has by default."""
-    assert train.main(["--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
+    assert commands.train(["--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
     said = capsys.readouterr().err
     assert f"{given[0][2:]} = " in said and "expected none beside rover = 'mars_rover'" in said
     assert said.count("\n") == 1
@@ -221,7 +222,7 @@ def test_an_agent_of_a_rover_does_not_drive_a_wheel(run_folder):
 
 def test_a_critic_is_refused(tmp_path, capsys):
     command = ["--config", "rover.yaml", "--runs", str(tmp_path), "--ppo.critic", "true_soil", *SMALL]
-    assert train.main(command) == 2
+    assert commands.train(command) == 2
     assert "expected none for a rover" in capsys.readouterr().err
 
 

@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
@@ -17,11 +16,11 @@ from agents.controllers.rover import ROVER_CONTROLLERS
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.study import work
-from agents.study.__main__ import main
 from agents.study.config import Cell, Study, read_config
 from agents.training import open_run
 from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
+from tests.agents.commands import study as main, typed
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
@@ -53,7 +52,7 @@ def refused(capsys, *arguments):
     capsys.readouterr()
     assert main(list(map(str, arguments))) == 2
     err = capsys.readouterr().err
-    assert err.startswith("agents.study: ") and err.count("\n") == 1, err
+    assert err.startswith("soil-env study: error: ") and err.count("\n") == 1, err
     return err
 
 
@@ -163,7 +162,7 @@ def test_a_killed_study_gives_what_an_undisturbed_one_gives(tmp_path, monkeypatc
     """kill -9 of all processes in the middle of a training, after other cells are done."""
     train = {**CONFIG["train"], "timesteps": 6400, "checkpoint_every": 10_000}
     path, out = config(tmp_path, train=train, seeds=1, courses=3), tmp_path / "out"
-    command = [sys.executable, "-m", "agents.study", "--config", str(path), "--out", str(out), "--workers", "1"]
+    command = typed("study", "--config", str(path), "--out", str(out), "--workers", "1")
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     run = out / "trained" / "mixed-true_soil-0"
     try:

@@ -19,7 +19,6 @@ from agents.agent import load_agent, read_info
 from agents.config import PPOConfig, TrainConfig, load_config
 from agents.controllers import CONTROLLERS
 from agents.evaluate import METRICS
-from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,7 +61,7 @@ def refused(capsys, *arguments):
     """stderr of a run that has to be refused: one line, status 2."""
     code, _, err = run(capsys, *arguments)
     assert code == 2, (code, err)
-    assert err.startswith("train.py: ") and err.count("\n") == 1, err
+    assert err.startswith("train.py: error: ") and err.count("\n") == 1, err
     assert "Traceback" not in err
     return err
 
@@ -205,96 +204,63 @@ def test_overrides_are_read_as_yaml():
     assert read == {"a": 1, "b": {"c": "x=y", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
 
 
-@pytest.mark.parametrize("twice", [["--b.c", "1", "--b.c=2"], ["--e-f", "1", "--a", "3", "--e_f", "1"]])
-def test_an_option_given_twice_is_refused(twice):
-    with pytest.raises(ParameterError, match=r"^--(b\.c|e_f): given twice: expected one value$"):
-        cli.overrides(twice)
+REFUSED = [  # (options, parts of the message)
+    (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
+    (["--config", "smoke.yaml", "--out", "x"], ["error: smoke.yaml, command line: unknown key 'out'"]),
+    (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
+    (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
+    (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
+    (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
+    (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
+    (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
+    (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
+    (["--scenario", "5"], ["unknown value '5'", "mixed"]),
+    (["--observation", "seen"], ["observation", "seen", "identified"]),
+    (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
+    (["--courses"], ["courses", "value"]),
+    (["--rover", ""], ["error: --rover: is empty: expected a value"]),
+    (["--timesteps", "1" + 400 * "0"], ["timesteps = 1e+400: expected a number"]),
+    (["5"], ["'5'", "--key value"]),
+    (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
+    (["--ppo.gamma", "1", "--ppo.gamma=0.9"], ["--ppo.gamma: given twice: expected one value"]),
+    (["--e-f", "1", "--e_f", "1"], ["--e_f: given twice"]),
+    (["--conf", "x.yaml"], ["unknown key 'conf'"]),  # no abbreviations: a misspelt key is no other option
+    (["--resum=x.yaml"], ["unknown key 'resum'"]),
+    (["--name", "a/b"], ["a/b", "name"]),
+    (["--config", "smoke.yaml", "--rover", "mars_rover"], ["smoke.yaml, command line: oracle_courses = 2: expected"]),
+    (["--rover", "mars_rovr"], ["'mars_rovr'; did you mean 'mars_rover'?"]),
+    (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
+    (["--resume", "."], ["config.yaml"]),
+    (["--config"], ["config"]),
+    (["--config", "a.yaml"], ["a.yaml", "not valid YAML"]),
+    (["--config", "b.yaml"], ["b.yaml", "expected a mapping"]),
+    (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
+    (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),  # it would be the default training of hours
+]
+FILES_OF_CONFIG = {"a.yaml": "a: [", "b.yaml": "- 1\n- 2\n", "c.yaml": "cources: 5\n", "d.yaml": "# nothing yet\n"}
 
 
-@pytest.mark.parametrize(
-    "arguments, parts",
-    [
-        (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
-        (["--config", "smoke.yaml", "--out", "x"], ["train.py: smoke.yaml, command line: unknown key 'out'"]),
-        (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
-        (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
-        (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
-        (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
-        (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
-        (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
-        (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
-        (["--scenario", "5"], ["unknown value '5'", "mixed"]),
-        (["--observation", "seen"], ["observation", "seen", "identified"]),
-        (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
-        (["--courses"], ["courses", "value"]),
-        (["--rover", ""], ["train.py: --rover: is empty: expected a value"]),
-        (["--timesteps", "1e99"], ["timesteps = 1e+99: expected a number in [1, 1e+12]"]),
-        (["--timesteps", "1" + 400 * "0"], ["timesteps = 1e+400: expected a number"]),
-        (["5"], ["'5'", "--key value"]),
-        (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
-        (["--timesteps", "1e6", "--timesteps", "2e6"], ["--timesteps: given twice: expected one value"]),
-        (["--name", "a/b"], ["a/b", "name"]),
-        (
-            ["--config", "smoke.yaml", "--rover", "mars_rover"],
-            ["train.py: smoke.yaml, command line: oracle_courses = 2: expected"],
-        ),
-        (["--rover", "mars_rovr"], ["'mars_rovr'; did you mean 'mars_rover'?"]),
-        (["--rover", "mars_rover", "--oracle_courses", "5"], ["train.py: command line: oracle_courses = 5: expected"]),
-        (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
-        (["--config"], ["config"]),
-    ],
-)
+@pytest.mark.parametrize("arguments, parts", REFUSED)
 def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, arguments, parts):
-    def no_training(*args):
-        raise AssertionError("training was started")
-
-    monkeypatch.setattr(training, "train", no_training)
+    monkeypatch.setattr(training, "train", lambda *_: pytest.fail("training was started"))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "configs").mkdir()
-    runs = [] if arguments[0].startswith("--resume") else [f"--runs={tmp_path / 'runs'}"]
-    if runs and arguments[-1] in ("--courses", "--seed", "--config"):
-        arguments, runs = [*runs, *arguments], []
-    err = refused(capsys, *arguments, *runs)
+    for name, content in FILES_OF_CONFIG.items():
+        (tmp_path / name).write_text(content)
+    runs = [] if arguments[0] == "--resume" else [f"--runs={tmp_path / 'runs'}"]
+    err = refused(capsys, *runs, *arguments)
     for part in parts:
         assert part in err, err
     assert not list(tmp_path.glob("runs/*")), "a refused run left a folder behind"
 
 
-@pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "null", "[a", "a: b", ""])
+@pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "null", "[a", ""])
 def test_any_text_is_a_name(tmp_path, value):
-    """What looks like a number, a date or a switch to YAML is still a name where text is expected."""
-    for arguments in (["--name", value], [f"--name={value}"]):
-        assert load_config(cli.overrides(arguments), "command line").name == value
+    """A number, a date or a switch of YAML is text where text is expected."""
+    assert load_config(cli.overrides(["--name", value]), "command line").name == value
     config = load_config(cli.overrides([f"--name={value}", "--runs", str(tmp_path)]), "command line")
     if value:
         folder = training.make_run_folder(config, load_scenario())
         assert folder == tmp_path / value and training.open_run(folder)[0] == config
-
-
-def test_options_are_not_abbreviated(capsys, tmp_path, monkeypatch):
-    """--conf could be a misspelt key: it is not silently taken for --config."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "x.yaml").write_text("courses: 0\n")
-    assert "'conf'" in refused(capsys, "--conf", "x.yaml", "--runs", tmp_path / "runs")
-    assert "'conf'" in refused(capsys, "--conf=x.yaml", "--runs", tmp_path / "runs")
-    assert "'resum'" in refused(capsys, "--resum", "x.yaml", "--runs", tmp_path / "runs")
-
-
-@pytest.mark.parametrize("content", ["a: [", "- 1\n- 2\n", "cources: 5\n"])
-def test_a_bad_config_is_refused_with_the_file_s_name(capsys, tmp_path, content):
-    file = tmp_path / "bad.yaml"
-    file.write_text(content)
-    assert "bad.yaml" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
-
-
-@pytest.mark.parametrize("content", ["", "# nothing yet\n", "{}\n"])
-def test_a_config_without_keys_is_refused(capsys, tmp_path, monkeypatch, content):
-    """It would be the default training of hours."""
-    monkeypatch.setattr(training, "train", lambda *_: pytest.fail("training was started"))
-    file = tmp_path / "empty.yaml"
-    file.write_text(content)
-    assert "empty.yaml: is empty: expected keys" in refused(capsys, "--config", file, "--runs", tmp_path / "runs")
-    assert not (tmp_path / "runs").exists()
 
 
 def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
@@ -313,12 +279,6 @@ def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
     assert str(folder) in err and "exists" in err and "--resume" in err
     assert [p.name for p in folder.iterdir()] == ["precious"]
-
-
-def test_resume_of_what_is_no_run_is_refused(capsys, tmp_path):
-    assert "config.yaml" in refused(capsys, "--resume", tmp_path)
-    (tmp_path / "config.yaml").write_text("seed: 1\n")
-    assert "scenario.yaml" in refused(capsys, "--resume", tmp_path)
 
 
 # --- resume -----------------------------------------------------------------------------------------------------------

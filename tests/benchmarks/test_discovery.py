@@ -314,7 +314,7 @@ def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
         return SimpleNamespace(base_model=MODEL, model=MODEL, effects=(), verdict="none", gap=gap)
 
     monkeypatch.setattr(rigs, "run", says_none)
-    result = rigs.held_out(rigs.Measured("rig", rows, setup, 0.05))
+    result = rigs.held_out(rigs.Rig("rig", rows, setup, 0.05))
     everything = set(SLIPS.round(3))
     assert seen[0] == everything
     assert [everything - s for s in seen[1:]] == [{0.1, 0.11}, {0.3}, {0.5}, {0.7, 0.71}]
@@ -323,4 +323,4 @@ def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
     outermost = 10.0 * np.sqrt((0.2**2 + 0.19**2 + 0.2**2 + 0.21**2) / 6.0)
     assert rms["anonymous"] == pytest.approx(outermost, rel=1e-3)
     assert "torque" not in result["rms"] and result["reported"] == {"drawbar_pull": 1.5, "sinkage": None}
-    assert all(table.rows for table in rigs.tables_of([result]).values())
+    assert all(table.rows for table in rigs.tables([result]).values())

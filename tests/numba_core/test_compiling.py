@@ -68,7 +68,7 @@ def test_a_part_is_called_from_python_like_a_function():
 
 def test_a_part_called_by_plain_njit_says_so():
     """Its own parts would be missing there."""
-    with pytest.raises(TypeError, match="squared: a part called by a function of numba's own `njit`"):
+    with pytest.raises(TypeError, match="squared: a part called by a function of numba's `njit`"):
         njit(lambda x: squared(x))(2.0)
 
 

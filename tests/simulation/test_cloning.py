@@ -15,6 +15,8 @@ WHEELS, CLONES = 5, 11
 
 def memory(part, wheel, wheels, name="worlds"):
     """{name: numbers} of everything that is kept of one wheel."""
+    if part is None:
+        return {}
     if isinstance(part, Rows):
         each = part.count // wheels
         return {name: part.data[:, wheel * each : (wheel + 1) * each].copy()}

@@ -2,6 +2,9 @@
 
 import dataclasses
 import math
+import pickle
+import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +13,9 @@ import yaml
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.model import LEVEL, Conditions, ModelWheel, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.model import LEVEL, Conditions, ModelWheel, Rim, WheelSoilModel, load_model, steady_with
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.validity import OutsideValidity, checked
 
 SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)
 BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
@@ -61,15 +65,6 @@ def test_prediction_is_row_by_row():
         assert tuple(stacked(found)[k]) == pytest.approx(expected[:3], rel=1e-12)
 
 
-def test_scalars_count_for_every_row():
-    found = MODEL.predict(conditions(4, **{"pass": 2}))
-    assert found.sinkage.shape == found.drawbar_pull.shape == found.torque.shape == (4,)
-    full = MODEL.predict(conditions(4, load=np.full(4, 90.0), speed=[0.1] * 4, **{"pass": [2] * 4}))
-    np.testing.assert_array_equal(stacked(found), stacked(full))
-    one = MODEL.predict({"slip": 0.2, "load": 90.0, "speed": 0.1, "pass": 2})
-    assert one.sinkage == pytest.approx(found.sinkage[1]) and one.sinkage.shape == (1,)
-
-
 def test_what_is_not_given_is_level_fresh_soil_and_the_wheel_of_the_model():
     plain = WheelSoilModel(WHEEL, SOIL)
     found = plain.predict({"slip": 0.3, "load": 90.0})
@@ -92,13 +87,6 @@ def test_a_row_may_have_another_wheel(soil):
     for k, wheel in enumerate((WHEEL, ModelWheel(0.2, 0.06, 0.01))):
         assert tuple(stacked(found)[k]) == pytest.approx(single(model, 0.3, 90.0, wheel)[:3], rel=1e-12)
     assert found.sinkage[1] > found.sinkage[0]
-
-
-def test_lugs_of_the_row():
-    model = WheelSoilModel(WHEEL, SOIL, {"grousers": {"blades": 4.0}})
-    pull = model.predict({"slip": 0.3, "load": 90.0, "grouser_height": [0.0, 0.01, 0.02]}).drawbar_pull
-    assert pull[0] == pytest.approx(WheelSoilModel(WHEEL, SOIL).predict({"slip": 0.3, "load": 90.0}).drawbar_pull[0])
-    assert pull[2] > pull[1] > pull[0]
 
 
 def test_a_table_and_a_mapping_predict_the_same(tmp_path):
@@ -171,13 +159,6 @@ def test_residual_terms_are_added():
     assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
 
 
-def test_the_sinkage_of_a_term_is_that_of_the_model():
-    term = ResidualTerm("drawbar_pull", 0.1, {"sinkage": 1.0})
-    plain = MODEL.predict(conditions())
-    found = WheelSoilModel(WHEEL, SOIL, EFFECTS, (term,)).predict(conditions())
-    assert found.drawbar_pull == pytest.approx(plain.drawbar_pull + 90.0 * 0.1 * plain.sinkage / 0.15)
-
-
 # --- model.yaml -------------------------------------------------------------------------------------------------------
 
 
@@ -188,7 +169,7 @@ def test_the_sinkage_of_a_term_is_that_of_the_model():
         WheelSoilModel(WHEEL, BEKKER, EFFECTS),
         WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS),
         WheelSoilModel(WHEEL, SOIL, {"slip_bias": {"offset": 1e-7}}),
-        WheelSoilModel(WHEEL, SOIL, {"bulldozing": {"rankine": 1.0}}, gravity=1.62),
+        WheelSoilModel(WHEEL, SOIL, {"bulldozing": {"rankine": 1.0}}, gravity=1.62, validity={"slip": (0.0, 0.6)}),
     ],
     ids=["plain", "bekker", "residual", "small number", "moon"],
 )
@@ -196,7 +177,7 @@ def test_save_and_load(tmp_path, model):
     path = tmp_path / "model.yaml"
     model.save(path)
     again = WheelSoilModel.load(path)
-    assert again == model
+    assert again == model == pickle.loads(pickle.dumps(model))
     np.testing.assert_array_equal(stacked(again.predict(conditions())), stacked(model.predict(conditions())))
     assert yaml.safe_load(path.read_text())["format"] == "soil_env model 1"
 
@@ -254,3 +235,73 @@ def test_without_a_soil_nothing_is_predicted(tmp_path):
     path.write_text(yaml.safe_dump(content(soil=None)))
     with pytest.raises(ParameterError, match="soil"):
         WheelSoilModel.load(path).predict(conditions())
+
+
+# --- range of validity ------------------------------------------------------------------------------------------------
+
+RANGE = {
+    "slip": (0.05, 0.6),
+    "load": (100.0, 200.0),
+    "speed": (0.02, 0.1),
+    "pass": (1.0, 3.0),
+    "grade_deg": (-5.0, 5.0),
+}
+
+
+@pytest.mark.parametrize(
+    "conditions, word",
+    [
+        ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
+        ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
+        ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
+    ],
+)
+def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(conditions, word):
+    model = WheelSoilModel(WHEEL, SOIL, validity=RANGE)
+    with pytest.warns(OutsideValidity, match=word):
+        there = model.predict(conditions)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.array_equal(model.predict(conditions).sinkage, there.sinkage)
+    plain = replace(model, validity={}).predict(conditions)
+    assert np.array_equal(plain.sinkage, there.sinkage) and np.array_equal(plain.torque, there.torque)
+
+
+def test_within_its_range_and_at_its_ends_there_is_no_warning():
+    model = WheelSoilModel(WHEEL, SOIL, validity=RANGE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model.predict({"slip": [0.05, 0.6], "load": [100, 200], "speed": [0.02, 0.1], "pass": 3, "grade_deg": -5})
+        model.predict({"slip": 0.1, "load": 150})  # the speed is not known
+
+
+@pytest.mark.parametrize(
+    "validity, message",
+    [
+        ({"slop": [0, 1]}, "validity: unknown key 'slop'; did you mean 'slip'"),
+        ({"slip": [1, 0]}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
+        ({"slip": [0, float("nan")]}, "validity.slip = "),
+        ([0, 1], "validity: expected a mapping"),
+    ],
+)
+def test_what_is_no_range_is_refused(validity, message):
+    with pytest.raises(ParameterError, match=message):
+        checked(validity)
+    with pytest.raises(ParameterError, match=message):
+        WheelSoilModel.from_content({"wheel": {"radius": 0.15, "width": 0.1}, "validity": validity})
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: WheelSoilModel.load(3), "expected the path of a model.yaml"),
+        (lambda: load_model(""), "expected the path of a model.yaml"),
+        (lambda: MODEL.predict(None), "conditions = None: expected a Table or a mapping"),
+        (lambda: WheelSoilModel(None), "WheelSoilModel.wheel = None: expected a ModelWheel"),
+        (lambda: WheelSoilModel(WHEEL, SOIL, {}, None), "residual = None: expected a sequence"),
+    ],
+)
+def test_wrong_types_are_one_line(make, message):
+    with pytest.raises(ParameterError, match=message) as error:
+        make()
+    assert "\n" not in str(error.value)

@@ -109,8 +109,3 @@ def test_wrong_terms_are_refused_in_one_line(arguments, message):
     with pytest.raises(ParameterError, match=message) as error:
         ResidualTerm(*arguments)
     assert "\n" not in str(error.value)
-
-
-def test_the_channel_is_checked_on_loading():
-    with pytest.raises(ParameterError, match="channel = 'pull': expected one of"):
-        load(ResidualTerm, {"channel": "pull", "coefficient": 1.0})

@@ -91,12 +91,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     """
     data, varied = report.problem.data, report.problem.data.varied
     others = [c for name, c in varied.items() if name != "slip"]
-    label = np.zeros(data.rows.slip.size, dtype=int)
-    if others:
-        label = np.unique(np.stack([c.level for c in others]), axis=1, return_inverse=True)[1].ravel()
     found = []
-    for k in range(int(label.max()) + 1):
-        rows = np.flatnonzero(label == k)
+    for k, rows in enumerate(data.groups):
         if np.unique(varied["slip"].level[rows]).size >= min(3, varied["slip"].levels):
             off = (data.y - report.held_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))

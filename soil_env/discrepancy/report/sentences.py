@@ -10,8 +10,8 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
-from soil_env.discrepancy.experiment import NextTest
 from soil_env.discrepancy.locate import Disagreement
+from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
 from soil_env.terramechanics.effects import CATALOGUE
@@ -165,7 +165,7 @@ def summary(report: Report) -> str:
     """Conclusion: what is missing, its probability, and how far the gap closes."""
     finding, gap = report.finding, report.gap
     sets = [h for h in finding.hypotheses if h.names and h.probability >= TOLD][:4]
-    told = [f"{title(' and '.join(h.names))}{' alone' * (len(h.names) == 1)} ({sure(h.probability)})" for h in sets]
+    shares = [f"{title(' and '.join(h.names))}{' alone' * (len(h.names) == 1)} ({sure(h.probability)})" for h in sets]
 
     def over_noise(name: str) -> tuple[float, float]:
         return gap[name].before / gap[name].noise_floor, gap[name].after / gap[name].noise_floor
@@ -178,7 +178,7 @@ def summary(report: Report) -> str:
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
         left=[f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0],
         law_error=figure(100.0 * report.law_error),
-        sets=told,
+        sets=shares,
         groups=list(dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)),
         values=int(report.problem.used.sum()),
         worst=max((over_noise(name)[0] for name in gap), default=0.0),

@@ -1,4 +1,4 @@
-"""The body of a rover: its state, its suspension in equilibrium, and what a course makes of it as a whole.
+"""Body of a rover: its state, and its suspension in equilibrium.
 
 A rover is seen from the side, its two sides alike, so all masses and forces are those of one side. The places of its
 wheels along the course differ by the distances of the axles; they travel at one speed V and turn each at its own:

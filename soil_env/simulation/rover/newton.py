@@ -40,7 +40,7 @@ def _apart(x):
 
 @compiled_inline
 def _eliminate(pull_by_u, torque_by_v, net_by_u, f2, cu):
-    """What the equation of an axle's rotation adds to that of travel: (slope, residual), of V and times h/M."""
+    """Terms of an axle's rotation in the equation of travel: (slope by V, residual), both times h/M."""
     pivot = _apart(1.0 + cu * net_by_u)
     return pull_by_u * cu * torque_by_v / pivot, pull_by_u * f2 / pivot
 
@@ -206,7 +206,7 @@ def _begin(sub, s):
 
 @compiled_inline
 def _largest_change(sub, s):
-    """Of all speeds of eight rovers since the start of the stage [m/s]."""
+    """Largest change of a speed of eight rovers since the start of the stage [m/s]."""
     e, n = sub.equations, sub.newton
     change = abs(from_array(n.v, 0) - from_array(e.speed0, 0))
     for a in range(s.axles):

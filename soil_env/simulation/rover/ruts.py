@@ -1,4 +1,4 @@
-"""Ruts of a rover: what the wheels ahead leave to those behind them.
+"""Ruts of a rover, left by the wheels ahead to those behind them.
 
 A wheel behind another runs on the floor of its rut: its sinkage is that below the floor, and its contact begins there.
 The soil of the floor has another sinkage coefficient S than before, by the factor of `terrain.leave_rut`. A wheel that
@@ -25,7 +25,7 @@ COMPACTION_OF_RUT = 5.0
 
 
 class Ruts(NamedTuple):
-    """What is left in the cells of a course, as each wheel meets it: `Courses.rut_factors` and `Courses.rut`."""
+    """Cells of a course as each wheel meets them: as `Courses.rut_factors` and `Courses.rut`."""
 
     rut_factors: np.ndarray  # [wheels, cells] factor on S [-]
     rut: np.ndarray  # [wheels, cells] depth of the wheel's own rut below the floor [m]; 0 before its first pass

@@ -70,7 +70,7 @@ class Scaling:
         pairs = np.array([CENTRE_AND_SCALE.get(n, (0.0, 1.0)) for n in plain], dtype=np.float32).reshape(-1, 2)
         self.centre: NDArray[np.float32] = pairs[:, 0].copy()
         self.scale: NDArray[np.float32] = pairs[:, 1].copy()
-        # for each entry one that is 0 where its line is out of sight, and whether it is kept then
+        # for each entry one that is 0 if its line is out of sight, and 1 if it is kept then
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._lines = []  # the entries of each line that are not 0 in sight

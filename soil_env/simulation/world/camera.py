@@ -15,7 +15,7 @@ from soil_env.simulation.world.lines import choosing, settled
 
 
 class CameraNumbers(NamedTuple):
-    """What the camera takes from a `Scenario`."""
+    """Numbers of the camera from a `Scenario`."""
 
     classes: int  # 0: no camera
     lines: int
@@ -25,7 +25,7 @@ class CameraNumbers(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """Where an image puts the wheel."""
+    """Place of the wheel by an image."""
 
     patch: int  # that the wheel seems to be on
     since: float  # [m] from the beginning of it

@@ -37,7 +37,7 @@ _ACTIONS_AHEAD = 3.0  # actions of travel at top rim speed before a wheel within
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
-    """Pack what `draw_course` needs; `model` brings the effects that are on in this world."""
+    """Pack the numbers of `draw_course`; `model` gives the effects that are on in this world."""
     c, s, w, camera = scenario.course, scenario.spread, scenario.wheel, scenario.camera
     ahead = _ACTIONS_AHEAD * w.radius * w.no_load_speed * scenario.control.duration
     if c.classes:  # the patch after one in sight is drawn, so that what is seen is final

@@ -3,7 +3,8 @@
 A class is a soil drawn anew for each course; patches of a class scatter about it. The first patches show each class
 once, in random order. Over each patch after those lead two lines of different classes (`CourseSpec.lines`): one is
 passable by construction, as every patch of a course without classes is, and so is every border between passable lines;
-the other may be steeper than any slip can climb. What tells them apart is the soil: a line's grade alone does not.
+the other may be steeper than any slip can climb. They differ in the soil: a line's grade alone does not
+say which is passable.
 """
 
 from __future__ import annotations
@@ -154,7 +155,7 @@ def repeat_patch(k, courses, p):
 
 @compiled_inline
 def _draw_looks(k, courses, p, spec):
-    """What the camera sees wrongly of patch p, and how far before it the wheel is halted."""
+    """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
     lines, streams = courses.lines, courses.streams
     for line in range(2):
         label = lines.classes[k, p, line]
@@ -172,7 +173,7 @@ def _draw_looks(k, courses, p, spec):
 
 @compiled_inline
 def passable(k, courses, p, line):
-    """Whether a line of patch p is passable: whether its grade is less than its capacity."""
+    """True if a line of patch p is passable: if its grade is less than its capacity."""
     return courses.lines.capacities[k, p, line] > math.tan(courses.lines.grades[k, p, line])
 
 
@@ -265,7 +266,7 @@ def choosing(state, counts, k, courses, numbers):
 
 @compiled_inline
 def settled(state, k, courses, patch):
-    """Whether wheel k has no choice of a line over a patch any more, or never had: it has come to the halt before."""
+    """True if wheel k has no choice of a line over a patch: it had none, or has come to the halt before it."""
     return (
         courses.lines.count[k, patch] < 2 or state.best_x[k] >= courses.edges[k, patch] + courses.lines.halts[k, patch]
     )

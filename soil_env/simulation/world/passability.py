@@ -1,4 +1,4 @@
-"""What soils a course is drawn from, and how steep a slope of them this wheel can climb."""
+"""Soils that a course is drawn from, and the steepest slope of them that this wheel can climb."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class CourseDistribution(NamedTuple):
 
 
 class CourseNumbers(NamedTuple):
-    """What courses are drawn from, and the wheel that has to pass them."""
+    """Distribution of the courses, and the wheel that has to pass them."""
 
     drawn: CourseDistribution
     wheel: Interaction

@@ -1,4 +1,4 @@
-"""Sensors: what they read of a wheel, with their noise and what they read wrongly."""
+"""Sensors of a wheel: readings with noise and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 
 class SensorErrors(NamedTuple):
-    """What sensors read wrongly: those of the `Effects`, by their names, that are not on the wheel."""
+    """Errors of the sensors: the `Effects`, by their names, that do not act on the wheel."""
 
     slip_bias_offset: float
     slip_bias_radius_error: float
@@ -26,7 +26,7 @@ class SensorErrors(NamedTuple):
 
 
 class SensorNumbers(NamedTuple):
-    """What the sensors take from a `Scenario`."""
+    """Numbers of the sensors from a `Scenario`."""
 
     radius: float
     # [10] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
@@ -37,7 +37,7 @@ class SensorNumbers(NamedTuple):
 
 
 def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> SensorNumbers:
-    """Pack what `sense` needs; `model` brings what the sensors of this world read wrongly."""
+    """Pack the numbers of `sense`; `model` gives the errors of the sensors in this world."""
     effects = NO_EFFECTS if model is None else model.numbers
     errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
     return SensorNumbers(

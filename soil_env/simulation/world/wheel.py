@@ -70,7 +70,7 @@ WheelState: type[Rows] = rows(
     "numerical_work",  # [J] that the integrator took from it, in the last control period
     "travel",  # [m] in the last control period
     "last_action",  # [-1, 1]
-    "rim_command",  # [of the top rim speed] that the drive is told to follow; 0 where the action is a torque
+    "rim_command",  # [of the top rim speed] that the drive follows; 0 if the action is a torque
     "mark_x",  # [m] `best_x` when it last was a further `no_progress_distance` on
     "idle_time",  # [s] since `mark_x` was set, halts left out
     "stalled_time",  # [s] of `idle_time` in which the wheel did not turn
@@ -92,7 +92,7 @@ WheelCounts: type[Rows] = rows(
 
 
 class WorldNumbers(NamedTuple):
-    """What the dynamics take from a `Scenario`."""
+    """Numbers of the dynamics from a `Scenario`."""
 
     wheel: Interaction  # with the effects that act on the wheel, not on its sensors
     inertia: float
@@ -123,7 +123,7 @@ def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> I
 
 
 def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None, axles: int = 1) -> WorldNumbers:
-    """Pack what `dynamics.advance` needs; `model` brings the effects that are on in this world."""
+    """Pack the numbers of `dynamics.advance`; `model` gives the effects that are on in this world."""
     w, c = scenario.wheel, scenario.control
     return WorldNumbers(
         interaction_of(scenario, model),

@@ -8,16 +8,17 @@ How to add an effect:
    `soil` (strength and bearing under the wheel), `arc` (exit angle and stress peak), `resistance` (force against the
    travel) or `drive` (friction between motor and axle). `fx.<name>_<parameter>` are its numbers; at the neutral values
    the law returns x unchanged. Laws take floats or lanes: use `_numba.elementary`, and `where_less` for conditions.
-3. Add its module to `_MODULES` below. Model files, the simulated world, `WheelSoilModel.predict`, the discrepancy
+3. Add its name to `_NAMES` below. Model files, the simulated world, `WheelSoilModel.predict`, the discrepancy
    workflow, its report and the table of `text.markdown` have it from there.
-4. Add a value of each form to `tests/terramechanics/cases.py`, an independent form of the law to `reference.py` there,
-   and run `pytest tests/terramechanics`. Compile once with `soil-env warmup`.
+4. Add values of each form to `cases.py` and `test_steady_effects.py` in `tests/terramechanics`, and the law as its
+   source writes it to `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics`.
 """
 
 from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping
+from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,21 +26,6 @@ from soil_env._io.loading import ParameterError, unknown_key
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import alike
-from soil_env.terramechanics.effects import (
-    bulldozing,
-    drivetrain_friction,
-    grade,
-    grousers,
-    multipass,
-    penetration_rate,
-    rear_contact,
-    shear_rate,
-    shear_softening,
-    sinkage_offset,
-    slip_bias,
-    slip_sinkage,
-    stress_peak_shift,
-)
 from soil_env.terramechanics.effects.composing import any_of, chained
 from soil_env.terramechanics.effects.entry import Axle, Effect, Entry, Friction, Furrow, Passage
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
@@ -77,12 +63,26 @@ __all__ = [
     "true_slip",
 ]
 
-_MODULES = (
-    slip_sinkage, rear_contact, stress_peak_shift, grousers, bulldozing, multipass, penetration_rate, shear_rate,
-    shear_softening, grade, drivetrain_friction, slip_bias, sinkage_offset,
-)  # fmt: skip
+#: Modules of this folder, one an effect.
+_NAMES = (
+    "slip_sinkage",
+    "rear_contact",
+    "stress_peak_shift",
+    "grousers",
+    "bulldozing",
+    "multipass",
+    "penetration_rate",
+    "shear_rate",
+    "shear_softening",
+    "grade",
+    "drivetrain_friction",
+    "slip_bias",
+    "sinkage_offset",
+)
 #: The effects by name.
-CATALOGUE: Mapping[str, Effect] = MappingProxyType({module.EFFECT.name: module.EFFECT for module in _MODULES})
+CATALOGUE: Mapping[str, Effect] = MappingProxyType(
+    {name: import_module(f"{__name__}.{name}").EFFECT for name in _NAMES}
+)
 
 # --- their numbers ----------------------------------------------------------------------------------------------------
 

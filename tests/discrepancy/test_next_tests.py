@@ -6,20 +6,24 @@ import dataclasses
 import numpy as np
 import pytest
 
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
-from soil_env.discrepancy.experiment import (
+from soil_env.discrepancy.fits import Choice
+from soil_env.discrepancy.next_tests import (
     DEEPEST,
     LEAST,
     SLIPS,
-    conditions,
+    law_tests,
     next_tests,
     separating,
 )
-from soil_env.discrepancy.fits import Choice
 from soil_env.discrepancy.search import Finding, Hypothesis
+from soil_env.discrepancy.symbolic import ResidualFit
+from soil_env.discrepancy.workflow import model_of
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 from tests.discrepancy.tables import NOISE, WHEEL, problem, table
 
 ONE_LOAD = {"loads": (150.0,)}
@@ -151,35 +155,6 @@ def test_a_buried_wheel_is_no_test(case):
     assert heavy.sinkage[0] > DEEPEST * WHEEL.radius
 
 
-def test_grid_has_what_a_candidate_knows():
-    p, candidates = rivals({}, ("penetration_rate", "multipass", "grade", "bulldozing"))
-    known = {c.names[0]: conditions(p, [c]).value for c in candidates}
-    assert np.unique(known["penetration_rate"]["speed"]) == pytest.approx([0.018, 0.06, 0.18])
-    assert set(known["multipass"]["pass"]) == {1.0, 2.0, 3.0}
-    assert set(known["grade"]["grade_deg"]) == {-10.0, 0.0, 10.0}
-    assert set(np.unique(known["bulldozing"]["load"])) == {50.0, 100.0, 150.0, 220.0, 440.0}
-    for name in ("speed", "pass", "grade_deg"):
-        assert len(set(known["bulldozing"][name])) == 1
-
-
-def test_speed_that_is_not_known_is_not_asked_for(case):
-    p, candidates = case
-    p = copy.copy(p)
-    rows = p.data.rows
-    p.data = dataclasses.replace(p.data, rows=rows._replace(conditions=rows.conditions * [0.0, 1.0, 1.0]))
-    assert all("speed" not in t.conditions for t in separating(p, candidates))
-
-
-def test_channel_that_was_not_measured_is_not_asked_for(case):
-    p, candidates = case
-    first = separating(p, candidates)[0].channel
-    p = copy.copy(p)
-    p.used = p.used.copy()
-    p.used[:, CHANNELS.index(first)] = False
-    tests = separating(p, [settle(p, c.fit.choices) for c in candidates])
-    assert all(t.channel != first for t in tests)
-
-
 def test_who_is_left():
     p, (a, b, c) = rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD)
     base = settle(p, ())
@@ -193,3 +168,68 @@ def test_who_is_left():
     assert next_tests(p, finding(0.2, 0.1, 0.0, 0.7)) == separating(p, (base, a, b))
     assert next_tests(p, finding(0.996, 0.002, 0.001, 0.001)) == ()
     assert separating(p, (a,)) == ()
+
+
+# --- a law without a name ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def law_problem():
+    return Problem(table(speeds=(0.03, 0.1)), NOISE.copy(), np.ones((36, 3), dtype=bool))
+
+
+TERMS = (
+    ResidualTerm("sinkage", -0.21, {"slip": 2.0, "load": 0.5}, {"slip": [0.05, 0.55], "load": [0.01, 0.03]}),
+    ResidualTerm("sinkage", 0.03, {"grip": -1.0}, {"grip": [0.45, 0.95]}),
+    ResidualTerm("torque", 2400.0, {"speed": 1.0}, {"speed": [0.02, 0.08]}),
+)
+
+
+@pytest.fixture(scope="module")
+def law(law_problem):
+    """A law with known coefficients: prior sd half of each and unit information, so the sd is value / 2 / sqrt 2."""
+    fit = law_problem.fit()
+    count = len(TERMS)
+    column = np.zeros((fit.residual.size, count))
+    column[np.arange(count), np.arange(count)] = 1.0
+    jacobian = fit.jacobian.copy()
+    jacobian[:count] = 0.0
+    offset = np.zeros_like(law_problem.data.y)
+    offset[7] = [-5 * NOISE[0], 0.0, 0.0]
+    width = np.array([t.coefficient for t in TERMS]) / 2.0
+    return ResidualFit(TERMS, dataclasses.replace(fit, jacobian=jacobian), offset, 10.0, column, width)
+
+
+def test_the_intervals_of_a_law(law):
+    for term, c in zip(TERMS, law.coefficients(), strict=True):
+        half = 1.959964 * abs(term.coefficient) / 2.0 / np.sqrt(2.0)
+        assert (c.low, c.high) == pytest.approx((term.coefficient - half, term.coefficient + half))
+
+
+def test_the_tests_of_a_law_repeat_its_largest_and_go_beyond_the_table(law_problem, law):
+    base = law_problem.fit()
+    quiet = tuple(dataclasses.replace(t, coefficient=c) for t, c in zip(TERMS, (-0.4, 0.01, 0.4), strict=True))
+    law = dataclasses.replace(law, terms=quiet, width=np.array([t.coefficient for t in quiet]) / 2.0)
+    model = model_of(law_problem, base, quiet)
+    first, *rest = law_tests(law_problem, base, law, model)
+    assert first.separates == ("the law", "the base model") and first.channel == "sinkage"
+    assert first.conditions["slip"] == pytest.approx(law_problem.data.rows.slip[7])
+    assert first.expected_sigma == pytest.approx(5.0) and first.purpose == "repeat"
+    assert 1 <= len(rest) <= 3
+    for t in rest:
+        moved = [k for k, v in t.conditions.items() if v != first.conditions[k]]
+        assert len(moved) == 1 and t.expected_sigma >= 1.0
+        low, high = model.validity[moved[0]]
+        assert not low <= t.conditions[moved[0]] <= high
+        assert set(t.conditions) == set(first.conditions)
+
+
+def test_without_a_law_the_test_is_the_largest_misfit(law_problem):
+    shifted = dataclasses.replace(law_problem.data, y=law_problem.data.y + 0.0)
+    shifted.y[20, 2] += 8 * NOISE[2]
+    p = Problem(shifted, NOISE.copy(), law_problem.used)
+    fit = p.fit()
+    none = ResidualFit((), fit, np.zeros_like(shifted.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
+    found = law_tests(p, fit, none, model_of(p, fit))
+    assert len(found) == 1 and found[0].channel == "torque"
+    assert found[0].conditions["slip"] == pytest.approx(shifted.rows.slip[20])

@@ -1,23 +1,30 @@
-"""Checks of a table for mistakes of sign and unit, before the search for effects.
+"""Doubts about a table: mistakes of sign and unit, and single rows that decide what is named.
 
 Two things speak for a mistake: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms
 ...) is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold
-the table is refused; one of them alone is a doubt that a report says first.
+the table is refused; one of them alone is a doubt that a report states first.
+
+The measured values of a row are checked by the rows beside it (`noise`). A row at a slip or load that no other row
+comes near is checked by none, and a mistyped condition makes such a row.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.calibrate import GRAVITY, Problem
-from soil_env.discrepancy.data import Data
+from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
+from soil_env.discrepancy.data import Data, prepare
+from soil_env.discrepancy.noise import NoiseEstimate
+from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.table import in_radians
+from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
@@ -26,6 +33,7 @@ FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with 
 LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
+FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
 WEAK = 2e-3  # share of the load, largest in a table, below which a force is in another unit: rolling takes more
 
 
@@ -38,8 +46,8 @@ class Reinterpretation(NamedTuple):
     problem: Problem
 
 
-def examine(problem: Problem) -> tuple[str, ...]:
-    """Doubts in sentences, none as a rule; `ParameterError` where the table cannot be right."""
+def of_table(problem: Problem) -> tuple[str, ...]:
+    """Return doubts about signs and units, none as a rule; raise `ParameterError` where the table cannot be right."""
     load = load_doubt(problem.data.table, problem.data.setup)
     always = (*filter(None, (load,)), *problem.data.setup.doubts(), *_grades_doubted(problem.data))
     dead = _channels_doubted(problem)
@@ -148,7 +156,7 @@ def _resized(rows: Rows, radius: float) -> Rows:
 
 
 def _broken(problem: Problem, name: str) -> str:
-    """What a table breaks that a reading of that name would mend; "" where nothing."""
+    """Return the physical limit that a table breaks and a reading of that name would mend; "" if none."""
     if name == "pull":
         return _pull_falls(problem)
     if name == "load":
@@ -160,7 +168,7 @@ def _pull_falls(problem: Problem) -> str:
     """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups of rows."""
     data = problem.data
     falls, first, last = [], [], []
-    for rows in _groups(data):
+    for rows in data.groups:
         rows = rows[problem.used[rows, 1]]
         slip = data.rows.slip[rows]
         if rows.size < 3 or slip.min() < -0.05 or slip.min() > LOW_SLIP or np.ptp(slip) < LEAST_SPAN:
@@ -178,15 +186,6 @@ def _pull_falls(problem: Problem) -> str:
         f"drawbar_pull falls with slip {where} that differ in slip alone, from {np.median(first):.3g} N at the least "
         f"to {np.median(last):.3g} N at the largest slip"
     )
-
-
-def _groups(data: Data) -> list[np.ndarray]:
-    """Rows that differ in slip alone."""
-    others = [c.level for name, c in data.varied.items() if name != "slip"]
-    if not others:
-        return [np.arange(data.rows.slip.size)]
-    label = np.unique(np.stack(others), axis=1, return_inverse=True)[1].ravel()
-    return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
 
 def _beyond_strength(problem: Problem) -> str:
@@ -208,3 +207,31 @@ def _beyond_strength(problem: Problem) -> str:
                 "the middle of the rows with slip above 0.15"
             )
     return ""
+
+
+# --- rows that stand alone --------------------------------------------------------------------------------------------
+
+
+def of_lone_rows(
+    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
+) -> tuple[str, ...]:
+    """Return a doubt where rows that stand alone in their conditions decide what is named, none as a rule."""
+    table, alone = problem.data.table, np.flatnonzero(noise.alone)
+    if not 0 < alone.size <= len(table) // FEW:
+        return ()
+    say("searching without the rows that stand alone")
+    try:
+        others, _ = calibrate(prepare(table.only(~noise.alone), problem.data.setup))
+    except ParameterError:  # too little is left
+        return ()
+    found = search(others, lambda text: say(f"searching without the rows that stand alone: {text}"))
+    if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
+        return ()
+    rows = ", line ".join(f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
+    named = " and ".join(CATALOGUE[name].title for name in found.names) or "nothing"
+    one = alone.size == 1
+    return (
+        f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "
+        f"{'decides' if one else 'decide'} what is named: without {'it' if one else 'them'} that is {named}. Check "
+        f"slip and load there.",
+    )

@@ -1,20 +1,20 @@
-"""Signs and units: a table that is read wrongly is refused or said to be so before anything else."""
+"""Signs, units and lone rows: a table that is read wrongly is refused, or doubted before anything else."""
 
 import csv
 import dataclasses
-import json
 import re
 
 import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy import calibrate, mistakes
+from soil_env.discrepancy import calibrate, doubts
 from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.search import search
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
-from tests.discrepancy.files import SETUP, table_text, write_files
-from tests.discrepancy.sound_tables import MISTAKES, check_first, sound_tables
+from tests.discrepancy import sound_tables as sound
+from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
 WEAK = SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
 
@@ -31,7 +31,7 @@ def changed(text: str, name: str, factor: float) -> str:
 def examined(folder, text, setup=SETUP):
     data, setup = write_files(folder, text, setup)
     setup = read_setup(setup)
-    return mistakes.examine(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
+    return doubts.of_table(calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0])
 
 
 @pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 1.5}}, {"grousers": {"shear_share": 1.0}}])
@@ -94,26 +94,11 @@ def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it
     assert words in said
 
 
-def test_a_wheel_that_climbs_freely_has_no_dead_pull(tmp_path):
-    text = table_text({}, grade_deg=(5.0, 12.0))
-    lines = list(csv.reader(text.splitlines()))
-    k = lines[0].index("drawbar_pull")
-    free = "\n".join(",".join("0.0" if i == k else x for i, x in enumerate(line)) for line in lines[1:]) + "\n"
-    assert not any("in every row" in said for said in examined(tmp_path, ",".join(lines[0]) + "\n" + free))
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_sinkage_alone_does_not_tell_the_sign_of_the_slip(tmp_path, seed):
     """Slip-sinkage may raise it with slip, and the base model lets it fall."""
     text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",), seed=seed)
     assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
-
-
-def test_one_grade_that_could_be_radians_is_doubted(tmp_path):
-    lines = table_text({}).splitlines()
-    for grade, doubts in ((0.6458, ("grade_deg = 0.6458 is 37 degrees in radians: expected degrees.",)), (0.65, ())):
-        rows = [f"{row},{grade if k % 2 else 0}" for k, row in enumerate(lines[1:])]
-        assert examined(tmp_path, "\n".join([lines[0] + ",grade_deg", *rows]) + "\n") == doubts
 
 
 def test_a_diameter_for_the_radius_is_told(tmp_path):
@@ -132,27 +117,14 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     data, setup = write_files(tmp_path, table_text({}), SETUP)
     setup = read_setup(setup)
     problem = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))[0]
-    assert mistakes._pull_falls(problem) == "" and mistakes._beyond_strength(problem) == ""
+    assert doubts._pull_falls(problem) == "" and doubts._beyond_strength(problem) == ""
     pull, slip = problem.data.y[:, 1], problem.data.rows.slip
     pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
-    assert mistakes._pull_falls(problem) == ""
+    assert doubts._pull_falls(problem) == ""
     pull[:] = 20.0 - 100.0 * slip
-    assert re.match("drawbar_pull falls with slip in every group of rows that differ", mistakes._pull_falls(problem))
+    assert re.match("drawbar_pull falls with slip in every group of rows that differ", doubts._pull_falls(problem))
     problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
-    assert mistakes._pull_falls(problem) == ""
-
-
-def test_doubts_come_first_everywhere(tmp_path, capsys):
-    from soil_env.cli import main
-
-    data, setup = write_files(tmp_path, changed(table_text({}, loads=(100, 200)), "torque", 1 / 9.81))
-    out = tmp_path / "out"
-    assert main(["discover", str(data), "--setup", str(setup), "--out", str(out)]) == 0
-    shown = capsys.readouterr().out
-    assert shown.index("With torque as") < re.search(r"\b(unlisted|named|ambiguous|none)\b", shown).start()
-    report = json.loads((out / "report.json").read_text())
-    assert report["cautions"][: len(report["check_first"])] == report["check_first"] != []
-    assert "kilogram metres" in report["check_first"][0]
+    assert doubts._pull_falls(problem) == ""
 
 
 def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
@@ -187,7 +159,46 @@ def kilograms(table):
 
 def test_sound_tables_are_rarely_doubted():
     """Of 60 sound tables of many wheels and soils at most 1 in 20 (8 of 60 has probability 0.01 at 1 in 20)."""
-    tables = list(sound_tables(60, 11))
-    assert sum(bool(check_first(t)) for t in tables) < 8
-    wrong = [MISTAKES["load in kilograms"](t) for t in tables[:20]]
-    assert sum(bool(check_first(t)) for t in wrong) >= 17
+    tables = list(sound.sound_tables(60, 11))
+    assert sum(bool(sound.doubts(t)) for t in tables) < 8
+    assert sum(bool(sound.doubts(sound.in_kilograms(t))) for t in tables[:20]) >= 17
+
+
+# --- rows that stand alone --------------------------------------------------------------------------------------------
+
+LOADS = (100, 120, 150, 180, 220)
+
+
+def said(folder, text):
+    data, setup = write_files(folder, text)
+    setup = read_setup(setup)
+    problem, noise = calibrate.calibrate(prepare(read_table(data, setup.wheel), setup))
+    return doubts.of_lone_rows(problem, noise, search(problem), lambda text: None), noise
+
+
+def with_slip(text: str, line: int, slip: str) -> str:
+    """The table with another slip in a line of the file; the second column is slip."""
+    lines = text.splitlines()
+    cells = lines[line - 1].split(",")
+    lines[line - 1] = ",".join([cells[0], slip, *cells[2:]])
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("effects", [{}, PLANTED])
+def test_a_table_whose_rows_check_each_other_raises_no_doubt(tmp_path, effects):
+    found, noise = said(tmp_path, table_text(effects, LOADS))
+    assert found == () and not noise.alone.any()
+
+
+def test_a_mistyped_slip_that_decides_is_told(tmp_path):
+    found, noise = said(tmp_path, with_slip(table_text(PLANTED, LOADS), 5, "1.0"))
+    assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
+    (doubt,) = found
+    assert doubt.startswith("Line 5 (slip 1, load 100 N) stands alone") and "without it that is slip-sinkage." in doubt
+
+
+def test_a_row_that_stands_alone_and_is_right_raises_no_doubt(tmp_path):
+    """A run at a slip of its own, of the same wheel."""
+    rows, alone = table_text(PLANTED, LOADS), table_text(PLANTED, (150,), (0.95,), seed=1).splitlines()[1]
+    found, noise = said(tmp_path, rows + alone + "\n")
+    assert noise.alone[-1] and found == ()

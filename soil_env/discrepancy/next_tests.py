@@ -1,4 +1,4 @@
-"""Design of the next tests: the conditions that discriminate best between the remaining candidates.
+"""Design of the next tests: conditions that discriminate best between the remaining candidates, or test a law.
 
 Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
 parameters and form errors, carried to the grid. A single extra run separates candidates a and b in a channel by
@@ -6,12 +6,16 @@ parameters and form errors, carried to the grid. A single extra run separates ca
     |f_a - f_b| / sqrt(sigma^2 + g_a'C_a g_a + g_b'C_b g_b)
 
 standard deviations (Box & Hill 1967, Technometrics 9:57-71; Atkinson & Fedorov 1975, Biometrika 62:57-70).
+
+A law without a name is a guess at a form. The run in which it adds most, made again, shows if there is anything to
+explain. Runs in which one of its conditions goes beyond the table show if the law goes on or stays as at its end.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -22,9 +26,11 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.evidence import Evidence
+from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.search import Finding
+from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.model import rows_of
+from soil_env.terramechanics.model import Prediction, WheelSoilModel, rows_of
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing
@@ -57,7 +63,7 @@ class Grid(NamedTuple):
     """Conditions [G] that could be run."""
 
     value: dict[str, np.ndarray]  # by column
-    told: tuple[str, ...]  # columns that matter
+    asked: tuple[str, ...]  # columns that matter
     scaled: np.ndarray  # [G, K] in half spans of the table, from its middle
 
 
@@ -97,7 +103,7 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
     while len(out) < MOST and score.any():
         p, g, j = np.unravel_index(int(np.argmax(score)), score.shape)
         pair = (names[pairs[p][0]], names[pairs[p][1]])
-        point = {name: float(grid.value[name][g]) for name in grid.told}
+        point = {name: float(grid.value[name][g]) for name in grid.asked}
         out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j])))
         same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _SAME_WITHIN
         score[p] *= 0.5
@@ -136,14 +142,14 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         levels["grade_deg"] = [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))]
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     names = (*levels, *WHEEL)
-    told = [n for n in names if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
+    asked = [n for n in names if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
     scaled = []
     for k, name in enumerate(names):
         x, t = points[:, k], column[name]
         if name in LOGARITHMIC:
             x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
         scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
-    return Grid(dict(zip(names, points.T, strict=True)), tuple(told), np.stack(scaled, axis=1))
+    return Grid(dict(zip(names, points.T, strict=True)), tuple(asked), np.stack(scaled, axis=1))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
@@ -171,7 +177,7 @@ def _problem_at(problem: Problem, grid: Grid) -> Problem:
 def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`.
 
-    With the form errors as far as the table tells them; beyond its reach they count with their prior variance.
+    With the form errors as far as the table determines them; beyond its reach they count with their prior variance.
     """
     fit, guess, values = candidate.fit, np.zeros(there.data.rows.slip.size), candidate.fit.parameters()
     sizes, at = candidate.sizes, there.data.conditions | {"elapsed": np.ones(guess.size)}  # when the campaign has ended
@@ -197,3 +203,98 @@ def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarr
     for choice, x in zip(fit.choices, added, strict=True):
         variance += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
     return mean, variance, feasible
+
+
+# --- a law without a name ---------------------------------------------------------------------------------------------
+
+LAW, BASE, GOES_ON, STAYS = "the law", "the base model", "the law goes on", "it stays as at the end of the table"
+#: The condition of a table that moves a group of the law.
+_CONDITION = {"slip": "slip", "grip": "slip", "sinkage": "load", "load": "load", "speed": "speed", "pass": "pass",
+              "grade": "grade_deg"}  # fmt: skip
+
+
+def law_tests(problem: Problem, base: Fit, law: ResidualFit, model: WheelSoilModel) -> tuple[NextTest, ...]:
+    """At most `MOST` tests, the repetition first, then those beyond the table, the most telling first."""
+    off = (problem.data.y - base.output) / problem.noise if not law.terms else law.offset / problem.noise
+    off = np.where(problem.used, np.nan_to_num(off), 0.0)
+    cells = problem.data.cell
+    mean = np.array([off[cells == k].mean(axis=0) for k in range(int(cells.max()) + 1)])
+    cell, channel = np.unravel_index(int(np.argmax(np.abs(mean))), mean.shape)
+    row = int(np.flatnonzero(cells == cell)[0])
+    point = _conditions(problem, row)
+    size = float(abs(mean[cell, channel]))
+    pair = (LAW, BASE) if law.terms else ("a missing effect", "a slip of the rig")
+    first = NextTest(point, CHANNELS[channel], pair, size, "repeat")
+    return (first, *_beyond(problem, law, model, point)[: MOST - 1])
+
+
+def _beyond(problem: Problem, law: ResidualFit, model: WheelSoilModel, point: dict[str, float]) -> list[NextTest]:
+    """Tests with one condition of the law beyond the table, `point` for the rest."""
+    out, spread = [], law.covariance() if law.terms else np.zeros((0, 0))
+    asked = dict.fromkeys(_CONDITION[g] for t in law.terms for g in t.powers)
+    for name in asked:
+        if name != "slip" and name not in point:
+            continue
+        best = None
+        for value in _steps(problem, name):
+            there = point | {name: value}
+            found = _difference(problem, law, model, there, name, spread)
+            if found is not None and (best is None or found[0] > best[1]):
+                best = (there, *found)
+        if best is not None and best[1] >= LEAST:
+            there, sigma, channel = best
+            out.append(NextTest(there, CHANNELS[channel], (GOES_ON, STAYS), sigma, "extend", name))
+    return sorted(out, key=lambda t: -t.expected_sigma)
+
+
+def _difference(
+    problem: Problem, law: ResidualFit, model: WheelSoilModel, there: dict[str, float], name: str, spread: np.ndarray
+) -> tuple[float, int] | None:
+    """(difference of the law going on and staying, over noise and uncertainty; channel); None where not feasible."""
+    groups = [g for g, c in _CONDITION.items() if c == name]
+    free = tuple(
+        dataclasses.replace(t, ranges={g: r for g, r in t.ranges.items() if g not in groups}) for t in law.terms
+    )
+    quiet = dataclasses.replace(model, validity={})
+    stays = quiet.predict(there)
+    on = dataclasses.replace(quiet, residual=free).predict(there)
+    if not on.supported or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
+        return None
+
+    def value(predicted: Prediction, j: int) -> float:
+        return float(getattr(predicted, CHANNELS[j])[0])
+
+    best = (0.0, 0)
+    for j, channel in enumerate(CHANNELS):
+        if not problem.used[:, j].any():
+            continue
+        slopes = np.zeros(len(free))
+        for k, (a, b) in enumerate(zip(free, law.terms, strict=True)):
+            if a.channel == channel and a.coefficient != 0.0:
+                one = [value(dataclasses.replace(quiet, residual=(t,)).predict(there), j) for t in (a, b)]
+                slopes[k] = (one[0] - one[1]) / a.coefficient
+        off = abs(value(on, j) - value(stays, j))
+        sd = math.sqrt(problem.noise[j] ** 2 + float(slopes @ spread @ slopes))
+        best = max(best, (off / sd, j))
+    return best
+
+
+def _steps(problem: Problem, name: str) -> list[float]:
+    """Values of a condition beyond the table."""
+    x = problem.data.conditions[name]
+    low, high = float(x.min()), float(x.max())
+    if name == "slip":
+        return [s for s in (high + 0.1, high + 0.2, low - 0.1) if 0.0 <= s <= 0.8]
+    if name == "pass":
+        return [high + 1.0, high + 2.0]
+    if name == "grade_deg":
+        return [low - 5.0, high + 5.0]
+    return [float(f"{f * x0:.2g}") for f, x0 in ((1.5, high), (2.0, high), (0.5, low)) if x0 > 0.0]
+
+
+def _conditions(problem: Problem, row: int) -> dict[str, float]:
+    """The conditions of a row, as the columns of a table."""
+    varied = problem.data.varied
+    point = {name: float(column[row]) for name, column in problem.data.conditions.items()}
+    known = {"slip", "load", *varied} | ({"speed"} if point["speed"] > 0.0 else set())
+    return {name: value for name, value in point.items() if name in known}

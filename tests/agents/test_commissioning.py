@@ -1,0 +1,111 @@
+"""Commissioning drives: steady points of the log against the model of the world, and the noise of repeats."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from agents.study import commissioning
+from agents.study.commissioning import CHANNELS, COLUMNS, Commissioning, Log, Steady, repeat_noise, steady
+from soil_env._io.loading import config_dir
+from soil_env.measurement.table import read_setup, read_table
+from soil_env.parameters import load_scenario, soils
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
+
+SCENARIO = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 10.0}})
+PLAN = Commissioning(
+    grades_deg=(-12.0, -9.0, -6.0, -4.0, -2.0, 0.0, 3.0, 6.0), payloads=(0.0, 8.0), rim_speeds=(0.08, 0.2), hold=10.0
+)
+
+
+@pytest.fixture(scope="module")
+def drives():
+    """(world, log, points) of a hidden world with bulldozing."""
+    world = WheelSoilModel.load(config_dir() / "worlds" / "bulldozing.yaml")
+    log = commissioning.drive_all(SCENARIO, world, PLAN, 3)
+    return world, log, commissioning.steady_points(log, SCENARIO, PLAN)
+
+
+def test_table_and_setup_are_read_back(drives, tmp_path):
+    world, _, points = drives
+    commissioning.write_table(points, tmp_path / "table.csv")
+    (tmp_path / "setup.yaml").write_text(yaml.safe_dump(commissioning.setup(SCENARIO, world.wheel, PLAN, points)))
+    setup = read_setup(tmp_path / "setup.yaml")
+    read = read_table(tmp_path / "table.csv", setup.wheel)
+    assert len(read) == len(points) > 10 and read.given == set(COLUMNS)
+    assert np.allclose(read.slip, [p.mean["slip"] for p in points], rtol=1e-5)
+    assert setup.soil.dig_gain.value == soils()[PLAN.soil].dig_gain and setup.soil.dig_gain.known
+    assert setup.soil.friction_angle_deg.sd == SCENARIO.belief.friction_sd_deg
+
+
+def test_points_are_steady_values_of_the_world_on_its_bed(drives):
+    """Means of the log agree with the steady prediction of the true model, within the noise that the setup states."""
+    world, _, points = drives
+    bed = commissioning.bed_soil(SCENARIO, PLAN, np.random.default_rng([3, 7]))
+    at = {name: np.array([p.mean[name] for p in points]) for name in ("slip", "load", "speed")}
+    expected = WheelSoilModel(world.wheel, bed, world.effects).predict(at)
+    noise = repeat_noise(PLAN, points)
+    for name in CHANNELS:
+        e = (np.array([p.mean[name] for p in points]) - getattr(expected, name)) / noise[name]
+        assert np.sqrt(np.mean(e**2)) < 1.4, name
+        assert abs(e.mean()) < 0.6, name
+
+
+def _readings(n=40, **drift):
+    t = SCENARIO.control.period * np.arange(n)
+    flat = {"slip": 0.1, "sinkage": 0.03, "drawbar_pull": 10.0, "load": 150.0, "torque": 5.0, "speed": 0.1}
+    readings = {name: value + drift.get(name, 0.0) * t for name, value in flat.items()}
+    zero = np.zeros(n, dtype=int)
+    return Log(zero, zero, t, np.ones(n, dtype=bool), readings)
+
+
+@pytest.mark.parametrize("drift", [{"speed": 0.02}, {"sinkage": 0.003}, {"slip": 0.02}])
+def test_a_window_that_drifts_is_not_steady(drift):
+    rows = np.arange(40)
+    assert steady(_readings(), rows, SCENARIO, PLAN)
+    assert not steady(_readings(**drift), rows, SCENARIO, PLAN)
+
+
+def test_a_window_that_scatters_or_stands_is_not_steady():
+    rows, shaken, standing = np.arange(40), _readings(), _readings()
+    shaken.readings["slip"][::2] += 0.1
+    standing.readings["speed"][:] = 0.0
+    assert not steady(shaken, rows, SCENARIO, PLAN)
+    assert not steady(standing, rows, SCENARIO, PLAN)
+
+
+def test_points_lie_after_the_run_in_and_last_long_enough(drives):
+    _, whole, points = drives
+    for p in points:
+        until = (whole.run == p.run) & (whole.stretch == p.stretch) & whole.ran_in & (whole.time <= p.time)
+        assert until.sum() * SCENARIO.control.period >= 0.5 * PLAN.hold
+        torque = whole.readings["torque"][until]
+        assert torque.min() <= p.mean["torque"] <= torque.max()
+    assert len({(p.run, p.stretch) for p in points}) == len(points)
+
+
+def test_repeat_noise_is_that_of_the_readings_and_of_slip():
+    """y = 100 i + noise of 0.5, slip off by 0.004: the noise of y at its slip is hypot(0.5, 0.4)."""
+    rng, plan = np.random.default_rng(5), dataclasses.replace(PLAN, repeats=20)
+    points = []
+    for run in range(len(plan.payloads) * len(plan.grades_deg) * plan.repeats):
+        true = 0.1 * (run // plan.repeats % len(plan.grades_deg))
+        slip = true + 0.004 * rng.standard_normal()
+        mean = {name: 100.0 * true + 0.5 * rng.standard_normal() for name in CHANNELS}
+        points.append(Steady(run, 0, 1.0, {"slip": slip, **mean}))
+    for value in repeat_noise(plan, points).values():
+        assert value == pytest.approx(np.hypot(0.5, 0.4), rel=0.15)
+
+
+def test_named_effects_are_carried_over_and_a_law_is_not(tmp_path, monkeypatch):
+    term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
+    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,))
+    report = type("Report", (), {"effects": ("bulldozing",), "model": model})
+    monkeypatch.setattr(commissioning, "find_discrepancy", lambda *_, **__: report)
+    (tmp_path / "setup.yaml").touch()  # the drives are over
+    hidden = WheelSoilModel.load(config_dir() / "worlds" / "bulldozing.yaml")
+    found = commissioning.found_world(SCENARIO, hidden, PLAN, tmp_path)
+    assert found.soil is None and found.effects == model.effects and found.residual == ()
+    assert WheelSoilModel.load(tmp_path / "found.yaml") == found
