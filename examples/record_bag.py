@@ -25,11 +25,12 @@ import yaml
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
-from soil_env_agents.extras import needing
 
-with needing("logs", "record_bag.py"):
+try:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
+except ImportError:
+    raise SystemExit("record_bag.py needs the extra logs: pip install 'soil_env[logs]'") from None
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
