@@ -9,12 +9,12 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents import ppo
 from agents.agent import load_agent
-from agents.evaluate.__main__ import main
 from agents.evaluate.contestants import digest
 from agents.evaluate.models import load_model
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
+from tests.agents.commands import evaluate as main
 from tests.agents.saved import META, rewrite
 
 SMALL = {"net_arch": [4]}

@@ -22,15 +22,21 @@ from agents.config import PPOConfig  # noqa: E402
 from agents.evaluate import run_courses  # noqa: E402
 from agents.evaluate.contestants import parse  # noqa: E402
 from agents.evaluate.models import load_model  # noqa: E402
-from agents.export.__main__ import main  # noqa: E402
+from agents.export.command import command  # noqa: E402
 from agents.exported import ExportedAgent  # noqa: E402
 from agents.sb3 import SoilWheelVecEnv  # noqa: E402
 from soil_env._io.loading import ParameterError  # noqa: E402
+from soil_env.cli.running import run  # noqa: E402
 from soil_env.env import SoilWheelEnv, observation_space  # noqa: E402
 from soil_env.parameters import load_scenario  # noqa: E402
 
 TINY = PPOConfig(num_envs=4, n_steps=16, batch_size=32, n_epochs=1, layer=8, history=0)
 COURSE = {"course": {"length": 3.0}, "control": {"action": "torque", "time_limit": 20.0}}
+
+
+def main(arguments):
+    """Exit status of the command."""
+    return run(command, arguments, "soil-env export")
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +56,9 @@ def saved(folder, scenario, algorithm="ppo", observation="identified", steps=256
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory, scenario):
     """(run folder, folder of its export) of an agent without a history."""
-    run = saved(tmp_path_factory.mktemp("run"), scenario)
-    assert main([str(run), f"--out={run}/out", "--steps=50"]) == 0
-    return run, run / "out"
+    folder = saved(tmp_path_factory.mktemp("run"), scenario)
+    assert main([str(folder), f"--out={folder}/out", "--steps=50"]) == 0
+    return folder, folder / "out"
 
 
 ALONE = textwrap.dedent("""
@@ -85,9 +91,9 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, 
     """1000 steps in closed loop: what the wheel does follows from the runner's actions."""
     pytest.importorskip("sb3_contrib")
     scenario = load_scenario(scenario, {"control": {"action": action}})
-    run = saved(tmp_path / "run", scenario, algorithm, observation, **inputs)
-    assert main([str(run), f"--out={tmp_path}/out", "--steps=20"]) == 0
-    agent = load_model(run / "model.zip", scenario)
+    folder = saved(tmp_path / "run", scenario, algorithm, observation, **inputs)
+    assert main([str(folder), f"--out={tmp_path}/out", "--steps=20"]) == 0
+    agent = load_model(folder / "model.zip", scenario)
     env = SoilWheelEnv(scenario, observation=observation, scaled=False)
     runner, memory, over, worst, courses = start(tmp_path / "out", "--serve"), None, True, 0.0, 0
     for step in range(1000):
@@ -137,11 +143,11 @@ def test_the_description_says_what_every_number_is(exported, scenario):
 
 @pytest.mark.parametrize("history", [0, 3])
 def test_an_export_is_a_contestant_by_its_path(tmp_path, scenario, history):
-    run = saved(tmp_path / "run", scenario, history=history)
-    assert main([str(run), f"--out={tmp_path}/out", "--steps=5"]) == 0
+    folder = saved(tmp_path / "run", scenario, history=history)
+    assert main([str(folder), f"--out={tmp_path}/out", "--steps=5"]) == 0
     (contestant,) = parse(f"mine={tmp_path}/out").values()
     assert contestant.kind == "model" and contestant.source.endswith("policy.onnx")
-    agent, other = load_model(run / "model.zip", scenario), load_model(contestant.source, scenario)
+    agent, other = load_model(folder / "model.zip", scenario), load_model(contestant.source, scenario)
     expected, found = (run_courses(a, scenario, 3, 12) for a in (agent, other))
     np.testing.assert_array_equal(found.cause, expected.cause)
     np.testing.assert_allclose(found.returns, expected.returns, atol=1e-4)
@@ -170,8 +176,8 @@ def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm
 
 
 def test_what_an_exported_agent_cannot_take_is_named(tmp_path, scenario):
-    run = saved(tmp_path / "run", scenario, observation="blind", history=2)
-    assert main([str(run), f"--out={tmp_path}/out", "--steps=20"]) == 0
+    folder = saved(tmp_path / "run", scenario, observation="blind", history=2)
+    assert main([str(folder), f"--out={tmp_path}/out", "--steps=20"]) == 0
     agent = ExportedAgent(tmp_path / "out" / "policy.onnx")
     rows = np.tile(SoilWheelEnv(scenario, observation="blind", scaled=False).reset(seed=0)[0], (3, 1))
     _, state = agent.predict(rows)
@@ -194,10 +200,10 @@ def test_what_an_exported_agent_cannot_take_is_named(tmp_path, scenario):
 
 
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
-    run = saved(tmp_path / "run", scenario)
+    folder = saved(tmp_path / "run", scenario)
     plain = Agent._normalised
     monkeypatch.setattr(Agent, "_normalised", lambda self, x: 1.5 * plain(self, x))
-    assert main([str(run), f"--out={tmp_path}/out", "--steps=5"]) == 2
+    assert main([str(folder), f"--out={tmp_path}/out", "--steps=5"]) == 2
     assert "differs by" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 

@@ -101,7 +101,7 @@ def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
 
 
 def test_more_oracle_courses_than_courses_and_its_name_for_another_are_refused(tmp_path, capsys):
-    from agents.evaluate.__main__ import main
+    from tests.agents.commands import evaluate as main
 
     rest = ["--courses=3", "--out", str(tmp_path / "x"), "--changes.course.length=1.5", "--tuning-courses=0"]
     assert main(["--controllers=soft_start", "--oracle-courses=4", *rest]) == 2

@@ -61,7 +61,7 @@ def refused(capsys, *arguments):
     """stderr of a run that has to be refused: one line, status 2."""
     code, _, err = run(capsys, *arguments)
     assert code == 2, (code, err)
-    assert err.startswith("train.py: ") and err.count("\n") == 1, err
+    assert err.startswith("train.py: error: ") and err.count("\n") == 1, err
     assert "Traceback" not in err
     return err
 
@@ -206,7 +206,7 @@ def test_overrides_are_read_as_yaml():
 
 REFUSED = [  # (options, parts of the message)
     (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
-    (["--config", "smoke.yaml", "--out", "x"], ["train.py: smoke.yaml, command line: unknown key 'out'"]),
+    (["--config", "smoke.yaml", "--out", "x"], ["error: smoke.yaml, command line: unknown key 'out'"]),
     (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
     (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
     (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
@@ -218,7 +218,7 @@ REFUSED = [  # (options, parts of the message)
     (["--observation", "seen"], ["observation", "seen", "identified"]),
     (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
     (["--courses"], ["courses", "value"]),
-    (["--rover", ""], ["train.py: --rover: is empty: expected a value"]),
+    (["--rover", ""], ["error: --rover: is empty: expected a value"]),
     (["--timesteps", "1" + 400 * "0"], ["timesteps = 1e+400: expected a number"]),
     (["5"], ["'5'", "--key value"]),
     (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
@@ -234,7 +234,7 @@ REFUSED = [  # (options, parts of the message)
     (["--config"], ["config"]),
     (["--config", "a.yaml"], ["a.yaml", "not valid YAML"]),
     (["--config", "b.yaml"], ["b.yaml", "expected a mapping"]),
-    (["--config", "c.yaml", "--seed", "3"], ["train.py: c.yaml: unknown key 'cources'"]),
+    (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
     (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),  # it would be the default training of hours
 ]
 FILES_OF_CONFIG = {"a.yaml": "a: [", "b.yaml": "- 1\n- 2\n", "c.yaml": "cources: 5\n", "d.yaml": "# nothing yet\n"}

@@ -6,6 +6,7 @@ import yaml
 from agents import tune
 from agents.evaluate import tuning
 from agents.evaluate.tuning import load_spaces, shipped_settings
+from soil_env.cli.running import run
 from soil_env.parameters import load_scenario
 
 pytest.importorskip("optuna")
@@ -26,12 +27,12 @@ def test_the_written_file_serves_as_settings_of_the_package(tmp_path, small, mon
     asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
     drives, drive = [], tuning.run_courses
     monkeypatch.setattr(tuning, "run_courses", lambda *a, **k: drives.append(1) or drive(*a, **k))
-    assert tune.main(asked) == 0
+    assert run(tune.command, asked, "soil-env tune") == 0
     written = (out / "mixed.yaml").read_text()
     content = yaml.safe_load(written)
     assert content["courses"] == 2 and content["trials"] == 2 and list(content["settings"]) == ["torque", "wheel_speed"]
     assert "soft_start" in capsys.readouterr().out and len(drives) == 8
-    assert tune.main(asked) == 0  # from the journal
+    assert run(tune.command, asked, "soil-env tune") == 0  # from the journal
     assert (out / "mixed.yaml").read_text() == written and len(drives) == 8
 
     (tmp_path / "tuned").mkdir()
@@ -47,7 +48,7 @@ def test_the_written_file_serves_as_settings_of_the_package(tmp_path, small, mon
     "asked, said", [(["--actions=torqe"], "torque"), (["--scenario=mixd"], "mixed"), (["--courses=1e9"], "--courses")]
 )
 def test_bad_input_is_refused_with_one_line(tmp_path, capsys, asked, said):
-    assert tune.main([*asked, f"--out={tmp_path / 'x'}"]) == 2
+    assert run(tune.command, [*asked, f"--out={tmp_path / 'x'}"], "soil-env tune") == 2
     err = capsys.readouterr().err.strip()
     assert said in err and "\n" not in err
     assert not (tmp_path / "x").exists()

@@ -7,8 +7,11 @@ import sys
 
 import pytest
 
-COMMANDS = {"soil-env-train": ("agents.train", ["--timesteps", "64"])}
-HELP = ("agents.train", "agents.evaluate.__main__", "agents.export.__main__", "agents.study.__main__", "agents.tune")
+MODULES = {
+    "train": "agents.train", "evaluate": "agents.evaluate.command", "export": "agents.export.command",
+    "study": "agents.study.command", "tune": "agents.tune",
+}  # fmt: skip
+COMMANDS = {"train": ["--timesteps", "64"], "export": ["runs/x", "--out", "o"]}
 BARE = """
 import contextlib, importlib, io, json, sys
 class Absent:
@@ -16,16 +19,13 @@ class Absent:
         if name.partition(".")[0] in ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm", "onnx"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
+from soil_env.cli.running import run
 said = {}
-for name, (module, arguments) in json.loads(sys.argv[1]).items():
-    sys.argv[0] = name
+for name, module, *arguments in json.loads(sys.argv[1]):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            status = importlib.import_module(module).main(arguments)
-        except SystemExit as end:
-            status = end.code
-    said[name] = (status, out.getvalue(), err.getvalue())
+        status = run(importlib.import_module(module).command, arguments, f"soil-env {name}")
+    said[f"{name} {arguments[0]}"] = (status, out.getvalue(), err.getvalue())
 try:
     import agents.sb3
 except ModuleNotFoundError as error:
@@ -43,7 +43,8 @@ print(json.dumps(said))
 @pytest.fixture(scope="module")
 def said():
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    asked = json.dumps(COMMANDS | {f"{module} --help": (module, ["--help"]) for module in HELP})
+    asked = [[name, MODULES[name], *more] for name, more in COMMANDS.items()]
+    asked = json.dumps(asked + [[name, module, "--help"] for name, module in MODULES.items()])
     ended = subprocess.run(
         [sys.executable, "-c", BARE, asked], capture_output=True, text=True, env=environment, timeout=300
     )
@@ -53,13 +54,14 @@ def said():
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_says_what_to_install(said, name):
-    assert said[name] == [2, "", f"{name}: needs Stable-Baselines3: pip install 'soil_env[train]'\n"]
+    line = f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n"
+    assert said[f"{name} {COMMANDS[name][0]}"] == [2, "", line]
 
 
-@pytest.mark.parametrize("module", HELP)
-def test_help_is_shown(said, module):
-    status, out, err = said[f"{module} --help"]
-    assert status == 0 and out.startswith("usage: ") and not err
+@pytest.mark.parametrize("name", MODULES)
+def test_help_is_shown(said, name):
+    status, out, err = said[f"{name} --help"]
+    assert status == 0 and out.startswith("Usage: ") and not err
 
 
 def test_the_environment_and_the_controllers_work_and_the_adapter_says_what_to_install(said):
