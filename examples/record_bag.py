@@ -21,6 +21,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
