@@ -58,9 +58,7 @@ class _Part(JITCodeLibrary):
 
     def _get_module_for_linking(self):
         if not _Part.linkable:
-            raise TypeError(
-                f"{self.name}: a part called by a function of numba's own `njit`: decorate that one by `compiled_root`"
-            )
+            raise TypeError(f"{self.name}: a part called by a function of numba's `njit`: make that a `compiled_root`")
         return super()._get_module_for_linking()
 
     def finalize(self):
