@@ -21,15 +21,12 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import yaml
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
-from soil_env_agents.extras import needing
-
-with needing("logs", "record_bag.py"):
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types

@@ -1,5 +1,6 @@
 """Train a small PPO agent with Stable-Baselines3, and compare it with full throttle.
 
+    pip install "soil_env[train]"
     python examples/train_ppo.py                          a minute on two idle cores
     python examples/train_ppo.py --steps 5_000_000 --save agent.zip
 
@@ -14,17 +15,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env.parameters import load_scenario
+from soil_env_agents import ppo
+from soil_env_agents.agent import load_agent
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate import HELD_OUT_SET, run_courses
-from soil_env_agents.extras import needing
-
-with needing("train", "train_ppo.py"):
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    from soil_env_agents import ppo
-    from soil_env_agents.agent import load_agent
 
 
 class Returns(BaseCallback):
