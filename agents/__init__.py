@@ -3,6 +3,4 @@
 `agents` in a clone; installed it is `soil_env_agents`, because `agents` is a package of another distribution.
 """
 
-import soil_env  # noqa: F401  its first act is `_io.signals.arm`
-
 PACKAGE_NAMES = ("agents", "soil_env_agents")  # of this package, in a clone and installed

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 from scipy.stats import binomtest
 
-from soil_env._io.commands import command_parser, folder
 from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, make_folder, plain, replace_files
+from soil_env.cli.running import PATH
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "docs" / "results"
@@ -71,13 +71,15 @@ def machine_text(machine: dict[str, Any]) -> str:
     return f"{machine['processor']}, {machine['cores']} cores{load}; {versions}"
 
 
-def study_parser(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Parser of `python -m benchmarks.NAME` with --smoke and --out."""
-    p = command_parser(f"python -m benchmarks.{name}", description)
-    p.add_argument("--smoke", action="store_true", help="every part in seconds, numbers without meaning")
-    p.add_argument("--out", metavar="OUT", type=folder, default=RESULTS,
-                   help=f"folder of {name}.json and {name}.md (default docs/results)")  # fmt: skip
-    return p
+def study_options(name: str) -> Callable[[Callable], Callable]:
+    """Options --smoke and --out of the study of this name."""
+
+    def decorate(command: Callable) -> Callable:
+        text = f"Folder of {name}.json and {name}.md (default docs/results)."
+        command = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)(command)
+        return click.option("--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing.")(command)
+
+    return decorate
 
 
 def ready(out: Path, name: str) -> Path:

@@ -78,7 +78,7 @@ def record(
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
     rows, readings, known, running, ground = [], [], [], [], np.empty((courses, 9))
-    for w, alive in drive(controller, scenario, seed, 0, courses, model=model):
+    for w, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
         x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
         rows.append(np.column_stack([ground, *(np.array(w.state[name]) for name in _STATE)]))
@@ -163,7 +163,7 @@ def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any)
     "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
     "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own filter, and of all wheels.
     """
-    simulation = RoverSimulation(courses, scenario, "blind", 2)
+    simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))

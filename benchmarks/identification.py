@@ -13,20 +13,21 @@ whatever the status of the estimate. Bounds (`benchmarks.bound`) are of the same
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import click
 import numpy as np
 
 from agents.controllers import CONTROLLERS
 from agents.evaluate.contestants import parse
 from agents.evaluate.loading import load
 from benchmarks.bound import bound
-from benchmarks.common import machine, machine_text, page, ready, short, study_parser, write
+from benchmarks.common import machine, machine_text, page, ready, short, study_options, write
 from benchmarks.drives import (
     QUANTITIES,
     SHARED,
@@ -38,10 +39,10 @@ from benchmarks.drives import (
     record_rover,
     rover_scenario,
 )  # fmt: skip
-from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError, read_json
+from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import config_dir, load_scenario
 from soil_env.terramechanics.model import load_model
@@ -114,7 +115,7 @@ def statistics(error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.
     }
 
 
-def measure(case: Case, options: argparse.Namespace) -> dict[str, Any]:
+def measure(case: Case, options: SimpleNamespace) -> dict[str, Any]:
     """Drive and judge a row."""
     scenario = load_scenario(case.scenario, {"control": {"action": case.action}} if case.action else {})
     model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
@@ -139,7 +140,7 @@ def measure(case: Case, options: argparse.Namespace) -> dict[str, Any]:
     return short(found)
 
 
-def measure_rover(case: Case, options: argparse.Namespace) -> dict[str, Any]:
+def measure_rover(case: Case, options: SimpleNamespace) -> dict[str, Any]:
     """Drive and judge all wheels of a rover, pooled: phi, ln K and c, which wheels share."""
     scenario = rover_scenario(case.scenario)
     log = record_rover(scenario, options.courses, options.seed, ROVER_DRIVES[case.drive](scenario))
@@ -151,7 +152,7 @@ def measure_rover(case: Case, options: argparse.Namespace) -> dict[str, Any]:
     return short(case._asdict() | {"courses": options.courses} | found)
 
 
-def study(options: argparse.Namespace, file: Path) -> Iterator[dict]:
+def study(options: SimpleNamespace, file: Path) -> Iterator[dict]:
     """Measure all rows that `file` does not have, or that --only names; yield the result so far after each."""
     settings = {name: getattr(options, name) for name in ("seed", "courses", "bounds")}
     result = read_json(file) if file.exists() else {}
@@ -223,16 +224,16 @@ def tables(result: dict) -> dict[str, Table]:
     }
 
 
-@command_line(f"benchmarks.{NAME}", interrupted="go on with the same command")
-def main(arguments: list[str] | None = None) -> int:
-    """Run the study and write its page; returns the exit status."""
-    p = study_parser(NAME, __doc__)
-    p.add_argument("--courses", metavar="N", type=whole_number(1), default=150, help="of each row (default 150)")
-    p.add_argument("--bounds", metavar="N", type=whole_number(), default=20, help="of these with a bound (default 20)")
-    p.add_argument("--seed", metavar="N", type=whole_number(), default=SEED, help=f"of the courses (default {SEED})")
-    p.add_argument("--only", metavar="SCENARIO", nargs="+", default=(), help="make only rows of these scenarios, anew")
-    p.add_argument("--agent", metavar="FOLDER", default="", help="of a trained agent, for two_lines")
-    options = p.parse_args(arguments)
+@click.command(NAME)
+@study_options(NAME)
+@click.option("--courses", type=WholeNumber(1), default=150, metavar="N", help="Courses of each row (default 150).")
+@click.option("--bounds", type=WholeNumber(), default=20, metavar="N", help="Courses with a bound (default 20).")
+@click.option("--seed", type=WholeNumber(), default=SEED, metavar="N", help=f"Seed of the courses (default {SEED}).")
+@click.option("--only", multiple=True, metavar="SCENARIO", help="Measure only rows of this scenario again; repeatable.")
+@click.option("--agent", default="", metavar="FOLDER", help="Trained agent to drive two_lines.")
+def command(**given: Any) -> None:
+    """Measure the calibration of the online identifier in every drive that ships; resumes."""
+    options = SimpleNamespace(**given)
     known = {*OWN, *ROVERS, *(scenario for scenario, _ in OTHERS)}
     if unknown := set(options.only) - known:
         raise ParameterError(f"--only {' '.join(sorted(unknown))}: expected of {', '.join(sorted(known))}")
@@ -246,7 +247,11 @@ def main(arguments: list[str] | None = None) -> int:
         f"benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction angle and ln K, pooled."
     )
     write(options.out, NAME, page("Identification, measured", text, tables(result)))
-    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run(command, arguments, f"benchmarks.{NAME}")
 
 
 if __name__ == "__main__":

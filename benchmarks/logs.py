@@ -12,16 +12,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from pathlib import Path
 
+import click
 import numpy as np
 
 from agents.controllers import ConstantSpeed
 from agents.evaluate import HELD_OUT_SET
-from benchmarks.common import page, ready, short, study_parser, write
+from benchmarks.common import page, ready, short, study_options, write
 from benchmarks.drives import QUANTITIES, UNITS, record
-from soil_env._io.commands import command_line, leave, whole_number
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
+from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.logs import LogMap, Source, Windows, replay
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import Channels, RoverWheel
@@ -122,14 +124,15 @@ def table(result: dict) -> Table:
     return Table(("log", "current", "quantity", "bias", "RMS", "prior RMS", "in 68 %", "in 95 %", "beyond 3 sd"), rows)
 
 
-@command_line(f"benchmarks.{NAME}")
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
-    p = study_parser(NAME, __doc__)
-    p.add_argument("--courses", type=whole_number(1), default=60, help="that are driven and replayed (default 60)")
-    options = p.parse_args(arguments)
-    file = ready(options.out, NAME)
-    courses, scenario = 2 if options.smoke else options.courses, load_scenario("mixed")
+@click.command(NAME)
+@study_options(NAME)
+@click.option(
+    "--courses", type=WholeNumber(1), default=60, metavar="N", help="Courses driven and replayed (default 60)."
+)
+def command(smoke: bool, out: Path, courses: int) -> None:
+    """Measure errors and intervals of log replay."""
+    file = ready(out, NAME)
+    courses, scenario = 2 if smoke else courses, load_scenario("mixed")
     drives = {c: record(c(scenario), scenario, courses, HELD_OUT_SET) for c in (SteppedSpeed, ConstantSpeed)}
     logs = {name: judged(scenario, drives[SteppedSpeed if stepped else ConstantSpeed], without, every)
             for name, (stepped, without, every) in LOGS.items()}  # fmt: skip
@@ -138,8 +141,12 @@ def main(arguments: list[str] | None = None) -> int:
     text = (
         f"Replay of {courses} courses of `mixed` as logs, by `python -m benchmarks.{NAME}`; errors: estimate - truth."
     )
-    write(options.out, NAME, page("Replay of logs", text, {"Errors and intervals": table(result)}))
-    return 0
+    write(out, NAME, page("Replay of logs", text, {"Errors and intervals": table(result)}))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run(command, arguments, f"benchmarks.{NAME}")
 
 
 if __name__ == "__main__":

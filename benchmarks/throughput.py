@@ -17,15 +17,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import click
 import gymnasium
 import numpy as np
 
-from benchmarks.common import ROOT, machine, machine_text, page, range_text, ready, spread, study_parser, write
-from soil_env._io.commands import command_line, leave
+from benchmarks.common import ROOT, machine, machine_text, page, range_text, ready, spread, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
+from soil_env.cli.running import leave, run
 from soil_env.env import SoilWheelEnv
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
@@ -175,12 +177,12 @@ def tables(result: dict) -> dict[str, Table]:
     return found | ({"First reset and step": Table(("start", "seconds"), starts)} if starts else {})
 
 
-@command_line(f"benchmarks.{NAME}", interrupted="nothing written")
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
-    options = study_parser(NAME, __doc__).parse_args(arguments)
-    file = ready(options.out, NAME)
-    smoke, about = options.smoke, machine()
+@click.command(NAME)
+@study_options(NAME)
+def command(smoke: bool, out: Path) -> None:
+    """Measure steps per second in one run, and the first reset and step."""
+    file = ready(out, NAME)
+    about = machine()
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 7, 1024)
     envs, notes = runners(size, min(2, about["cores"]))
     found = rates(envs, seconds, rounds)
@@ -195,8 +197,12 @@ def main(arguments: list[str] | None = None) -> int:
     write_json(file, result)
     text = " ".join([f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on "
                      f"{machine_text(about)}.", *notes])  # fmt: skip
-    write(options.out, NAME, page("Speed", text, tables(result)))
-    return 0
+    write(out, NAME, page("Speed", text, tables(result)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run(command, arguments, f"benchmarks.{NAME}")
 
 
 if __name__ == "__main__":

@@ -11,17 +11,19 @@ a 95 % interval over paired courses. Arms in value_of_soil.json are not driven a
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import click
 import numpy as np
 from scipy.stats import bootstrap
 
 from agents.evaluate.driving import TUNING_SET, run_courses
-from benchmarks.common import page, percent, ready, share, study_parser, write
-from soil_env._io.commands import command_line, leave
+from benchmarks.common import page, percent, ready, share, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import read_json
+from soil_env.cli.running import leave, run
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import layout
 from soil_env.slip import rim_speeds
@@ -124,20 +126,24 @@ def tables(results: dict[str, dict]) -> dict[str, Table]:
     }
 
 
-@command_line(f"benchmarks.{NAME}", interrupted="go on with the same command")
-def main(arguments: list[str] | None = None) -> int:
-    """Measure missing arms and write the page; returns the exit status."""
-    options = study_parser(NAME, __doc__).parse_args(arguments)
-    tries, tuning, courses = (1, 4, 8) if options.smoke else (24, 200, 1000)
-    file = ready(options.out, NAME)
+@click.command(NAME)
+@study_options(NAME)
+def command(smoke: bool, out: Path) -> None:
+    """Measure the courses finished with and without the soil; resumes."""
+    tries, tuning, courses = (1, 4, 8) if smoke else (24, 200, 1000)
+    file = ready(out, NAME)
     results = read_json(file) if file.is_file() else {}
     for name, arm in ARMS.items():
         if name not in results:
             results[name] = measure(arm, tries, tuning, courses)
             write_json(file, results)
     text = f"Courses of `two_lines` finished with and without the soil, by `python -m benchmarks.{NAME}`."
-    write(options.out, NAME, page("The value of knowing the soil", text, tables(results)))
-    return 0
+    write(out, NAME, page("The value of knowing the soil", text, tables(results)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run(command, arguments, f"benchmarks.{NAME}")
 
 
 if __name__ == "__main__":

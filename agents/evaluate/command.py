@@ -70,7 +70,7 @@ def command(
         evaluation.check_controllers(asked)
     else:
         source = click.get_current_context().get_parameter_source
-        if keys or any(source(name) != ParameterSource.DEFAULT for name in given):
+        if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         asked = cells.load_study(Evaluation, resume)
         evaluation.check_controllers(asked)

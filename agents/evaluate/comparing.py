@@ -23,6 +23,7 @@ from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
 RESAMPLES = 2000  # of the bootstraps
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
+_UNDEFINED = {"value": None, "low": None, "high": None}
 BY_SEED = ("immobilised", "finished", "return")
 
 
@@ -98,14 +99,14 @@ def comparison(
         "iqm": {n: _iqm(scores[n]["return"], members[n], drawn) for n in rows},
         "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
-        **({"limit": limit(oracle, rows, _alone(oracle, seed, resamples))} if oracle else {}),
+        **({"limit": limit(oracle, rows, _alone(oracle, names, seed, resamples))} if oracle else {}),
     }
 
 
 def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
     known = int(np.isfinite(scores).sum())
     if known == 0:
-        return {"value": None, "low": None, "high": None}
+        return _UNDEFINED
     if name in RATES:
         return st.rate_bounds(st.mean(scores), samples, known / len(scores), len(scores))
     return st.bounds(st.mean(scores), samples)
@@ -120,10 +121,10 @@ def _iqm(scores: np.ndarray, members: np.ndarray, drawn: st.Draws) -> dict:
     return out
 
 
-def _alone(oracle: Runs, seed: int, resamples: int) -> dict:
-    """Metrics of the oracle over its own courses."""
+def _alone(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:
+    """The metrics `names` of the oracle over its own courses; its drives are not detailed."""
     drawn = st.draws(seed, oracle.cause.size, resamples)
-    members, out = drawn.members(ORACLE, 1), {}
+    members, out = drawn.members(ORACLE, 1), dict.fromkeys(names, _UNDEFINED)
     for m in oracle.names:
         scores = oracle.metric(m)[None]
         out[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))

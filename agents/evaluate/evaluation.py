@@ -102,7 +102,7 @@ class Job:
         try:
             runs = run_courses(
                 self._controller(block.controller), asked.scenario, asked.seed, block.count, block.first,
-                batch=block.count, model=asked.world, threads=self.threads, detailed=True,
+                batch=block.count, model=asked.world, threads=self.threads, detailed=block.controller != ORACLE,
             )  # fmt: skip
         except ParameterError as error:
             text, label = str(error), block.controller

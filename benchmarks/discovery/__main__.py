@@ -17,7 +17,6 @@ and generator.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import os
 import re
@@ -33,7 +32,10 @@ from dataclasses import asdict
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import click
 from threadpoolctl import threadpool_limits
 
 import soil_env
@@ -42,9 +44,9 @@ from benchmarks.discovery import score
 from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from benchmarks.discovery.forms import FORMS, UNLISTED
-from soil_env._io.commands import command_line, command_parser, leave, whole_number
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
+from soil_env.cli.running import PATH, WholeNumber, leave, run
 
 NAME = "benchmarks.discovery"
 REPORTED = 2027  # the seed that is reported
@@ -127,18 +129,18 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def _names(options: argparse.Namespace) -> list[str]:
+def _names(options: SimpleNamespace) -> list[str]:
     chosen = [t for t in tasks(options.set, options.limit) if not options.group or t.group in options.group]
     return [t.name for t in chosen]
 
 
-def _draw(options: argparse.Namespace) -> None:
+def _draw(options: SimpleNamespace) -> None:
     begin(options.out, options.set, options.seed)
     each(partial(draw, options.seed, options.out), _names(options), options.jobs)
     print(f"{options.out}: {len(_names(options))} cases of seed {options.seed}")
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: SimpleNamespace) -> None:
     label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
     entrant(options.entrant)  # before the work: that there is one
     begin(options.out, options.set, options.seed)
@@ -149,7 +151,7 @@ def _run(options: argparse.Namespace) -> None:
     _score(options)
 
 
-def _score(options: argparse.Namespace) -> None:
+def _score(options: SimpleNamespace) -> None:
     about = read_json(options.out / "study.json")
     options.set = about["set"]
     labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
@@ -165,7 +167,7 @@ def _score(options: argparse.Namespace) -> None:
     write(place, "discovery", score.page_of(place))
 
 
-def _list(options: argparse.Namespace) -> None:
+def _list() -> None:
     for name, groups in SETS.items():
         print(f"set {name}: {sum(g.count for g in groups)} cases")
         print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
@@ -174,43 +176,72 @@ def _list(options: argparse.Namespace) -> None:
         print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
-def _parser() -> argparse.ArgumentParser:
-    p = command_parser(f"python -m {NAME}", __doc__)
-    parts = p.add_subparsers(required=True, metavar="COMMAND")
-    for name, work, text in (
-        ("run", _run, "ask an entrant and score it"), ("draw", _draw, "write the cases"),
-        ("score", _score, "score the answers in a folder"), ("list", _list, "list sets, groups and forms"),
-    ):  # fmt: skip
-        q = parts.add_parser(name, help=text)
-        q.set_defaults(work=work)
-        if name == "list":
-            continue
-        q.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder of cases, truths and answers")
-        q.add_argument("--limit", metavar="N", type=whole_number(1), help="only the first N cases, a fair sample")
-        q.add_argument("--group", action="append", choices=GROUPS, default=[], metavar="GROUP",
-                       help="only this group, see list; may be given several times")  # fmt: skip
-        if name != "draw":
-            q.add_argument("--publish", metavar="DIR", type=Path, help="folder of the scores (default: that of --out)")
-        if name != "score":
-            q.add_argument("--set", choices=SETS, default="laws", help="of the cases (default laws)")
-            q.add_argument("--seed", metavar="N", type=whole_number(), default=REPORTED,
-                           help=f"of the cases (default {REPORTED})")  # fmt: skip
-            q.add_argument("--jobs", metavar="N", type=whole_number(1), default=1, help="processes (default 1)")
-        if name == "run":
-            q.add_argument("--entrant", required=True, help=f"{', '.join(ENTRANTS)} or module:function")
-            q.add_argument("--label", metavar="NAME", help="of the folder of the answers (default: from --entrant)")
-    return p
+@click.group(NAME)
+def command() -> None:
+    """Blind naming of missing mechanisms: draw cases, ask entrants, score their answers."""
 
 
-@command_line(NAME, interrupted="go on with the same command")
+def _option(*names: str, **settings: Any) -> Callable[[Callable], Callable]:
+    return click.option(*names, metavar=settings.pop("metavar", "N"), **settings)
+
+
+def _of_cases(work: Callable) -> Callable:
+    """Options that choose cases."""
+    work = _option("--group", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP", help="Only this group.")(
+        work
+    )
+    work = _option("--limit", type=WholeNumber(1), help="Only the first N cases, a fair sample.")(work)
+    return _option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers.")(work)
+
+
+def _of_drawing(work: Callable) -> Callable:
+    """Options that say which cases are drawn."""
+    work = _option("--jobs", type=WholeNumber(1), default=1, help="Processes (default 1).")(work)
+    work = _option("--seed", type=WholeNumber(), default=REPORTED, help=f"Seed of the cases (default {REPORTED}).")(
+        work
+    )
+    return _option("--set", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws.")(work)
+
+
+_publish = _option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out).")
+
+
+@command.command("run")
+@_option("--entrant", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
+@_option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
+@_publish
+@_of_drawing
+@_of_cases
+def run_command(**given: Any) -> None:
+    """Ask an entrant and score it; resumes."""
+    _run(SimpleNamespace(**given))
+
+
+@command.command("draw")
+@_of_drawing
+@_of_cases
+def draw_command(**given: Any) -> None:
+    """Write the cases."""
+    _draw(SimpleNamespace(**given))
+
+
+@command.command("score")
+@_publish
+@_of_cases
+def score_command(**given: Any) -> None:
+    """Score the answers in a folder."""
+    _score(SimpleNamespace(**given))
+
+
+@command.command("list")
+def list_command() -> None:
+    """List sets, groups and forms."""
+    _list()
+
+
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
-    options = _parser().parse_args(arguments)
-    try:
-        options.work(options)
-    except ValueError as error:
-        raise error if isinstance(error, ParameterError) else ParameterError(str(error)) from None
-    return 0
+    """Run the command; return the exit status."""
+    return run(command, arguments, NAME)
 
 
 if __name__ == "__main__":

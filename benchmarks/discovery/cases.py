@@ -25,6 +25,7 @@ from benchmarks.discovery.forms import CHANNELS, MECHANISMS, UNLISTED, VARIES, F
 from benchmarks.discovery.laws import BASE_LAWS, StressError, log_slip, regimes, smooth
 from benchmarks.discovery.limits import Measure
 from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, draw_bench
+from soil_env._io.loading import ParameterError
 
 KINDS = ("one", "two", "unlisted", "none")
 LEAST = 2.0  # detection limits from which a case counts for the targets
@@ -131,10 +132,10 @@ def tasks(of: str, limit: int | None = None) -> list[Task]:
 
 
 def task_of(name: str) -> Task:
-    """Return the case of a name. Raises `ValueError` where there is none."""
+    """Return the case of a name. Raises `ParameterError` where there is none."""
     group, _, index = name.rpartition("-")
     if group not in GROUPS or not index.isdigit():
-        raise ValueError(f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}")
+        raise ParameterError(f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}")
     return Task(group, int(index))
 
 

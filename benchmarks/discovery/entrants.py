@@ -23,6 +23,7 @@ from benchmarks.discovery.forms import CHANNELS, MECHANISMS
 from benchmarks.discovery.laws import covariance
 from benchmarks.discovery.plan import SOIL
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
@@ -36,7 +37,7 @@ VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", 
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer of an entrant to a table. Raises `ValueError` for unknown names.
+    """Answer of an entrant to a table. Raises `ParameterError` for unknown names.
 
     `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty where the verdict is
     unlisted, none or undetermined. `alternatives`: those that look like the named ones. `probabilities`: of
@@ -51,19 +52,19 @@ class Answer:
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
-            raise ValueError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
+            raise ParameterError(f"verdict {self.verdict!r}: expected one of {', '.join(VERDICTS)}")
         for name in (*self.named, *self.alternatives, *self.probabilities):
             if name not in MECHANISMS:
-                raise ValueError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
+                raise ParameterError(f"mechanism {name!r}: expected one of {', '.join(MECHANISMS)}")
         for name, p in self.probabilities.items():
             if not (math.isfinite(p) and -1e-9 <= p <= 1.0 + 1e-6):
-                raise ValueError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
+                raise ParameterError(f"probability of {name} = {p!r}: expected a number in [0, 1]")
 
     @classmethod
     def of(cls, content: Mapping) -> Answer:
-        """Return the answer of a mapping with the keys of this class. Raises `ValueError` for anything else."""
+        """Return the answer of a mapping with the keys of this class. Raises `ParameterError` for anything else."""
         if not isinstance(content, Mapping) or not set(content) <= set(cls.__dataclass_fields__):
-            raise ValueError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
+            raise ParameterError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
         lists = {key: tuple(content[key]) for key in ("named", "alternatives") if key in content}
         return cls(**{**content, **lists})
 
@@ -72,16 +73,16 @@ Entrant = Callable[[Path, Path], Answer | Mapping]
 
 
 def entrant(name: str) -> Entrant:
-    """Return the entrant of a name or of module:function. Raises `ValueError` where there is none."""
+    """Return the entrant of a name or of module:function. Raises `ParameterError` where there is none."""
     if name in ENTRANTS:
         return ENTRANTS[name]
     module, _, function = name.partition(":")
     if not function:
-        raise ValueError(f"entrant {name!r}: expected {', '.join(ENTRANTS)} or module:function")
+        raise ParameterError(f"entrant {name!r}: expected {', '.join(ENTRANTS)} or module:function")
     try:
         return getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"entrant {name!r}: {error}") from None
+        raise ParameterError(f"entrant {name!r}: {error}") from None
 
 
 def workflow(data: Path, setup: Path) -> Answer:

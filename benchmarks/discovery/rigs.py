@@ -19,15 +19,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import click
 import numpy as np
 import yaml
 
 from benchmarks.common import RESULTS, ROOT, page, ready, short, write
 from examples import cmu_rig as cmu
-from soil_env._io.commands import command_line, command_parser, folder, leave
 from soil_env._io.document import Table as Shown
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError, read_yaml
+from soil_env.cli.running import PATH, leave, run as run_command
 from soil_env.discrepancy import run
 from soil_env.measurement.table import Setup, Table, read_setup, read_table
 from soil_env.terramechanics.model import WheelSoilModel
@@ -196,21 +197,22 @@ def tables(results: list[dict]) -> dict[str, Shown]:
     }
 
 
-@command_line(NAME)
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; returns the exit status."""
-    p = command_parser(f"python -m {NAME}", __doc__)
-    p.add_argument("--data", metavar="FOLDER", type=Path, help="with cmu_single_wheel and dem_kyoto; else "
-                   "$SOIL_ENV_DATA, else ../shared/data")  # fmt: skip
-    p.add_argument("--out", metavar="OUT", type=folder, default=RESULTS, help="of the results (default docs/results)")
-    options = p.parse_args(arguments)
-    file = ready(options.out, "discovery_rigs")
-    home = options.data or Path(os.environ.get("SOIL_ENV_DATA", ROOT.parent / "shared" / "data"))
+@click.command(NAME)
+@click.option("--data", type=PATH, metavar="FOLDER", help="With cmu_single_wheel, dem_kyoto (default $SOIL_ENV_DATA).")
+@click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help="Folder of the results (default docs/results).")
+def command(data: Path | None, out: Path) -> None:
+    """Hold out one slip of each measured table in turn and compare the models' errors there."""
+    file = ready(out, "discovery_rigs")
+    home = data or Path(os.environ.get("SOIL_ENV_DATA", ROOT.parent / "shared" / "data"))
     results = short([held_out(rig) for rig in rigs(home)])
     write_json(file, results)
     text = "The discovery workflow on measured tables, by `python -m benchmarks.discovery.rigs`."
-    write(options.out, "discovery_rigs", page("Measured rigs", text, tables(results)))
-    return 0
+    write(out, "discovery_rigs", page("Measured rigs", text, tables(results)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status."""
+    return run_command(command, arguments, NAME)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,9 @@ import sys
 
 
 def main() -> None:
-    """Compile what stdin asks for."""
-    module, name = pickle.load(sys.stdin.buffer)
-    function = getattr(importlib.import_module(module), name)
-    function.compile(pickle.load(sys.stdin.buffer))
+    """Compile the function that the parent process asks for."""
+    module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`
+    getattr(importlib.import_module(module), name).compile(signature)
 
 
 if __name__ == "__main__":

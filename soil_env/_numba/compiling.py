@@ -191,7 +191,7 @@ def compile_aside(function, arguments: tuple) -> None:
     code. There are at most as many such processes as there are other processors, and none without a cache or in workers
     of `multiprocessing`.
     """
-    if not COMPILED or not CACHE or multiprocessing.parent_process() is not None:
+    if not (COMPILED and CACHE and sys.executable) or multiprocessing.parent_process() is not None:
         return
     signature = tuple(typeof(a) for a in arguments)
     if signature in function.overloads or is_kept(function, signature):
@@ -210,7 +210,7 @@ def compile_aside(function, arguments: tuple) -> None:
     _CHILDREN.append(child)
     atexit.register(child.kill)
     with contextlib.suppress(OSError), child.stdin as orders:
-        orders.write(pickle.dumps((function.__module__, function.__name__)) + pickle.dumps(signature))
+        orders.write(pickle.dumps((function.__module__, function.__name__, signature)))
     await_code_of(function, signature, child.wait)
 
 

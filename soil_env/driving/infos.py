@@ -90,7 +90,9 @@ class Infos:
         """Note which estimates have changed after a step; `reset` [wheels] bool: wheels that it has reset."""
         changed = self._simulation.worlds.changed
         if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
-            self.renew(changed | reset)
+            which = changed | reset
+            if which.any():
+                self.renew(which)
 
     def renew(self, which: np.ndarray) -> None:
         """Estimates of the wheels `which` [wheels] bool are new: their traversability is that of what they see now."""

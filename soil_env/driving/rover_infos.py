@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from soil_env.driving.infos import IMMOBILISED, STATUS, STUCK, asks, estimates, masked
+from soil_env.driving.infos import STUCK, asks, estimates, masked
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
@@ -26,27 +26,8 @@ class RoverInfos:
         self._axles = axle_names(simulation.scenario.axles)
 
     def one(self, j: int) -> dict[str, Any]:
-        """Info of rover j."""
-        if self.kind == "none":
-            return {}
-        w = self._simulation.worlds
-        cause, terms = Cause(w.cause.item(j)), w.terms[j].tolist()
-        if self.kind == "short":
-            short = {"cause": w.cause[j], "immobilised": np.int64(cause in IMMOBILISED), "x": w.rovers.body["x"][j]}
-            return short | {f"reward_{n}": np.float64(v) for n, v in zip(REWARD_TERMS, terms, strict=True)}
-        full = {
-            "cause": cause.name,
-            "immobilised": cause in IMMOBILISED,
-            "reward_terms": dict(zip(REWARD_TERMS, terms, strict=True)),
-            "state": {name: w.rovers.body[name].item(j) for name in _OF_BODY},
-        }
-        identified = self._estimates()
-        for axle, k in zip(self._axles, self._simulation.wheels[j].tolist(), strict=True):
-            full[axle] = {"state": {name: w.rovers.wheels[name].item(k) for name in _OF_WHEEL}}
-            if identified:
-                known = {name: values.item(k) for name, values in identified.items()}
-                full[axle]["estimate"] = known | {"status": STATUS[int(known["status"])]}
-        return full if self.kind != "numeric" else _numeric(full)
+        """Info of rover j; in words with "full" and "state", else in numbers of numpy."""
+        return _one_of(self.many(), j, self.kind in ("full", "state"))
 
     def _estimates(self) -> dict[str, np.ndarray]:
         """Estimates of the soil under each wheel, arrays [wheels]; empty if this kind of info does not ask for them."""
@@ -93,11 +74,16 @@ def _flat(info: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return out
 
 
-def _numeric(full: Mapping[str, Any]) -> dict[str, np.number]:
-    """Numbers only, as numpy's."""
-    out = _flat(full)
-    out["cause"] = Cause[out["cause"]].value
-    for name in out:
-        if name.endswith("status"):
-            out[name] = Status[out[name]].value
-    return {name: np.int64(v) if isinstance(v, (bool, int)) else np.float64(v) for name, v in out.items()}
+def _one_of(infos: Mapping[str, Any], j: int, words: bool) -> dict[str, Any]:
+    """Info of rover j of the infos of many."""
+    out: dict[str, Any] = {}
+    for name, values in infos.items():
+        if isinstance(values, Mapping):
+            out[name] = _one_of(values, j, words)
+        elif not words:
+            out[name] = np.int64(values[j]) if values.dtype.kind in "bi" else values[j]
+        elif name in ("cause", "status"):
+            out[name] = (Cause if name == "cause" else Status)(values[j]).name
+        else:
+            out[name] = values.item(j)
+    return out

@@ -108,7 +108,7 @@ class Channels:
 
 
 def _check_source(channels: Channels, name: str, s: Source) -> None:
-    """Raise `ParameterError` for a source whose fields do not go together."""
+    """Raise `FieldError` for a source whose fields do not go together."""
     kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
     if kinds != 1 or bool(s.topic) != bool(s.field):
         raise FieldError(channels, name, ": expected topic and field, or column, or constant")

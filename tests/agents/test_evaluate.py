@@ -19,6 +19,7 @@ from agents.evaluate import HELD_OUT_SET, Runs, comparing, evaluation, run_cours
 from agents.evaluate.driving import METRICS, RATES
 from agents.evaluate.statistics import wilson
 from agents.evaluate.tuning import tuned_settings
+from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
 from tests.agents.commands import evaluate as main, typed
@@ -345,7 +346,8 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_pat
         command.append("--controllers=full_throttle")
     assert main([*command, *arguments]) == 2
     captured = capsys.readouterr()
-    assert captured.err.startswith("soil-env evaluate: error: ") and captured.err.count("\n") == 1 and len(captured.err) < 700
+    assert captured.err.startswith("soil-env evaluate: error: ")
+    assert captured.err.count("\n") == 1 and len(captured.err) < 700
     for part in parts:
         assert part in captured.err
     assert not out.exists() and not list(tmp_path.iterdir())
@@ -367,8 +369,11 @@ def test_nothing_at_all_is_refused(capsys, tmp_path):
             lambda p: edit(p, observation_names=[f"n{k}" for k in range(len(layout("blind", load_scenario().course)))]),
             "another observation layout",
         ),
-        (lambda p: edit(p, scenario={"control": {"action": "wheel_speed"}}), "trained with action 'wheel_speed'"),
-        (lambda p: rewrite(p, b"{"), "not a model saved by train.py"),
+        (
+            lambda p: edit(p, scenario=to_dict(load_scenario(changes={"control": {"action": "wheel_speed"}}))),
+            "trained with action 'wheel_speed'",
+        ),
+        (lambda p: rewrite(p, b"{"), "not a model: expected JSON"),
         (lambda p: p.write_bytes(p.read_bytes()[:-3000]), "not a model of Stable-Baselines3"),
     ],
 )

@@ -35,7 +35,7 @@ def record(scenario, name, seed=SEED, courses=COURSES):
     that the prior makes there."""
     prior, exponent = identifier_numbers(scenario).prior[:3], scenario.belief.sinkage_exponent
     errors, sds, without = [], [], []
-    for w, alive in drive(make_controller(name, scenario), scenario, seed, 0, courses, threads=1):
+    for w, alive in drive(make_controller(name, scenario), scenario, seed, 0, courses, threads=1, warnings=True):
         truth = np.empty((courses, 3))
         bearing = np.log(np.maximum(w.state["bearing_sinkage"], 1e-4))
         _truth(w.state, w.counts, w.courses, scenario.course.border, exponent, bearing, truth)
@@ -85,7 +85,7 @@ def test_every_scenario_gives_finite_estimates(name):
 @pytest.mark.parametrize("name", rover_names())
 def test_every_rover_gives_finite_estimates(name):
     scenario = load_rover(name, {"control": {"action": "wheel_speed", "repeat": 1}})
-    simulation, rovers = RoverSimulation(2, scenario, "blind", 1), 2
+    simulation, rovers = RoverSimulation(2, scenario, "blind", 1, estimates=True), 2
     for j in range(rovers):
         simulation.seed(j, np.random.default_rng([SEED, j]))
     simulation.restart_where(np.ones(rovers, dtype=bool))

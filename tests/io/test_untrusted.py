@@ -78,7 +78,7 @@ def test_plain_aliases_and_merges_still_work():
 
 
 def test_no_unsafe_loading_in_the_sources():
-    """No yaml.load but the one with our SafeLoader, and pickles only where a warning goes before."""
+    """No yaml.load but the one with our SafeLoader; pickles only after a warning, or from the parent process."""
     found = []
     for folder in ("soil_env", "agents", "benchmarks", "examples"):
         for path in (ROOT / folder).rglob("*.py"):
@@ -86,9 +86,11 @@ def test_no_unsafe_loading_in_the_sources():
                 words = ("yaml.load(", "yaml.unsafe", "yaml.full", "pickle.load", "allow_pickle=True", "eval(", "exec(")
                 if any(word in line for word in words) and "retrieval(" not in line:
                     found.append((path.name, line.strip()))
-    assert found == [
+    assert sorted(found) == [
+        ("aside.py", "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`"),
         ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
         ("models.py", "normalisation = pickle.load(stream)"),
+        ("records.py", 'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does'),
     ]
 
 

@@ -14,15 +14,9 @@ from soil_env.simulation.task import VARIANTS, Cause, layout
 from soil_env.simulation.world import camera, courses as drawing, terrain
 from soil_env.terramechanics.ground import blend
 from soil_env.terramechanics.traversability import best_working_point
+from tests.simulation.test_terrain_and_courses import draw
 
 SEEDS = range(30)
-
-
-def draw(seed, scenario):
-    """(courses, mass) of one course."""
-    courses = terrain.new_courses(1, scenario)
-    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    return courses, drawing.draw_course(0, courses, words, drawing.course_numbers(scenario))
 
 
 def simulation(variant="blind", seed=0, wheels=1, **changes):
@@ -108,21 +102,6 @@ def test_without_scatter_a_class_is_one_soil():
     for p in range(n):
         for i in range(2):
             np.testing.assert_allclose(lines.soils[0, p, i], lines.library[0, lines.classes[0, p, i]], rtol=1e-12)
-
-
-def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(scenario):
-    for seed in range(6):
-        whole, mass = draw(seed, scenario)
-        courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario)
-        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-        assert drawing.start_course(0, courses, words, numbers) == mass
-        x = 0.0
-        while not np.isinf(courses.ready[0]):
-            x += 0.3
-            drawing.extend_course(0, courses, mass, x, numbers)
-        for name, array in courses.lines._asdict().items():
-            np.testing.assert_array_equal(array, getattr(whole.lines, name), name)
-        np.testing.assert_array_equal(courses.soils, whole.soils)
 
 
 def test_what_is_in_sight_is_final(scenario):

@@ -44,7 +44,8 @@ def test_a_step_reads_only_the_course_beside_the_wheel(length):
         "course": {"length": length, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]},
         "control": {"action": "torque", "time_limit": 900.0},
     }
-    sims = [Simulation(4, load_scenario("mixed", changes), "true_soil", threads=1) for _ in range(2)]
+    scenario = load_scenario("mixed", changes)
+    sims = [Simulation(4, scenario, "true_soil", threads=1, estimates=True) for _ in range(2)]
     rng, far = np.random.default_rng(0), 0.0
     for sim in sims:
         for k in range(4):

@@ -71,9 +71,10 @@ def started(seed, scenario):
     return courses, drawing.start_course(0, courses, words, numbers), numbers
 
 
+@pytest.mark.parametrize("name", ["mixed", "two_lines"])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed):
-    scenario = load_scenario("mixed", LONG)
+def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed, name):
+    scenario = load_scenario(name, LONG if name == "mixed" else {"course": {"length": 30.0}})
     whole, mass = draw(seed, scenario)
     courses, same, numbers = started(seed, scenario)
     assert same == mass
