@@ -53,7 +53,10 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         if all((folder / name).is_file() for name in (training.MODEL, *comparison.written(settings))):
             training.console.print("Already finished. Delete its comparison.json to compare again.")
             return
-        agent = training.train(folder, settings, scenario)
+        try:
+            agent = training.train(folder, settings, scenario)
+        except MemoryError as error:
+            raise MemoryError(f"{error}; expected a smaller ppo.num_envs or ppo.n_steps") from None
         comparison.compare(folder, settings, scenario, agent)
         training.console.print(f"Written to {folder}: {', '.join(comparison.written(settings))}")
 

@@ -1,5 +1,6 @@
 """Train a small PPO agent with Stable-Baselines3, and compare it with full throttle.
 
+    pip install "soil_env[train]"
     python examples/train_ppo.py                          a minute on two idle cores
     python examples/train_ppo.py --steps 5_000_000 --save agent.zip
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError, quantity
+from soil_env._io.loading import FieldError, ParameterError, quantity
 from soil_env.parameters import Scenario
 
 from ..cells import Engine, code_version, fill, read_cell
@@ -43,10 +43,8 @@ class Evaluation(OfWorld):
     def __post_init__(self):
         super().__post_init__()
         if self.oracle_courses > self.courses:
-            raise ParameterError(
-                f"Evaluation.oracle_courses = {self.oracle_courses}: expected at most {self.courses}, the courses "
-                "compared"
-            )
+            problem = f" = {self.oracle_courses}: expected at most {self.courses}, the courses compared"
+            raise FieldError(self, "oracle_courses", problem)
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""
