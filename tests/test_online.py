@@ -182,8 +182,8 @@ def test_motion_that_is_not_known_is_passed_over():
 ABSURD = [
     {"sinkage": 22.0}, {"sinkage": 0.151}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5},
     {"time": 0.4}, {"time": math.inf}, {"load": 1e9}, {"load": -1e9}, {"motor_torque": 1e4}, {"pitch": 20.0},
-    {"speed": 280.0}, {"load": "147"}, {"time": "0.6"}, {"wheel_speed": None}, {"torque": [5.5]}, {"sinkage": {}}, {"time": 1j},
-    {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
+    {"speed": 280.0}, {"load": "147"}, {"time": "0.6"}, {"wheel_speed": None}, {"torque": [5.5]}, {"sinkage": {}},
+    {"time": 1j}, {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
 ]  # fmt: skip
 
 

@@ -316,7 +316,8 @@ def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
     assert "only with --config" in refused(capsys, "--out", finished, "--train.timesteps", "3")
     assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
-    assert "--seeds = 0" in refused(capsys, "--config", path, "--out", tmp_path / "o", "--seeds", "0")
+    said = refused(capsys, "--config", path, "--out", tmp_path / "o", "--seeds", "0")
+    assert "'--seeds': '0': expected a whole number" in said
     (tmp_path / "empty.yaml").write_text("")
     assert "is empty" in refused(capsys, "--config", tmp_path / "empty.yaml", "--out", tmp_path / "o")
     assert not (tmp_path / "o").exists()

@@ -178,6 +178,7 @@ def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
     page = (tmp_path / "out" / "report.html").read_text()
     assert "tilt of the rig" in page
     assert {label.partition(", ")[2] for label, _ in groups(report)} == {
-        "grouser height 0 m", "grouser height 0.02 m",
+        "grouser height 0 m",
+        "grouser height 0.02 m",
     }
     assert json.loads((tmp_path / "out" / "report.json").read_text())["soil"]["tilt_deg"]["known"] is False

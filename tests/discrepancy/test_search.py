@@ -27,30 +27,13 @@ def planted(effects, seed=0):
     return problem(data, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"slip_sinkage": {"gain": 0.6}},
-        {"bulldozing": {"rankine": 1.0}},
-        {"multipass": {"hardening": 0.2}},
-        {"drivetrain_friction": {"constant": 1.0}},
-        {"grade": {"share": 1.0}},
-    ],
-)
-def test_a_planted_effect_is_named(effects):
-    finding = search(planted(effects))
-    assert list(finding.names) == list(effects)
+def test_a_planted_effect_is_named():
+    """The one that neither the tests of the workflow nor the oracle plant."""
+    assert search(planted({"drivetrain_friction": {"constant": 1.0}})).names == ("drivetrain_friction",)
 
 
-def test_two_planted_effects_are_named():
-    effects = {"slip_sinkage": {"gain": 0.6}, "drivetrain_friction": {"constant": 1.0}}
-    finding = search(planted(effects))
-    assert sorted(finding.names) == sorted(effects) and finding.verdict == "named"
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_named_where_nothing_is_missing(seed):
-    finding = search(planted({}, seed))
+def test_nothing_is_named_where_nothing_is_missing():
+    finding = search(planted({}))
     assert finding.verdict == "none" and finding.names == ()
     before = (1.0 + ODDS) ** -len(CATALOGUE)
     assert finding.none / (1.0 - finding.none) > 4.0 * before / (1.0 - before)

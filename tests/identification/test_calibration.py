@@ -60,7 +60,7 @@ def test_intervals_hold_on_the_default_task():
 
 def check(ids, scenario):
     """Estimates are finite and those of some soil, standard deviations are positive, covariances semidefinite and
-    symmetric, and the two tell the same."""
+    symmetric, and the two agree."""
     prior = 1.0 / np.sqrt(identifier_numbers(scenario).precision)
     assert np.all(np.isfinite(ids.estimate)) and np.all(np.isfinite(ids.covariance))
     assert np.all(ids.sd > 0.0) and np.all(np.isfinite(ids.sd))
@@ -74,7 +74,8 @@ def check(ids, scenario):
 def test_every_scenario_gives_finite_estimates(name):
     scenario = load_scenario(name)
     renewed, w = np.zeros(2, dtype=bool), None
-    for step, (w, alive) in enumerate(drive(make_controller("soft_start", scenario), scenario, SEED, 0, 2, threads=1)):
+    driven = drive(make_controller("soft_start", scenario), scenario, SEED, 0, 2, threads=1, warnings=True)
+    for step, (w, alive) in enumerate(driven):
         renewed |= alive & (w.ids.banks.point.points > 0.0)
         check(w.ids, scenario)
         if step * scenario.control.period >= SECONDS:

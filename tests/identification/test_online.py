@@ -86,19 +86,19 @@ def test_only_readings_enter(hide):
     sim, _ = simulate()
     w, n = sim.worlds, sim.numbers
     other = identifier.new_identifiers(1)
-    identifier.forget(other, 0, n.identifier)
+    identifier.forget(other, 0, sim.belief.identifier)
     what = np.full(1, STEP, dtype=np.int8)
     for k in range(80):
         commands = np.array([0.4 + 0.35 * math.sin(0.7 * k)])
         advance(w.state, w.counts, 0, 1, what, commands, w.courses, w.streams, n.world)
         readings = sense(w.state, 0, w.streams, n.task.sensors)
-        observe(other, 0, readings, n.identifier)
+        observe(other, 0, readings, sim.belief.identifier)
         kept = w.courses.soils.copy(), w.state.copy()
         if hide:
             w.courses.soils[:] *= 1.7  # with n and c
             for name in w.state.NAMES:
                 w.state[name] *= 1.3
-        observe(w.ids, 0, readings, n.identifier)
+        observe(w.ids, 0, readings, sim.belief.identifier)
         w.courses.soils[:], w.state.data[:] = kept[0], kept[1].data
     assert w.ids.banks.point.points[0] > 5.0
     for (name, a), b in zip(snapshot(w.ids).items(), snapshot(other).values(), strict=True):
