@@ -45,20 +45,6 @@ def grounds(x, wheel):
 
 
 @compiled_root
-def ground_in_lanes(x, wheel, out):
-    """Soil, arc and added forces of `grounds` as the rows of out [16, 8]."""
-    g = grounds(x, wheel)
-    for i in range(7):
-        to_array(g.soil[i], out, 8 * i)
-    arc = (g.arc.theta1, g.arc.theta2, g.arc.thetam, g.arc.sheared_from)
-    for i in range(4):
-        to_array(arc[i], out, 56 + 8 * i)
-    added = (g.lift, g.bulldozing, g.blades, g.pull, g.torque)
-    for i in range(5):
-        to_array(added[i], out, 88 + 8 * i)
-
-
-@compiled_root
 def react_in_lanes(x, speeds, wheel, out):
     """`Reaction` at the axle of eight wheels on `grounds` as the rows of out [10, 8]; of `speeds`: v, u, load."""
     ground, nodes = grounds(x, wheel), _nodes()

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
@@ -13,32 +12,16 @@ from soil_env.terramechanics import model, reaction
 from soil_env.terramechanics.effects import slip_sinkage_ratio
 
 R = B = 0.15
-CARRYING = sorted(set(soils()) - {"snow", "snow_harrison", "snow_sweden"})  # soils a rover wheel does not sink away in
-
-
-def undisturbed(soil):
-    """The same soil without slip-sinkage."""
-    return soil._replace(dig_gain=0.0)
-
-
-@pytest.mark.parametrize("name", CARRYING)
-@pytest.mark.parametrize("slip", [-0.5, 0.0, 0.3, 0.8])
-def test_more_load_sinks_deeper(name, slip):
-    soil = soils()[name].state(B)
-    sinkages = [model.steady_state(slip, load, soil, R, B).sinkage for load in np.linspace(30.0, 200.0, 12)]
-    assert np.all(np.diff(sinkages) >= 0.0)
-    assert sinkages[-1] > sinkages[0]
 
 
 @pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "rubicon_sandy_loam"])
-def test_digging_sinks_deeper_and_not_digging_less(name):
-    """Balance (1) alone gives less sinkage at more slip; slip-sinkage must turn that round."""
+def test_balance_alone_sinks_less_at_more_slip_and_digging_turns_that_round(name):
     soil = soils()[name].state(B)
-    alone = [model.steady_state(i, 100.0, undisturbed(soil), R, B).sinkage for i in (0.1, 0.3, 0.6)]
-    dug = [model.steady_state(i, 100.0, soil, R, B).sinkage for i in (0.1, 0.3, 0.6)]
-    assert alone == sorted(alone, reverse=True)
-    assert dug == sorted(dug)
-    assert all(deep > shallow for deep, shallow in zip(dug, alone, strict=True))
+    alone, dug = (
+        np.array([model.steady_state(i, 100.0, ground, R, B).sinkage for i in (0.1, 0.3, 0.6)])
+        for ground in (soil._replace(dig_gain=0.0), soil)
+    )
+    assert np.all(np.diff(alone) <= 0.0) and np.all(np.diff(dug) >= 0.0) and np.all(dug > alone)
 
 
 def excess(slip, load, soil, depths):
@@ -90,25 +73,6 @@ def test_the_dynamics_settle_at_the_steady_state(name, slip):
         bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)
         sinkage = dynamics.relax_sinkage(sinkage, bearing, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
     assert sinkage == pytest.approx(model.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    tan_phi=st.floats(0.0, 1.7),
-    cohesion=st.floats(0.0, 2e5),
-    k=st.floats(1e-4, 0.3),
-    log_s=st.floats(0.0, 13.0),
-    n=st.floats(0.0, 3.0),
-    gain=st.floats(0.0, 20.0),
-    recovery=st.floats(0.05, 5.0),
-    slip=st.floats(-1.0, 1.0),
-    log_load=st.floats(-1.0, 6.0),
-)
-def test_any_admissible_soil_gives_finite_numbers(tan_phi, cohesion, k, log_s, n, gain, recovery, slip, log_load):
-    soil = SoilState(tan_phi, cohesion, k, 10.0**log_s, n, gain, recovery)
-    found = model.steady_state(slip, 10.0**log_load, soil, R, B)
-    assert all(map(math.isfinite, found))
-    assert 0.0 < found.sinkage <= model.DEEPEST * R * (1.0 + 1e-9)
 
 
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
