@@ -53,17 +53,6 @@ def case():
     return rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset"), **ONE_LOAD)
 
 
-def test_expected_difference_is_that_of_the_models(case):
-    p, candidates = case
-    tests = separating(p, candidates)
-    assert tests
-    for t in tests:
-        assert t.separates == ("bulldozing", "sinkage_offset")
-        a, b = (getattr(model(c).predict(t.conditions), t.channel)[0] for c in candidates)
-        difference = abs(a - b) / NOISE[CHANNELS.index(t.channel)]
-        assert LEAST <= t.expected_sigma < difference  # the uncertainty of the predictions takes its share
-
-
 def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
     """The sd of a prediction against refits to 60 tables, priors drawn anew."""
     p, candidates = case
@@ -135,26 +124,6 @@ def test_every_test_can_be_run(case):
             assert found.sinkage[0] < DEEPEST * WHEEL.radius + 0.02
 
 
-def test_a_buried_wheel_is_no_test(case):
-    """On a soil fifteen times softer the telling loads would bury the wheel."""
-    p, candidates = case
-    soft = []
-    for c in candidates:
-        k = [x.name for x in c.fit.unknowns].index("sinkage_coefficient")
-        u = c.fit.u.copy()
-        u[k] = c.fit.unknowns[k].at(5e4)
-        soft.append(dataclasses.replace(c, fit=dataclasses.replace(c.fit, u=u)))
-    tests = separating(p, soft)
-    assert tests
-    for t in tests:
-        for c in soft:
-            plain = WheelSoilModel(WHEEL, model(c).soil).predict(t.conditions)
-            assert plain.supported
-            assert plain.sinkage[0] < DEEPEST * WHEEL.radius
-    heavy = WheelSoilModel(WHEEL, model(soft[0]).soil).predict({"slip": 0.1, "load": 300.0})
-    assert heavy.sinkage[0] > DEEPEST * WHEEL.radius
-
-
 def test_who_is_left():
     p, (a, b, c) = rivals({"bulldozing": {"rankine": 0.5}}, ("bulldozing", "sinkage_offset", "grousers"), **ONE_LOAD)
     base = settle(p, ())
@@ -200,12 +169,6 @@ def law(law_problem):
     return ResidualFit(TERMS, dataclasses.replace(fit, jacobian=jacobian), offset, 10.0, column, width)
 
 
-def test_the_intervals_of_a_law(law):
-    for term, c in zip(TERMS, law.coefficients(), strict=True):
-        half = 1.959964 * abs(term.coefficient) / 2.0 / np.sqrt(2.0)
-        assert (c.low, c.high) == pytest.approx((term.coefficient - half, term.coefficient + half))
-
-
 def test_the_tests_of_a_law_repeat_its_largest_and_go_beyond_the_table(law_problem, law):
     base = law_problem.fit()
     quiet = tuple(dataclasses.replace(t, coefficient=c) for t, c in zip(TERMS, (-0.4, 0.01, 0.4), strict=True))
@@ -222,14 +185,3 @@ def test_the_tests_of_a_law_repeat_its_largest_and_go_beyond_the_table(law_probl
         low, high = model.validity[moved[0]]
         assert not low <= t.conditions[moved[0]] <= high
         assert set(t.conditions) == set(first.conditions)
-
-
-def test_without_a_law_the_test_is_the_largest_misfit(law_problem):
-    shifted = dataclasses.replace(law_problem.data, y=law_problem.data.y + 0.0)
-    shifted.y[20, 2] += 8 * NOISE[2]
-    p = Problem(shifted, NOISE.copy(), law_problem.used)
-    fit = p.fit()
-    none = ResidualFit((), fit, np.zeros_like(shifted.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
-    found = law_tests(p, fit, none, model_of(p, fit))
-    assert len(found) == 1 and found[0].channel == "torque"
-    assert found[0].conditions["slip"] == pytest.approx(shifted.rows.slip[20])

@@ -59,13 +59,6 @@ def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     assert run(*noisy(0, 0.03, told=False)).verdict == "unlisted"
 
 
-def test_noise_of_conditions_changes_nothing_where_the_channels_noise_is_found_from_the_table():
-    rows, setup = noisy(0, 0.02)
-    bare = dataclasses.replace(setup, noise=NoiseLevels(slip=0.02))
-    exact = dataclasses.replace(setup, noise=NoiseLevels())
-    assert calibrate(prepare(rows, bare))[1].sd == pytest.approx(calibrate(prepare(rows, exact))[1].sd)
-
-
 def test_noise_that_leaves_no_digits_is_refused():
     rows, setup = noisy(0, 0.0)
     tiny = dataclasses.replace(setup, noise=dataclasses.replace(setup.noise, sinkage=1e-10))

@@ -33,6 +33,13 @@ SIZES = {
 }  # fmt: skip
 
 
+#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel soon settles.
+TUNED = {
+    "bulldozing": {"rankine": 1.0, "hegedus": 0.7}, "grade": {"share": 1.0, "weakening": 0.7},
+    "shear_softening": {"sharpness": 4.0, "drop": 0.4, "length": 0.03, "onset": 0.001},
+}  # fmt: skip
+
+
 def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
     """Parameters of one form of an effect, by default at 0.6 of their range."""
     sizes = SIZES[name]
@@ -41,6 +48,9 @@ def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
 
 
 CASES = {f"{name}-{form.name}": values(name, form) for name, effect in CATALOGUE.items() for form in effect.forms}
+for effects in CASES.values():
+    for name, drawn in effects.items():
+        drawn.update({p: v for p, v in TUNED.get(name, {}).items() if p in drawn})
 TOGETHER = {
     "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
     "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3},
