@@ -26,7 +26,8 @@ from benchmarks.discovery.world import Contact, Ground, Rows, Wheel
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
-from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import Form

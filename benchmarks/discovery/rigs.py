@@ -30,7 +30,8 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError, read_yaml
 from soil_env.cli.running import PATH, leave, run as run_command
 from soil_env.discrepancy import run
-from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity
 

@@ -1,9 +1,8 @@
 """Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
 
-`read_table` reads the table: CSV, or Parquet where pyarrow is installed. The YAML file beside it is the business of
-`soil_env.measurement.setup`, whose names can be had from here, too. Everything is in SI units. What cannot be right is
-refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`); rows
-are counted as lines of the file, the header being row 1.
+`read_table` reads the table: CSV, or Parquet where pyarrow is installed. `soil_env.measurement.setup` reads the YAML
+file beside it. Everything is in SI units. Impossible values are refused with one line that names the file, the row,
+the column, the value and what was expected (`ParameterError`). The header is row 1.
 """
 
 from __future__ import annotations
@@ -20,30 +19,9 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
-from soil_env.measurement.setup import (
-    REQUIRED,
-    NoiseLevels,
-    Prior,
-    Setup,
-    SetupWheel,
-    SoilPriors,
-    read_setup,
-)
+from soil_env.measurement.setup import REQUIRED, Setup, SetupWheel
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
-
-__all__ = [
-    "REQUIRED",
-    "NoiseLevels",
-    "Prior",
-    "Setup",
-    "SetupWheel",
-    "SoilPriors",
-    "Table",
-    "in_radians",
-    "read_setup",
-    "read_table",
-]
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")

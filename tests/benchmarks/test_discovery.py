@@ -22,7 +22,8 @@ from benchmarks.discovery.limits import Measure, noncentrality, without
 from benchmarks.discovery.plan import draw_bench
 from benchmarks.discovery.score import judged, reliability
 from benchmarks.discovery.world import Arc, Contact, Rows, Wheel
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel

@@ -10,7 +10,8 @@ import pytest
 from scipy.io import savemat
 
 from examples.cmu_rig import FITS, PUBLISHED, convert, main, plate_prior
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 
 DATA = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
 CMU = DATA / "cmu_single_wheel"

@@ -14,7 +14,8 @@ from soil_env.discrepancy import calibrate, doubts
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.search import search
 from soil_env.measurement.doubts import load_doubt
-from soil_env.measurement.table import Prior, Setup, SetupWheel, SoilPriors, read_setup, read_table
+from soil_env.measurement.setup import Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.table import read_table
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
 

@@ -14,7 +14,8 @@ from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table.problem import TableProblem
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
 
 LUGS = {"grousers": {"shear_share": 1.0}}

@@ -10,7 +10,8 @@ from soil_env.discrepancy.calibrate import Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Detectable
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis, candidates, search
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel

@@ -13,7 +13,8 @@ from soil_env.discrepancy.fits import Choice
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
 from soil_env.identification.table import identify_table
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discrepancy.files import PLANTED, table_text, write_files

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.table import Prior, Setup, SetupWheel, read_setup, read_table
+from soil_env.measurement.setup import Prior, Setup, SetupWheel, read_setup
+from soil_env.measurement.table import read_table
 
 HEADER = "slip,load,sinkage,drawbar_pull"
 GOOD = (HEADER, "0.1,100,0.02,5", "0.2,100,0.021,9", "0.3,120,0.022,12.5")

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings, strategies as st
 from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics import contact, effects, model, reaction
+from soil_env.terramechanics import contact, effects, reaction
 from soil_env.terramechanics.effects import (
     CATALOGUE,
     NO_EFFECTS,
@@ -18,7 +18,7 @@ from soil_env.terramechanics.effects import (
     shear_softening,
 )
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
-from soil_env.terramechanics.model import Conditions, Rim, steady_with
+from soil_env.terramechanics.steady import Conditions, Rim, steady_state, steady_with
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
 WHEEL = Rim(0.15, 0.12, 0.01)
@@ -108,7 +108,7 @@ def test_steady_state_of_the_digging_rate_is_the_ratio(slip, gain, recovery):
 @pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "rubicon_sandy_loam"])
 def test_spinning_on_the_spot_excavates_and_resting_does_not(name):
     soil = soils()[name].state(B)
-    rest = sinkage = model.steady_state(0.0, LOAD, soil, R, B).sinkage
+    rest = sinkage = steady_state(0.0, LOAD, soil, R, B).sinkage
     for _ in range(20):
         mobilised = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).sinkage_coefficient
         bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)

@@ -13,8 +13,9 @@ import yaml
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.model import LEVEL, Conditions, ModelWheel, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
 from soil_env.terramechanics.validity import OutsideValidity
 
 SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)

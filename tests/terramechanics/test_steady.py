@@ -1,4 +1,4 @@
-"""`model.steady_state` against quadrature, against the long run of the wheel dynamics, and in its limits."""
+"""`steady.steady_state` against quadrature, against the long run of the wheel dynamics, and in its limits."""
 
 import math
 
@@ -8,7 +8,7 @@ import pytest
 from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics import model, reaction
+from soil_env.terramechanics import reaction, steady
 from soil_env.terramechanics.effects import slip_sinkage_ratio
 
 R = B = 0.15
@@ -18,7 +18,7 @@ R = B = 0.15
 def test_balance_alone_sinks_less_at_more_slip_and_digging_turns_that_round(name):
     soil = soils()[name].state(B)
     alone, dug = (
-        np.array([model.steady_state(i, 100.0, ground, R, B).sinkage for i in (0.1, 0.3, 0.6)])
+        np.array([steady.steady_state(i, 100.0, ground, R, B).sinkage for i in (0.1, 0.3, 0.6)])
         for ground in (soil._replace(dig_gain=0.0), soil)
     )
     assert np.all(np.diff(alone) <= 0.0) and np.all(np.diff(dug) >= 0.0) and np.all(dug > alone)
@@ -29,7 +29,7 @@ def excess(slip, load, soil, depths):
     k = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
     left = soil.sinkage_coefficient * k**-soil.sinkage_exponent
     motion = motion_from_slip(slip)
-    return np.array([model.forces_at(z, left, soil, *motion, 1.0, R, B).load - load for z in depths])
+    return np.array([steady.forces_at(z, left, soil, *motion, 1.0, R, B).load - load for z in depths])
 
 
 @pytest.mark.parametrize("seed", range(150))
@@ -50,7 +50,7 @@ def test_root_by_brute_force(seed):
         rng.uniform(0.1, 1.0),
     )
     slip, load = rng.uniform(-1.0, 1.0), 10.0 ** rng.uniform(1.3, 3.0)
-    found = model.steady_state(slip, load, soil, R, B)
+    found = steady.steady_state(slip, load, soil, R, B)
     depths = np.geomspace(1e-5, 1.499, 400) * R
     carried = excess(slip, load, soil, depths) >= 0.0
     assert found.supported == np.any(carried)
@@ -67,16 +67,16 @@ def test_the_dynamics_settle_at_the_steady_state(name, slip):
     soil = soils()[name].state(B)
     rim, travel = (1.0, 1.0 - slip) if slip >= 0.0 else (1.0 + slip, 1.0)
     speed, rim_speed, step = 100.0 * travel, 100.0 * rim, 2e-4
-    sinkage = model.steady_state(0.0, 120.0, soil, R, B).sinkage
+    sinkage = steady.steady_state(0.0, 120.0, soil, R, B).sinkage
     for _ in range(1500):
         mobilised = reaction.reaction(speed, rim_speed, sinkage, 120.0, soil, R, B).sinkage_coefficient
         bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)
         sinkage = dynamics.relax_sinkage(sinkage, bearing, bearing, speed, rim_speed - speed, soil, 2.0 * R, step)
-    assert sinkage == pytest.approx(model.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)
+    assert sinkage == pytest.approx(steady.steady_state(slip, 120.0, soil, R, B).sinkage, rel=1e-3)
 
 
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
     """The figure of docs/physics/index.md; on the CMU testbed -38.8 N at a load of 19.5 N (Pavlov & Johnson)."""
-    found = model.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
+    found = steady.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
     assert found.supported
     assert found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)

@@ -1,4 +1,4 @@
-"""`model.steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
+"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
 
 import math
 
@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState
-from soil_env.terramechanics import model
 from soil_env.terramechanics.effects import CATALOGUE, pack_effects, true_slip
-from soil_env.terramechanics.model import Conditions, Rim, predict_rows, steady_with
+from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, predict_rows, steady_with
 from tests.terramechanics import reference
 from tests.terramechanics.cases import values
 
@@ -116,7 +115,7 @@ SITE = reference.Site(0.15, 0.12, 0.012, 0.1, 1.0, 0.0, 15000.0)
 def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, slip):
     """Without recovery the ratio 1 + g i/(1 - i) has no bounds of its own."""
     fx = {"slip_sinkage": {"gain": gain, "recovery": 0.0, "apparent": 1.0}}
-    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= model.DEEPEST * 0.15
+    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= DEEPEST * 0.15
 
 
 @settings(max_examples=60, deadline=None)
