@@ -260,24 +260,6 @@ def integrals_alone(arc, rim, travel, K, n, law):
 
 
 @compiled_inline
-def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
-    """(ArcIntegrals, ArcRates by K [1/m]) of the nodes of `store_nodes`: de/dK = -(j/K) de/dj (Janosi's law)."""
-    shear, rate = _shear_at_nodes(), -1.0 / K
-    for k in range(turns(frame.theta1)):
-        i = k * COUNT
-        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
-        j, j2 = fma(rim, a, travel * z), fma(rim, a2, travel * z2)
-        e, g = mobilised(j, K, law)
-        e2, g2 = mobilised(j2, K, law)
-        to_array(e, shear.e_front, i)
-        to_array(e2, shear.e_rear, i)
-        to_array((rate * j) * g, shear.x_front, i)
-        to_array((rate * j2) * g2, shear.x_rear, i)
-    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
-    return _integrals(frame, e), _sums(frame, nodes, at, shear.x_front, shear.x_rear)
-
-
-@compiled_inline
 def integrals_of(arc, rim, travel, K, n, law):
     """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`) of one wheel's `Arc`, by the rule of `store_nodes`."""
     nodes = _one_arc()
