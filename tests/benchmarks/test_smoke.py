@@ -41,14 +41,3 @@ def test_each_arm_chooses_by_its_knowledge():
     for name in ("identified", "true soil"):
         assert chosen(name, **grades, ahead_margin=0.05, beside_margin=-0.05) == 1.0
         assert chosen(name, ahead_grade=0.1, beside_grade=0.2, ahead_margin=-0.05, beside_margin=0.05) == -1.0
-
-
-def test_driven_arms_are_not_driven_again(tmp_path, monkeypatch):
-    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0
-    file = tmp_path / "value_of_soil.json"
-    content = json.loads(file.read_text())
-    assert set(content) == set(value_of_soil.ARMS) and all(len(found["finished"]) == 8 for found in content.values())
-    kept, driven = content.pop("identified"), []
-    file.write_text(json.dumps(content))
-    monkeypatch.setattr(value_of_soil, "measure", lambda arm, *_: driven.append(arm.variant) or kept)
-    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0 and driven == ["identified"]

@@ -82,22 +82,6 @@ def test_the_priors_keep_the_scatter_of_the_pressure(tmp_path):
     assert implied == pytest.approx(scatter, rel=0.05)
 
 
-BAD = {
-    "missing file": (lambda f: saved(f, names=[WHEELS["smooth"]]), "expected all_smooth_data.mat and all_grouser"),
-    "other variable": (lambda f: savemat(saved(f) / NAMES[1], {"trench": np.ones(3)}), "expected a variable all_res"),
-    "other unit": (lambda f: saved(f, avg_Z=-240.0), "avg_Z = -240"),
-}
-
-
-@pytest.mark.parametrize("make, words", BAD.values(), ids=BAD)
-def test_bad_input_is_one_line_and_nothing_written(tmp_path, capsys, make, words):
-    make(tmp_path / "in")
-    assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1 and words in captured.err
-    assert not (tmp_path / "out").exists()
-
-
 # --- the measured data ------------------------------------------------------------------------------------------------
 
 

@@ -108,8 +108,7 @@ def test_noise_that_is_hardly_known_says_less(data):
 
 
 @pytest.mark.parametrize(
-    "place, pattern",
-    [((0.0, 8.0, 0.0), "drawbar_pull with slip"), ((8.0, 0.0, 0.0), "sinkage with slip and speed")],
+    "place, pattern", [((0.0, 8.0, 0.0), "drawbar_pull with slip"), ((8.0, 0.0, 0.0), "sinkage with slip and speed")]
 )
 def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
     slip, speed = data.rows.slip, data.rows.conditions[:, 0]

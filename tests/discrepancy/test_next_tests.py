@@ -10,14 +10,7 @@ from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.fits import Choice
-from soil_env.discrepancy.next_tests import (
-    DEEPEST,
-    LEAST,
-    SLIPS,
-    law_tests,
-    next_tests,
-    separating,
-)
+from soil_env.discrepancy.next_tests import DEEPEST, LEAST, SLIPS, law_tests, next_tests, separating
 from soil_env.discrepancy.search import Finding, Hypothesis
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.discrepancy.workflow import model_of
@@ -73,39 +66,6 @@ def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
     mean = [np.mean(e) for e in errors.values()]
     spread = np.sqrt(1.0 + sum(np.var(e) for e in errors.values()))
     assert abs(mean[0] - mean[1]) / spread == pytest.approx(t.expected_sigma, rel=0.35)
-
-
-def test_running_it_decides(case):
-    """The proposed run, made in the true world, tells the candidates apart; a run amid the table does not."""
-    p, candidates = case
-    t = separating(p, candidates)[0]
-    truth = model(candidates[0])
-
-    def told(at, repeats=6):
-        """Gain of the true candidate's lead in log evidence by runs at a condition."""
-        lead = []
-        for extra in (0, repeats):
-            y = np.concatenate([p.data.y, np.tile(np.stack(truth.predict(at)[:3], axis=1), (extra, 1))])
-            rows = type(p.data.rows)(*(
-                np.concatenate([old, np.tile(new, (extra,) + (1,) * (old.ndim - 1))])
-                for old, new in zip(p.data.rows, rows_at(p, at), strict=True)
-            ))  # fmt: skip
-            q = copy.copy(p)
-            q.data, q.used = dataclasses.replace(p.data, y=y, rows=rows), np.ones_like(y, dtype=bool)
-            q._processes()
-            a, b = (settle(q, c.fit.choices, start=c.fit.parameters()).log for c in candidates)
-            lead.append(a - b)
-        return lead[1] - lead[0]
-
-    middle = {"slip": 0.2, "load": 150.0, "speed": 0.06}
-    assert told(t.conditions) > 3.0
-    assert told(t.conditions) > 5.0 * abs(told(middle))
-
-
-def rows_at(p, at):
-    """One row of the conditions, as the arrays of `Rows` with a leading axis of 1."""
-    rows = p.data.rows
-    return (np.array([at["slip"]]), np.array([at["load"]]), rows.wheels[:1], np.array([[at["speed"], 1.0, 0.0]]))
 
 
 def test_every_test_can_be_run(case):

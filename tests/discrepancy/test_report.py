@@ -112,16 +112,6 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
 
 
-def test_an_effect_whose_two_fits_do_not_agree_is_a_caution(planted):
-    assert not any("do not rely" in said for said in sentences.cautions(planted))
-    (effect,) = planted.effects
-    far = effect.parameters["gain"]._replace(value=0.1, low=0.0, high=0.2)
-    other = dataclasses.replace(effect, parameters=effect.parameters | {"gain": far})
-    said = sentences.cautions(dataclasses.replace(planted, effects=(other,)))
-    value = planted.model.effects["slip_sinkage"]["gain"]
-    assert any(f"model.yaml has gain {value:.3g}, far outside of 0 to 0.2" in text for text in said)
-
-
 @pytest.mark.parametrize(
     "effects, old, new, verdict, said",
     [

@@ -10,13 +10,7 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.effects import (
-    CATALOGUE,
-    NO_EFFECTS,
-    grade,
-    pack_effects,
-    shear_softening,
-)
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, grade, pack_effects, shear_softening
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.steady import Conditions, Rim, steady_state, steady_with
 

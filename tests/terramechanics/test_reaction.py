@@ -1,17 +1,17 @@
-"""The reaction with effects: its derivatives, lanes against floats, and each added force against its own equation."""
+"""The reaction with effects: its derivatives (lanes against floats: tests/simulation/test_worlds.py), and each added force against its own equation."""
 
 import math
 
 import numpy as np
 import pytest
 
-from soil_env.parameters import SoilState, soils
+from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
 from soil_env.terramechanics.effects import acting, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
-from tests.terramechanics.reactions import react, react_in_lanes
+from tests.terramechanics.reactions import react
 
 R, GRAVITY = 0.15, 9.81
 EVERY = [*ACTING, "together", "none"]
@@ -134,41 +134,3 @@ def test_a_base_reaction_is_that_of_the_whole_without_effects():
         assert react(ground, v, u, load, wheel) == pytest.approx(
             reaction.reaction(v, u, sinkage, load, soil, R, R), rel=1e-12
         )
-
-
-# --- lanes and floats -------------------------------------------------------------------------------------------------
-
-
-def eight(seed):
-    """(x [13, 8] as `ground_in_lanes` takes it, speeds [3, 8]) of eight wheels in all kinds of motion."""
-    rng, names = np.random.default_rng(seed), sorted(soils())
-    ground = np.array([soils()[str(name)].state(R) for name in rng.choice(names, 8)]).T
-    pairs = np.array([motion(rng) for _ in range(8)]).T
-    x = np.vstack([
-        rng.uniform(0.004, 0.12, 8), pairs, rng.uniform(50.0, 250.0, 8), rng.uniform(-0.3, 0.3, 8),
-        rng.choice([1.0, 2.0], 8), ground,
-    ])  # fmt: skip
-    return np.ascontiguousarray(x), np.vstack([pairs * rng.uniform(0.9, 1.1, (2, 8)), rng.uniform(50.0, 250.0, 8)])
-
-
-def ground_of(x, k, wheel):
-    return reaction.ground_under(*(float(v) for v in x[:4, k]), SoilState(*map(float, x[6:, k])), float(x[4, k]),
-                                 float(x[5, k]), wheel)  # fmt: skip
-
-
-@pytest.mark.parametrize("case", EVERY)
-def test_the_reaction_is_the_same_in_lanes(case):
-    """But for the order of sums over the nodes: relative to the load, and to the largest derivative of the kind."""
-    wheel, out = wheel_with(case), np.empty((10, 8))
-    for seed in range(6):
-        x, speeds = eight(seed)
-        react_in_lanes(x, speeds, wheel, out)
-        for k in range(8):
-            v, u, load = map(float, speeds[:, k])
-            f = react(ground_of(x, k, wheel), v, u, load, wheel)
-            steep = max(map(abs, f[4:8])) + 1.0
-            by_motion = abs(f.sinkage_coefficient_v) + abs(f.sinkage_coefficient_u)
-            size = np.array([*[load] * 3, f.sinkage_coefficient, *[steep] * 4, *[by_motion] * 2])
-            if f.sinkage_coefficient > 0.0:  # where shear lifts against the stress
-                size *= max(1.0, f.sinkage_coefficient * x[0, k] ** x[10, k] * R * R / load)
-            assert np.all(np.abs(out[:, k] - f) <= 1e-13 * size + 1e-13), (seed, k)

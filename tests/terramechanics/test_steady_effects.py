@@ -119,12 +119,7 @@ def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, sli
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    length=st.floats(0.3, 3.0),
-    force=st.floats(0.1, 10.0),
-    speed=st.floats(0.2, 5.0),
-)
+@given(seed=st.integers(0, 10**6), length=st.floats(0.3, 3.0), force=st.floats(0.1, 10.0), speed=st.floats(0.2, 5.0))
 def test_units_do_not_matter(seed, length, force, speed):
     """Metres, newtons and seconds can be changed together: every law is right in its dimensions."""
     rng = np.random.default_rng(seed)
