@@ -272,17 +272,6 @@ def test_form_is_nothing_at_zero_and_moves_only_its_channels(form, design):
 # --- base laws of another form ----------------------------------------------------------------------------------------
 
 
-def test_stress_shapes_have_the_peak_of_the_paper():
-    contact = Contact(ROWS, WHEEL, GROUND)
-    peak = S * (0.15 * (math.cos(0.2) - math.cos(0.4))) ** 0.85
-    for name, shape in (("sinusoidal_stress", lambda u: np.cos(0.5 * np.pi * u)),
-                        ("quadratic_stress", lambda u: 1.0 - u**2), ("linear_stress", lambda u: 1.0 - u)):  # fmt: skip
-        contact.normal.clear()
-        BASE_LAWS[name].alter(contact, {})
-        arc, _, _ = contact.stresses(np.full((45, 1), 0.4))
-        np.testing.assert_allclose(arc.sigma[0], peak * shape(np.abs(arc.theta[0] - 0.2) / 0.2), rtol=1e-9, atol=1e-6)
-
-
 @pytest.mark.parametrize(("width", "same"), [(0.12, True), (np.where(np.arange(45) < 20, 0.12, 0.08), False)])
 def test_reece_is_the_paper_for_one_wheel(width, same):
     contact = Contact(ROWS, Wheel(0.15, width), GROUND)

@@ -9,11 +9,10 @@ from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Detectable
-from soil_env.discrepancy.search import ODDS, Finding, Hypothesis, candidates, search
+from soil_env.discrepancy.search import Finding, Hypothesis, candidates, search
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.discrepancy.files import SETUP, write_files
 from tests.discrepancy.tables import NOISE as NOISE_SD, problem, table
@@ -26,13 +25,6 @@ def planted(effects, seed=0):
     """A noisy table of 80 rows in which all conditions vary."""
     data = table(effects, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2), (-6.0, 6.0))
     return problem(data, np.random.default_rng(seed))
-
-
-def test_nothing_is_named_where_nothing_is_missing():
-    finding = search(planted({}))
-    assert finding.verdict == "none" and finding.names == ()
-    before = (1.0 + ODDS) ** -len(CATALOGUE)
-    assert finding.none / (1.0 - finding.none) > 4.0 * before / (1.0 - before)
 
 
 def test_a_fit_covers_the_true_soil():

@@ -12,7 +12,6 @@ from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.fits import Choice
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
-from soil_env.identification.table import identify_table
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.terramechanics.effects import CATALOGUE
@@ -72,27 +71,6 @@ def test_the_model_file_predicts_what_the_fit_predicts(planted):
         fit = problem.fit((Choice(name, 0),))
         p = model_of(problem, fit).predict(problem.data.table)
         np.testing.assert_allclose(np.stack(p[:3], axis=1), fit.output, rtol=1e-5, atol=1e-6)
-
-
-def test_the_soil_is_the_one_that_identification_finds(tmp_path):
-    """The same table, its drawbar pull wrong by smooth 8 %: either value is well within the other's interval."""
-    head, *rows = table_text({}).splitlines()
-    pull, slip = (head.split(",").index(name) for name in ("drawbar_pull", "slip"))
-    lines = [head]
-    for row in rows:
-        cells = row.split(",")
-        cells[pull] = repr(float(cells[pull]) * (1.0 + 0.08 * math.cos(1.5 * math.log1p(float(cells[slip]) / 0.05))))
-        lines.append(",".join(cells))
-    data, setup = write_files(tmp_path, "\n".join(lines) + "\n")
-    read = read_setup(setup)
-    report, identified = run(data, setup), identify_table(read_table(data, read.wheel), read)
-    assert report.verdict == "none"
-    for name, told in report.soil.items():
-        if name == "density":
-            continue
-        other, log = identified.parameters[name], name in ("shear_modulus", "sinkage_coefficient")
-        a, b = ([math.log(x) if log else x for x in (v.low, v.value, v.high)] for v in (told, other))
-        assert abs(a[1] - b[1]) < 0.25 * min(a[2] - a[0], b[2] - b[0]), name
 
 
 def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):

@@ -1,4 +1,7 @@
-"""The reaction with effects: its derivatives (lanes against floats: tests/simulation/test_worlds.py), and each added force against its own equation."""
+"""The reaction with effects: its derivatives, and each added force against its own equation.
+
+Lanes are compared with floats in tests/simulation/test_worlds.py.
+"""
 
 import math
 
