@@ -4,8 +4,8 @@
 
 Tables: the CMU single-wheel rig (Pavlov & Johnson), smooth, lugged and both wheels in one table; and a lugged wheel in
 a discrete-element simulation (after Nakanishi 2020). Held-out errors are those of four models: the calibrated base
-model, the model with the named effects, an anonymous polynomial of slip added to the base model (its degree chosen
-within the fold), and the workflow's model with its residual law. Writes discovery_rigs.json and .md.
+model, the model with the named effects, the base model with a polynomial of slip, and the workflow's model with its
+residual law. The degree of the polynomial is chosen within the fold. Writes discovery_rigs.json and .md.
 """
 
 from __future__ import annotations

@@ -171,8 +171,10 @@ def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
 
 @compiled_inline
 def smooth_integrals(frame, nodes, rim, travel, K, n, r, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`, derivative of ArcIntegrals by the entry angle [1/rad],
-    by the sinkage exponent) of an arc of `smooth_arc`, from the first column of nodes on."""
+    """Integrals of an arc of `smooth_arc`, from the first column of nodes on, and their derivatives.
+
+    (ArcIntegrals, ArcRates by `rim`, by `travel`, ArcIntegrals by the entry angle [1/rad], by the sinkage exponent).
+    """
     shear = _shear_at_nodes()
     _shear(frame, nodes, 0, rim, travel, K, r, law, shear)
     q, by_rim, by_travel = _shear_sums(frame, nodes, 0, shear)
