@@ -15,7 +15,8 @@ from soil_env._io.files import replace_file, save_figure
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.model import WheelSoilModel, sinkage_coefficient_at
+from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.steady import sinkage_coefficient_at
 
 from .evaluate import drive, limit
 from .evaluate.tables import draw_metrics, png

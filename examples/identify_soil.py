@@ -17,7 +17,8 @@ import matplotlib.pyplot as plt
 
 from soil_env import ParameterError
 from soil_env.identification.table import identify_table
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 
 DATA = Path(__file__).parent / "data"
 

@@ -35,8 +35,8 @@ from soil_env.identification.online.identifier import (
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
 from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
-from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import best_working_point
 
 __all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "largest_readings", "slips"]

@@ -28,7 +28,7 @@ from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.discrepancy import run as find_discrepancy
 from soil_env.driving.wheels import IDLE, STEP, Simulation
-from soil_env.measurement.table import Prior
+from soil_env.measurement.setup import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel

@@ -134,24 +134,8 @@ def _names(options: SimpleNamespace) -> list[str]:
     return [t.name for t in chosen]
 
 
-def _draw(options: SimpleNamespace) -> None:
-    begin(options.out, options.set, options.seed)
-    each(partial(draw, options.seed, options.out), _names(options), options.jobs)
-    print(f"{options.out}: {len(_names(options))} cases of seed {options.seed}")
-
-
-def _run(options: SimpleNamespace) -> None:
-    label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
-    entrant(options.entrant)  # before the work: that there is one
-    begin(options.out, options.set, options.seed)
-    describe(options.out, label, options.entrant)
-    answers = options.out / "answers" / label
-    left = [n for n in _names(options) if not (answers / f"{n}.json").exists()]
-    each(partial(ask, options.entrant, label, options.seed, options.out), left, options.jobs)
-    _score(options)
-
-
-def _score(options: SimpleNamespace) -> None:
+def publish_scores(options: SimpleNamespace) -> None:
+    """Score the answers in a folder and write figures and page."""
     about = read_json(options.out / "study.json")
     options.set = about["set"]
     labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
@@ -165,15 +149,6 @@ def _score(options: SimpleNamespace) -> None:
     make_folder(place)
     write_json(place / f"discovery_{options.set}.json", about | {"limit": options.limit, "entrants": entrants})
     write(place, "discovery", score.page_of(place))
-
-
-def _list() -> None:
-    for name, groups in SETS.items():
-        print(f"set {name}: {sum(g.count for g in groups)} cases")
-        print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
-    for form in (*FORMS, *UNLISTED):
-        effect = "(in no catalogue)" if form in UNLISTED else form.effect
-        print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
 @click.group(NAME)
@@ -214,7 +189,15 @@ _publish = _option("--publish", type=PATH, metavar="DIR", help="Folder of the sc
 @_of_cases
 def run_command(**given: Any) -> None:
     """Ask an entrant and score it; resumes."""
-    _run(SimpleNamespace(**given))
+    options = SimpleNamespace(**given)
+    label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
+    entrant(options.entrant)  # before the work: that there is one
+    begin(options.out, options.set, options.seed)
+    describe(options.out, label, options.entrant)
+    answers = options.out / "answers" / label
+    left = [n for n in _names(options) if not (answers / f"{n}.json").exists()]
+    each(partial(ask, options.entrant, label, options.seed, options.out), left, options.jobs)
+    publish_scores(options)
 
 
 @command.command("draw")
@@ -222,7 +205,10 @@ def run_command(**given: Any) -> None:
 @_of_cases
 def draw_command(**given: Any) -> None:
     """Write the cases."""
-    _draw(SimpleNamespace(**given))
+    options = SimpleNamespace(**given)
+    begin(options.out, options.set, options.seed)
+    each(partial(draw, options.seed, options.out), _names(options), options.jobs)
+    print(f"{options.out}: {len(_names(options))} cases of seed {options.seed}")
 
 
 @command.command("score")
@@ -230,13 +216,18 @@ def draw_command(**given: Any) -> None:
 @_of_cases
 def score_command(**given: Any) -> None:
     """Score the answers in a folder."""
-    _score(SimpleNamespace(**given))
+    publish_scores(SimpleNamespace(**given))
 
 
 @command.command("list")
 def list_command() -> None:
     """List sets, groups and forms."""
-    _list()
+    for name, groups in SETS.items():
+        print(f"set {name}: {sum(g.count for g in groups)} cases")
+        print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
+    for form in (*FORMS, *UNLISTED):
+        effect = "(in no catalogue)" if form in UNLISTED else form.effect
+        print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
 def main(arguments: list[str] | None = None) -> int:

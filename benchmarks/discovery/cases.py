@@ -1,8 +1,8 @@
 """Cases of the benchmark: sets, groups, hidden effects, and a table and a setup as files with the truth apart.
 
-A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, sinkage is
-below the surface in front of the wheel, pull is the net forward force on the axle, less the weight component where a
-grade effect is hidden. Sets differ in the law errors: `laws` has errors that are smooth in slip, `log_slip` and
+A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, and
+sinkage is below the surface in front of the wheel. Pull is the net forward force on the axle, less the weight component
+where a grade effect is hidden. Sets differ in the law errors: `laws` has errors that are smooth in slip, `log_slip` and
 `regimes` have the same cases with errors that change otherwise with slip (`laws.log_slip`, `laws.regimes`).
 """
 

@@ -26,7 +26,8 @@ from benchmarks.discovery.world import Contact, Ground, Rows, Wheel
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
-from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import Form
@@ -312,9 +313,9 @@ NOISES = (0.3, 0.6, 1.0, 2.0, 4.0)  # over the usual noise, where it is not stat
 def gls(data: Path, setup: Path) -> Answer:
     """Bank of models under the covariance of law errors, by an expert who knows how the cases are made.
 
-    As `bic`, but residuals are weighed by noise^2 + alpha^2 C, C the covariance of the table by law errors of the
-    generator on the soil of the base fit, alpha the size of maximum likelihood on a grid. Noise that is not stated is
-    a share of the usual one, found in the same way.
+    As `bic`, but residuals are weighed by noise^2 + alpha^2 C. C is the covariance of the table by law errors of the
+    generator on the soil of the base fit, and alpha the size of maximum likelihood on a grid. Noise that is not stated
+    is a share of the usual one, found in the same way.
     """
     bank = CorrelatedBank(data, setup)
     return best_of(bank, bank.criterion)

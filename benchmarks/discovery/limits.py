@@ -1,8 +1,8 @@
 """Size of an effect in units of its detection limit, with the errors of the base law in the covariance.
 
-The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D': the noise, the
-covariance of the table by law errors (`laws.covariance`), the tangent space J of the soil with the covariance P of its
-priors, and what a base law of another form changes, D, as a direction of which nothing is known. d' V^-1 d is the
+The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D'. C is the
+covariance of the table by law errors (`laws.covariance`), J the tangent space of the soil, P the covariance of its
+priors. D is the change by a base law of another form, a direction of which nothing is known. d' V^-1 d is the
 noncentrality of the likelihood ratio of a method that knows the form of the effect and the size of all of these. The
 *size* is its root over that of the noncentrality at which a test at the 1 % level has a power of 95 %
 (`noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is

@@ -4,8 +4,8 @@
 
 Tables: the CMU single-wheel rig (Pavlov & Johnson), smooth, lugged and both wheels in one table; and a lugged wheel in
 a discrete-element simulation (after Nakanishi 2020). Held-out errors are those of four models: the calibrated base
-model, the model with the named effects, an anonymous polynomial of slip added to the base model (its degree chosen
-within the fold), and the workflow's model with its residual law. Writes discovery_rigs.json and .md.
+model, the model with the named effects, the base model with a polynomial of slip, and the workflow's model with its
+residual law. The degree of the polynomial is chosen within the fold. Writes discovery_rigs.json and .md.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError, read_yaml
 from soil_env.cli.running import PATH, leave, run as run_command
 from soil_env.discrepancy import run
-from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.validity import OutsideValidity
 

@@ -18,6 +18,7 @@ from benchmarks.discovery.cases import SETS
 from benchmarks.discovery.entrants import Answer
 from benchmarks.discovery.forms import MECHANISMS
 from soil_env._io.document import Table
+from soil_env._io.loading import ParameterError
 
 ASSERTED = ("named", "partly")  # verdicts that assert a name
 MORE_LIKELY = 0.5
@@ -177,7 +178,7 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
 
 
 def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]:
-    """Return the answered cases among the names. Raises `ValueError` for a damaged file."""
+    """Return the answered cases among the names. Raises `ParameterError` for a damaged file."""
     out = []
     for name in names:
         file = folder / "answers" / label / f"{name}.json"
@@ -189,7 +190,7 @@ def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]
             seconds = answer.pop("seconds")
             answer = Answer.of(answer)
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{file}: {error}; delete the file to have the case asked again") from None
+            raise ParameterError(f"{file}: {error}; delete the file to have the case asked again") from None
         out.append(Record(truth, answer, judged(truth, answer), seconds))
     return out
 

@@ -15,7 +15,8 @@ from soil_env.cli.running import out_option
 from soil_env.cli.table_files import table_arguments
 from soil_env.identification.table.fit import identify_table
 from soil_env.identification.table.report import picture, report_of, text_of
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 
 FILES = ("identification.json", "identification.png")
 

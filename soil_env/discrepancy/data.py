@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.table import MEASURED, Setup, Table
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import MEASURED, Table
 from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque

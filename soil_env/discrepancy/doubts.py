@@ -1,8 +1,8 @@
 """Doubts about a table: mistakes of sign and unit, and single rows that decide what is named.
 
-Two things speak for a mistake: the table read otherwise (the drawbar pull with its sign turned, the load as kilograms
-...) is fitted far better by the base model, and the table as it is breaks what a wheel on soil can do. Where both hold
-the table is refused; one of them alone is a doubt that a report states first.
+Two things speak for a mistake. The base model fits the table far better when it is read otherwise, for instance with
+the sign of the drawbar pull turned. Or the table breaks a physical limit of a wheel on soil. Where both hold the table
+is refused; one of them alone is a doubt that a report states first.
 
 The measured values of a row are checked by the rows beside it (`noise`). A row at a slip or load that no other row
 comes near is checked by none, and a mistyped condition makes such a row.

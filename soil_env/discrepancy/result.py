@@ -73,8 +73,8 @@ class Report:
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined.
 
-        That of the probabilities, but named effects that leave a held-out error of more than `LEFT` times the noise, or
-        one a tenth larger than the base model's, are `partly` what is missing.
+        The verdict of the probabilities, with one exception. Named effects are `partly` what is missing if they leave a
+        held-out error of more than `LEFT` times the noise, or one a tenth larger than the base model's.
         """
         said = self.finding.verdict
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said

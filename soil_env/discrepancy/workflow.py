@@ -22,7 +22,8 @@ from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.next_tests import law_tests, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
-from soil_env.measurement.table import Setup, Table, read_setup, read_table
+from soil_env.measurement.setup import Setup, read_setup
+from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel

@@ -1,7 +1,7 @@
 """Measurement tables and the setup files beside them."""
 
-from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
-from soil_env.measurement.table import COLUMNS, MEASURED, OPTIONAL, REQUIRED, UNITS, Table, read_table
+from soil_env.measurement.setup import REQUIRED, NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_setup
+from soil_env.measurement.table import COLUMNS, MEASURED, OPTIONAL, UNITS, Table, read_table
 
 __all__ = [
     "COLUMNS",

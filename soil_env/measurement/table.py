@@ -1,9 +1,8 @@
 """Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
 
-`read_table` reads the table: CSV, or Parquet where pyarrow is installed. The YAML file beside it is the business of
-`soil_env.measurement.setup`, whose names can be had from here, too. Everything is in SI units. What cannot be right is
-refused with one line that names the file, the row, the column, the value and what was expected (`ParameterError`); rows
-are counted as lines of the file, the header being row 1.
+`read_table` reads the table: CSV, or Parquet where pyarrow is installed. `soil_env.measurement.setup` reads the YAML
+file beside it. Everything is in SI units. Impossible values are refused with one line that names the file, the row,
+the column, the value and what was expected (`ParameterError`). The header is row 1.
 """
 
 from __future__ import annotations
@@ -20,30 +19,9 @@ from typing import Literal
 import numpy as np
 
 from soil_env._io.loading import ParameterError, nearest
-from soil_env.measurement.setup import (
-    REQUIRED,
-    NoiseLevels,
-    Prior,
-    Setup,
-    SetupWheel,
-    SoilPriors,
-    read_setup,
-)
+from soil_env.measurement.setup import REQUIRED, Setup, SetupWheel
 from soil_env.parameters import LARGEST_WHEEL
 from soil_env.slip import slips_of_radius
-
-__all__ = [
-    "REQUIRED",
-    "NoiseLevels",
-    "Prior",
-    "Setup",
-    "SetupWheel",
-    "SoilPriors",
-    "Table",
-    "in_radians",
-    "read_setup",
-    "read_table",
-]
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
@@ -293,16 +271,14 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
     outside = np.abs(table.slip) > 1.0
     percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
     refuse("slip", outside, "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""))
-    refuse("load", table.load <= 0.0, "a load > 0 N, upward on the wheel")
-    refuse("load", table.load < LIGHTEST, f"newtons, at least {LIGHTEST:g}")
+    refuse("load", table.load < LIGHTEST, f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}")
     refuse("load", table.load > STRONGEST, f"newtons, at most {STRONGEST:g}")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
     refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
     if "pass" in header:
         numbers = _column(Path(table.source), "pass", header, rows)
-        refuse("pass", (numbers != np.floor(numbers)) & ~np.isnan(numbers), "a whole number, 1 = fresh soil")
-        refuse("pass", numbers < 1, "a whole number from 1, 1 = fresh soil")
-        refuse("pass", numbers > MOST_PASSES, f"a whole number from 1 to {MOST_PASSES:g}")
+        wrong = (numbers != np.floor(numbers)) | (numbers < 1) | (numbers > MOST_PASSES)
+        refuse("pass", wrong & ~np.isnan(numbers), f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}")
     refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
     grades = [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
     if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
@@ -312,21 +288,17 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     for name in NOISE:
         sd, unit = getattr(table, name), UNITS[name]
-        refuse(name, sd <= 0.0, f"a standard deviation > 0 {unit}, or an empty cell")
-        outside = (sd < EXACTEST) | (sd > COARSEST)
-        refuse(name, outside, f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {unit}")
+        expected = f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {unit}, or an empty cell"
+        refuse(name, (sd < EXACTEST) | (sd > COARSEST), expected)
     for name, unit in (("drawbar_pull", "newtons"), ("torque", "newton metres")):
         outside = np.abs(getattr(table, name)) > STRONGEST
         refuse(name, outside, f"{unit} in [-{STRONGEST:g}, {STRONGEST:g}]")
     refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
-    refuse(
-        "sinkage",
-        np.abs(table.sinkage) > DEEPEST,
-        "metres (this can only be millimetres, divide by 1000, or centimetres)",
-    )
-    radius, height = (
-        (table.wheel_radius, table.grouser_height) if wheel is None else (table.radius(wheel), table.height(wheel))
-    )
+    expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
+    refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
+    radius, height = table.wheel_radius, table.grouser_height
+    if wheel is not None:
+        radius, height = table.radius(wheel), table.height(wheel)
     refuse("grouser_height", table.grouser_height >= radius, "metres, less than the wheel radius")
     refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
     deep = np.abs(table.sinkage) > radius

@@ -25,7 +25,7 @@ from soil_env.paper.model import (
 )
 from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
 from soil_env.parameters import Soil, lumped_coefficient, soils
-from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.steady import steady_state
 
 P = printed()
 SAND, POINT, WHEEL = P.table2, P.working_point, P.wheel

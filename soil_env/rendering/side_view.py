@@ -29,8 +29,8 @@ from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.model import sinkage_coefficient_at
 from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.terramechanics.steady import sinkage_coefficient_at
 
 _VIEW = 8.5  # [radii] width of the side view
 _WHEEL_AT = (0.46, 0.6)  # place of the ground under the wheel in the side view, from left and top

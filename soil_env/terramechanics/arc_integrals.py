@@ -171,8 +171,10 @@ def shear_integrals(frame, nodes, at, rim, travel, K, r, law):
 
 @compiled_inline
 def smooth_integrals(frame, nodes, rim, travel, K, n, r, law):
-    """(ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`, derivative of ArcIntegrals by the entry angle [1/rad],
-    by the sinkage exponent) of an arc of `smooth_arc`, from the first column of nodes on."""
+    """Integrals of an arc of `smooth_arc`, from the first column of nodes on, and their derivatives.
+
+    (ArcIntegrals, ArcRates by `rim`, by `travel`, ArcIntegrals by the entry angle [1/rad], by the sinkage exponent).
+    """
     shear = _shear_at_nodes()
     _shear(frame, nodes, 0, rim, travel, K, r, law, shear)
     q, by_rim, by_travel = _shear_sums(frame, nodes, 0, shear)
@@ -257,24 +259,6 @@ def integrals_alone(arc, rim, travel, K, n, law):
     nodes = _one_arc()
     frame = store_nodes(arc, n, nodes, 0)
     return integrals_at_nodes(frame, nodes, 0, rim, travel, K, arc.radius, law)
-
-
-@compiled_inline
-def shear_integrals_by_modulus(frame, nodes, at, rim, travel, K, r, law):
-    """(ArcIntegrals, ArcRates by K [1/m]) of the nodes of `store_nodes`: de/dK = -(j/K) de/dj (Janosi's law)."""
-    shear, rate = _shear_at_nodes(), -1.0 / K
-    for k in range(turns(frame.theta1)):
-        i = k * COUNT
-        a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
-        j, j2 = fma(rim, a, travel * z), fma(rim, a2, travel * z2)
-        e, g = mobilised(j, K, law)
-        e2, g2 = mobilised(j2, K, law)
-        to_array(e, shear.e_front, i)
-        to_array(e2, shear.e_rear, i)
-        to_array((rate * j) * g, shear.x_front, i)
-        to_array((rate * j2) * g2, shear.x_rear, i)
-    e = _sums(frame, nodes, at, shear.e_front, shear.e_rear)
-    return _integrals(frame, e), _sums(frame, nodes, at, shear.x_front, shear.x_rear)
 
 
 @compiled_inline

@@ -25,13 +25,7 @@ import math
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import (
-    asin_root,
-    copysign,
-    exp,
-    sqrt,
-    where_less,
-)
+from soil_env._numba.elementary import asin_root, copysign, exp, sqrt, where_less
 
 
 class ShearLaw(NamedTuple):
@@ -207,9 +201,7 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     shear = shear_forces(integrals, S * tan_phi, c, r, b, direction)
     normal = r * b * S
     return Forces(
-        normal * integrals.p_cos + shear.load,
-        shear.drawbar_pull - direction * normal * integrals.p_sin,
-        shear.torque,
+        normal * integrals.p_cos + shear.load, shear.drawbar_pull - direction * normal * integrals.p_sin, shear.torque
     )
 
 

@@ -1,7 +1,4 @@
-"""A wheel on one soil as an object and as a file: base model, named effects and residual law; tables of predictions.
-
-The steady state itself is in `soil_env.terramechanics.steady`, whose names can be had from here, too.
-"""
+"""A wheel on one soil as an object and as a file: base model, named effects and residual law; tables of predictions."""
 
 from __future__ import annotations
 
@@ -32,20 +29,7 @@ from soil_env._numba.compiling import compiled_part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
-from soil_env.terramechanics.steady import (  # noqa: F401
-    DEEPEST,
-    LEVEL,
-    Conditions,
-    Rim,
-    Steady,
-    arc_of,
-    forces_at,
-    predict_rows,
-    sheared,
-    sinkage_coefficient_at,
-    steady_state,
-    steady_with,
-)
+from soil_env.terramechanics.steady import predict_rows
 from soil_env.terramechanics.validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"

@@ -12,9 +12,7 @@ from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.slip import signed_slip, slip_ratio
-from soil_env.terramechanics.arc_integrals import (
-    integrals_of,
-)
+from soil_env.terramechanics.arc_integrals import integrals_of
 from soil_env.terramechanics.contact import (
     JANOSI,
     Arc,

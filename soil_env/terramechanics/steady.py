@@ -9,9 +9,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics.arc_integrals import (
-    integrals_alone,
-)
+from soil_env.terramechanics.arc_integrals import integrals_alone
 from soil_env.terramechanics.contact import (
     JANOSI,
     Arc,
@@ -23,13 +21,7 @@ from soil_env.terramechanics.contact import (
     mobilised_sinkage_coefficient,
     smooth_arc,
 )
-from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
-    arc_ends,
-    drive_torque,
-    soil_in_contact,
-    soil_resistance,
-)
+from soil_env.terramechanics.effects import NO_EFFECTS, arc_ends, drive_torque, soil_in_contact, soil_resistance
 from soil_env.terramechanics.effects.grade import weight_on_slope
 from soil_env.terramechanics.effects.grousers import at_shear_radius, blade_force, contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.shear_rate import sliding_speed

@@ -13,7 +13,7 @@ import numpy as np
 from soil_env._numba.compiling import compiled_part, compiled_root
 from soil_env.terramechanics.effects import NO_EFFECTS, digging, slip_sinkage_ratio
 from soil_env.terramechanics.ground import row_soil
-from soil_env.terramechanics.model import DEEPEST, LEVEL, Rim, steady_with
+from soil_env.terramechanics.steady import DEEPEST, LEVEL, Rim, steady_with
 
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
@@ -37,7 +37,7 @@ def best_working_point(load, soil, r, b, torque_available):
 
 @compiled_part
 def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torque_available):
-    """`Best` of `model.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
+    """`Best` of `steady.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
 
     The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque
     than there is.

@@ -9,7 +9,8 @@ import yaml
 from agents.study import commissioning
 from agents.study.commissioning import CHANNELS, COLUMNS, Commissioning, Log, Steady, repeat_noise, steady
 from soil_env._io.loading import config_dir
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.parameters import load_scenario, soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm

@@ -12,7 +12,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
-from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 
 NAMES = tuple(CONTROLLERS)

@@ -13,8 +13,6 @@ from benchmarks.discovery.laws import BASE_LAWS
 from benchmarks.discovery.listed import LISTED
 from benchmarks.discovery.plan import PRIOR_SD, SOIL, Bench, draw_bench
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
-from soil_env.parameters import Soil
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.terramechanics import reference
 
 GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)
@@ -54,6 +52,13 @@ def world(rows=ROWS, **soil) -> np.ndarray:
     return predict(replace(GROUND, **soil), WHEEL, rows).stack()
 
 
+def judged(ref, out, k, scale):
+    """Compare row k with the independent judge at the sinkage found: load, pull and torque."""
+    assert ref.load == pytest.approx(ROWS.load[k], rel=scale)
+    assert abs(ref.drawbar_pull - out[1, k]) < scale * ROWS.load[k]
+    assert ref.torque == pytest.approx(out[2, k], rel=scale)
+
+
 def entry_of(out: np.ndarray, k: int) -> float:
     return math.acos(1.0 - out[0, k] / 0.15)
 
@@ -65,28 +70,9 @@ def entry_of(out: np.ndarray, k: int) -> float:
 def test_base_world_agrees_with_adaptive_quadrature(soil):
     """Eqs. (1)-(3) at the sinkage found: the load comes back, pull and torque agree."""
     out = predict(soil, WHEEL, ROWS).stack()
-    judged = reference.Ground(*(getattr(soil, name) for name in SOIL))
+    ground = reference.Ground(*(getattr(soil, name) for name in SOIL))
     for k in (0, 4, 17, 31, 44):
-        ref = reference.forces(judged, ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
-        assert ref.load == pytest.approx(ROWS.load[k], rel=4e-5)
-        assert abs(ref.drawbar_pull - out[1, k]) < 2e-5 * ROWS.load[k]
-        assert ref.torque == pytest.approx(out[2, k], rel=4e-5)
-
-
-@pytest.mark.parametrize("other", [0.15, 0.11])
-def test_base_world_agrees_with_soil_env(other):
-    """Two implementations of Eqs. (1)-(10): trapezoidal rule and own root here, Gauss-Legendre and Newton there."""
-    slip, load = np.tile([0.06, 0.2, 0.4, 0.6], 6), np.repeat([40.0, 70.0, 110.0, 40.0, 70.0, 110.0], 4)
-    radius = np.repeat([0.15, other], 12)
-    width, one = 0.8 * radius, np.ones(24)
-    ours = predict(GROUND, Wheel(radius, width), Rows(slip, load, 0.05 * one, one, 0.0 * one, 0.0 * one)).stack()
-    soil = Soil(30.0, 1500.0, 0.018, 0.85, sinkage_coefficient=770000.0, density=1600.0, dig_gain=0.0)
-    theirs = WheelSoilModel(ModelWheel(0.15, 0.12), soil).predict(
-        {"slip": slip, "load": load, "wheel_radius": radius, "wheel_width": width}
-    )
-    np.testing.assert_allclose(ours[0], theirs.sinkage, rtol=3e-4)
-    np.testing.assert_allclose(ours[1], theirs.drawbar_pull, atol=3e-4 * load.max())
-    np.testing.assert_allclose(ours[2], theirs.torque, rtol=3e-4)
+        judged(reference.forces(ground, ROWS.slip[k], entry_of(out, k), 0.15, 0.12), out, k, 4e-5)
 
 
 def test_no_balance_is_nan_and_braking_gives_negative_torque():
@@ -144,15 +130,12 @@ def janosi(sigma, ratio):
 )
 def test_contact_geometry_agrees_with_adaptive_quadrature(name, strength, exit_of, shift):
     out = table(hidden(name, strength))
-    judged = reference.Ground(*(getattr(GROUND, n) for n in SOIL))
+    ground = reference.Ground(*(getattr(GROUND, n) for n in SOIL))
     for k in (1, 23, 44):
         entry = entry_of(out, k)
         exit_ = exit_of(entry)
         middle = 0.5 * (entry + exit_) + shift * ROWS.slip[k] * entry
-        ref = reference.forces(judged, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle)
-        assert ref.load == pytest.approx(ROWS.load[k], rel=1e-4)
-        assert abs(ref.drawbar_pull - out[1, k]) < 1e-4 * ROWS.load[k]
-        assert ref.torque == pytest.approx(out[2, k], rel=1e-4)
+        judged(reference.forces(ground, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle), out, k, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -172,13 +155,7 @@ def test_deeper_sinkage_with_stresses_scaled_to_the_load(name, strength, ratio):
             return reference.forces(soil, ROWS.slip[k], entry_of(out, k), 0.15, 0.12)
 
         root = brentq(lambda x, k=k: forces(x).load / ROWS.load[k] - 1.0, -3.0, 1.0, xtol=1e-10)
-        assert forces(root).drawbar_pull == pytest.approx(out[1, k], abs=1e-4 * ROWS.load[k])
-        assert forces(root).torque == pytest.approx(out[2, k], rel=1e-4)
-
-
-def test_excavated_depth_is_added():
-    out = table(hidden("reece_additive", 0.006))
-    np.testing.assert_allclose(out[0] - table()[0], 0.006 * ROWS.slip / (1.0 - ROWS.slip), atol=1e-9)
+        judged(forces(root), out, k, 1e-4)
 
 
 @pytest.mark.parametrize(("effect", "law"), [
@@ -200,14 +177,6 @@ def test_lugs_shear_at_a_larger_radius_and_push_on_the_soil():
     z, entry = out[0, 30], entry_of(out, 30)
     lug = 0.12 * (0.5 * 15696.0 * 1e-4 * 3.0 + 15696.0 * 0.5 * z * 0.01 * 3.0 + 2 * 1500.0 * 0.01 * math.sqrt(3.0))
     agrees(out, 30, janosi, force=lug * 18 * entry / (2.0 * math.pi))
-
-
-def test_friction_falls_with_the_stress():
-    def tau(sigma, ratio):
-        phi = math.radians(30.0 - 5.0 * math.log10(max(sigma, 8.0) / 8000.0))
-        return (1500.0 + sigma * math.tan(phi)) * -math.expm1(-ratio)
-
-    agrees(table(hidden("stress_dependent_friction", 5.0, pressure=8000.0)), 12, tau)
 
 
 def test_bulldozing_by_hand():
@@ -283,19 +252,6 @@ def test_errors_of_sensors_and_drive():
     np.testing.assert_allclose(viscous, base[2] + 0.5 * (0.6 + 0.4 * omega / 0.6), rtol=1e-12)
 
 
-def test_mechanisms_in_no_catalogue():
-    """Power hop is a band of slip, a flexible wheel a larger one, load transfer a load with a share of the pull."""
-    band = 1.0 - 0.3 * np.exp(-0.5 * ((ROWS.slip - 0.3) / 0.07) ** 2)
-    out = table(hidden("power_hop", 0.3, slip=0.3, width=0.07))
-    np.testing.assert_allclose(out, table() * np.stack([np.ones(45), band, band]), rtol=1e-12)
-    out = table(hidden("flexible_wheel", 0.2, load=70.0))
-    for load in (45.0, 70.0, 105.0):
-        same = predict(GROUND, Wheel(0.15 * (1.0 + 0.2 * (load / 70.0 - 0.3)), 0.12), ROWS).stack()
-        np.testing.assert_allclose(out[:, ROWS.load == load], same[:, ROWS.load == load], rtol=1e-9)
-    out = table(hidden("load_transfer", -0.2))
-    np.testing.assert_allclose(out, world(replace(ROWS, load=ROWS.load - 0.2 * out[1])), rtol=1e-7)
-
-
 # --- every form -------------------------------------------------------------------------------------------------------
 
 
@@ -313,23 +269,7 @@ def test_form_is_nothing_at_zero_and_moves_only_its_channels(form, design):
         assert moved.max() > 0.5
 
 
-def test_order_in_a_list_does_not_matter():
-    pair = [hidden("lyasko", 0.5), hidden("additive_bias", 0.08)]
-    np.testing.assert_array_equal(table(*pair), table(*pair[::-1]))
-
-
 # --- base laws of another form ----------------------------------------------------------------------------------------
-
-
-def test_stress_shapes_have_the_peak_of_the_paper():
-    contact = Contact(ROWS, WHEEL, GROUND)
-    peak = S * (0.15 * (math.cos(0.2) - math.cos(0.4))) ** 0.85
-    for name, shape in (("sinusoidal_stress", lambda u: np.cos(0.5 * np.pi * u)),
-                        ("quadratic_stress", lambda u: 1.0 - u**2), ("linear_stress", lambda u: 1.0 - u)):  # fmt: skip
-        contact.normal.clear()
-        BASE_LAWS[name].alter(contact, {})
-        arc, _, _ = contact.stresses(np.full((45, 1), 0.4))
-        np.testing.assert_allclose(arc.sigma[0], peak * shape(np.abs(arc.theta[0] - 0.2) / 0.2), rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize(("width", "same"), [(0.12, True), (np.where(np.arange(45) < 20, 0.12, 0.08), False)])
@@ -338,11 +278,3 @@ def test_reece_is_the_paper_for_one_wheel(width, same):
     before = contact.solve().stack()
     BASE_LAWS["reece"].alter(contact, {"cohesive": 0.4})
     assert np.allclose(contact.solve().stack(), before, rtol=1e-9) == same
-
-
-def test_two_straight_lines_meet_at_the_knee():
-    contact = Contact(ROWS, WHEEL, GROUND)
-    BASE_LAWS["two_piece_exponent"].alter(contact, {"factor": 0.6, "share": 0.5})
-    depth = np.array([[0.006, 0.012, 0.024]])
-    sigma = contact.pressure[0](S * depth**0.85, depth)
-    np.testing.assert_allclose(np.diff(np.log(sigma))[0] / np.diff(np.log(depth))[0], [0.85, 0.51], rtol=1e-9)

@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pytest
 
 from benchmarks import logs, throughput, value_of_soil
 from soil_env.parameters import load_scenario
@@ -42,22 +41,3 @@ def test_each_arm_chooses_by_its_knowledge():
     for name in ("identified", "true soil"):
         assert chosen(name, **grades, ahead_margin=0.05, beside_margin=-0.05) == 1.0
         assert chosen(name, ahead_grade=0.1, beside_grade=0.2, ahead_margin=-0.05, beside_margin=0.05) == -1.0
-
-
-def test_interval_of_a_difference():
-    """100 paired courses, 20 won and 5 lost: 15 points, sd of the mean (0.25 - 0.15^2)^(1/2)/10 = 4.8 points."""
-    over, other = {"finished": "0" * 20 + "1" * 5 + "1" * 75}, {"finished": "1" * 20 + "0" * 5 + "1" * 75}
-    value, low, high = value_of_soil.gain(over, other)
-    assert value == pytest.approx(15.0)
-    assert low == pytest.approx(15.0 - 9.4, abs=1.1) and high == pytest.approx(15.0 + 9.4, abs=1.1)
-
-
-def test_driven_arms_are_not_driven_again(tmp_path, monkeypatch):
-    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0
-    file = tmp_path / "value_of_soil.json"
-    content = json.loads(file.read_text())
-    assert set(content) == set(value_of_soil.ARMS) and all(len(found["finished"]) == 8 for found in content.values())
-    kept, driven = content.pop("identified"), []
-    file.write_text(json.dumps(content))
-    monkeypatch.setattr(value_of_soil, "measure", lambda arm, *_: driven.append(arm.variant) or kept)
-    assert value_of_soil.main(["--smoke", "--out", str(tmp_path)]) == 0 and driven == ["identified"]

@@ -9,7 +9,8 @@ import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import Data, prepare
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from tests.discrepancy.files import SETUP, SLIPS, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])

@@ -70,20 +70,6 @@ def test_closed_weighs_what_is_above_the_noise(planted):
     assert judgement.closed(planted.problem, {"sinkage": judgement.Gap(0.5, 0.5, 0.6)}) is None
 
 
-def test_the_named_effect_heads_the_ranking(planted):
-    ranks = judgement.ranking(planted.finding)
-    assert ranks[0].name == "slip_sinkage" and ranks[0].probability == planted.finding.share("slip_sinkage")
-    assert [r.probability for r in ranks[1:]] == sorted((r.probability for r in ranks[1:]), reverse=True)
-    assert all(r.score <= ranks[0].score for r in ranks if r.probability < 1e-3)
-
-
-def test_remainder_is_what_is_above_the_noise():
-    gap = {"sinkage": judgement.Gap(5.0, 2.0, 1.0), "torque": judgement.Gap(0.9, 0.8, 1.0)}
-    told = judgement.remainder(gap)
-    assert told["sinkage"] == (pytest.approx(math.sqrt(3.0)), pytest.approx(3.0 / 24.0))
-    assert told["torque"] == (0.0, None)
-
-
 def test_shares_of_two_effects_sum_to_what_both_close(problem):
     rng = np.random.default_rng(5)
     before = predictions(problem, 4.0, rng)

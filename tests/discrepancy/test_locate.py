@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from soil_env.discrepancy.locate import SIGNIFICANT, boxes, locate
+from soil_env.discrepancy.locate import boxes, locate
 from tests.discrepancy.tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -64,22 +64,6 @@ def test_planted_box_is_found(channel, size, box):
     assert first.size_sd == pytest.approx(first.size / NOISE[channel])
     assert first.size * size > 0.0
     assert first.p_value < 1e-6
-
-
-def test_boxes_of_one_channel_do_not_overlap():
-    data = table({"penetration_rate": {"exponent": 0.3}}, speeds=SPEEDS)
-    p = problem(data, np.random.default_rng(7))
-    found = locate(p, p.fit())
-    assert len(found) > 2
-    assert found[0].region.keys() == {"speed"}
-    for k, one in enumerate(found):
-        assert one.p_value < SIGNIFICANT
-        for other in found[:k]:
-            if one.channel == other.channel:
-                assert any(
-                    one.region[name][0] > other.region[name][1] or one.region[name][1] < other.region[name][0]
-                    for name in one.region.keys() & other.region.keys()
-                )
 
 
 @pytest.mark.parametrize("limit", [0.0, 0.35])

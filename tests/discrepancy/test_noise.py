@@ -9,7 +9,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.workflow import run
-from soil_env.measurement.table import NoiseLevels
+from soil_env.measurement.setup import NoiseLevels
 from tests.discrepancy.tables import NOISE, table, world as world_of
 
 SLIPS = np.linspace(0.05, 0.7, 8)
@@ -57,13 +57,6 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     assert run(*noisy(0, 0.03)).verdict == "none"
     assert run(*noisy(0, 0.03, told=False)).verdict == "unlisted"
-
-
-def test_noise_of_conditions_changes_nothing_where_the_channels_noise_is_found_from_the_table():
-    rows, setup = noisy(0, 0.02)
-    bare = dataclasses.replace(setup, noise=NoiseLevels(slip=0.02))
-    exact = dataclasses.replace(setup, noise=NoiseLevels())
-    assert calibrate(prepare(rows, bare))[1].sd == pytest.approx(calibrate(prepare(rows, exact))[1].sd)
 
 
 def test_noise_that_leaves_no_digits_is_refused():

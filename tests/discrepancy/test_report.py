@@ -19,36 +19,23 @@ KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable",
         "detectable")  # fmt: skip
 
 
-def test_report_json_has_the_keys_of_the_contract(planted_files):
+def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     report, folder = planted_files
     content = json.loads((folder / "report.json").read_text(), parse_constant=pytest.fail)
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
         assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect["name"] in CATALOGUE
-        for p in effect["parameters"].values():
-            assert set(p) == {"value", "low", "high"} and p["low"] <= p["value"] <= p["high"]
-    for d in content["where"]:
-        assert {"channel", "region", "size", "p_value"} <= set(d) and d["channel"] in CHANNELS
-    assert all(set(r) == {"name", "score", "probability"} for r in content["ranking"])
+        assert all(p["low"] <= p["value"] <= p["high"] for p in effect["parameters"].values())
+    assert all({"channel", "region", "size", "p_value"} <= set(d) for d in content["where"])
     assert set(content["gap"]) == set(content["remainder"]) == set(CHANNELS)
-    assert all(set(g) == {"before", "after", "noise_floor"} for g in content["gap"].values())
-    assert all(set(u) == {"name", "reason"} for u in content["untestable"])
     tried = {r["name"] for r in content["ranking"]} | {u["name"] for u in content["untestable"]}
     assert tried == set(CATALOGUE) and content["ranking"][0]["name"] == "slip_sinkage"
-    assert all(0.0 <= r["probability"] <= 1.0 + 1e-9 for r in content["ranking"])
-    assert set(content["detectable"]) == {r["name"] for r in content["ranking"]}
-    assert all(size > 0.0 for size in content["detectable"].values())
     assert content["closed_interval"][0] <= content["closed"] <= content["closed_interval"][1]
     assert report.model.validity == {k: tuple(v) for k, v in content["validity"].items()}
-
-
-def test_every_key_is_there_when_nothing_is_missing(nothing):
-    content = drawn.content(nothing)
-    assert set(KEYS) <= set(content)
-    assert content["verdict"] == "none" and content["effects"] == [] and content["where"] == []
-    assert content["closed"] is None and content["probability"]["none"] > 0.5
-    json.dumps(content, allow_nan=False)
+    empty = drawn.content(nothing)
+    assert set(KEYS) <= set(empty) and empty["verdict"] == "none" and empty["closed"] is None
+    assert empty["effects"] == empty["where"] == [] and empty["probability"]["none"] > 0.5
 
 
 def test_the_page_escapes_what_a_file_name_brings(tmp_path):
@@ -92,13 +79,10 @@ def test_the_summary_follows_the_probabilities(planted):
 
     ambiguous = sentences.summary(report_of(0.45, 0.4, 0.0, 0.15, 0.0))
     assert "85 %" in ambiguous and "slip-sinkage alone (45 %); bulldozing alone (40 %)" in ambiguous
-    assert "in no catalogue" in sentences.summary(report_of(0.2, 0.0, 0.7, 0.1, 0.0))
-    assert "Not ruled out instead: bulldozing" in sentences.summary(report_of(0.7, 0.3, 0.0, 0.0, 0.0))
     assert "in no catalogue (probability 90 %)" in sentences.summary(report_of(0.1, 0.0, 0.0, 0.0, 0.9))
     assert "nothing is missing" in sentences.summary(report_of(0.0, 0.1, 0.0, 0.9, 0.0)).lower()
     beside = report_of(0.83, 0.0, 0.05, 0.1, 0.02)
     assert "in no catalogue is 7 %" in sentences.summary(beside)
-    assert "in no catalogue 0.070 (0.020 of it with nothing that is listed)" in " ".join(drawn.text(beside).split())
     assert drawn.content(beside)["probability"]["remainder"] == pytest.approx(0.07)
 
 
@@ -112,18 +96,6 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
     said = sentences.summary(report)
     assert (f"{floor * math.sqrt(after**2 - 1.0):.2g} N of drawbar pull" in said) == (verdict == "partly")
     assert ("rises by 38 %" in said) == (after > before)
-
-
-def test_the_headline_quotes_the_channel_that_gains_most(planted):
-    gap = {"sinkage": Gap(9.0, 8.9, 1.0), "torque": Gap(0.5, 0.1, 0.1), "drawbar_pull": Gap(1.0, 1.2, 1.0)}
-    changed = dataclasses.replace(planted, gap=gap)
-    assert "torque goes from 5.00 to 1.00 times the noise" in sentences.summary(changed)
-    assert any("drawbar pull rises by 20 %" in said for said in sentences.cautions(changed))
-
-
-def test_numbers_in_sentences():
-    assert sentences.times(math.log(20.0)) == "20 times" and sentences.times(50.0) == "10^22 times"
-    assert sentences.times(math.log(0.5)) == "0.5 times" and sentences.times(-30.0) == "10^-13 times"
 
 
 # --- cautions ---------------------------------------------------------------------------------------------------------
@@ -140,31 +112,8 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
 
 
-def test_an_effect_whose_two_fits_do_not_agree_is_a_caution(planted):
-    assert not any("do not rely" in said for said in sentences.cautions(planted))
-    (effect,) = planted.effects
-    far = effect.parameters["gain"]._replace(value=0.1, low=0.0, high=0.2)
-    other = dataclasses.replace(effect, parameters=effect.parameters | {"gain": far})
-    said = sentences.cautions(dataclasses.replace(planted, effects=(other,)))
-    value = planted.model.effects["slip_sinkage"]["gain"]
-    assert any(f"model.yaml has gain {value:.3g}, far outside of 0 to 0.2" in text for text in said)
-
-
-@pytest.mark.parametrize(
-    "effects, old, new, verdict, said",
-    [
-        (PLANTED, "soil:\n", "soil:\n  dig_gain: 1.5\n", "none", "has the slip-sinkage of the setup (dig_gain 1.5)"),
-        ({}, "noise: {", "noise: {slip: 0.01, ", "none", "The noise of slip counts as noise of what was measured"),
-    ],
-)
-def test_what_the_setup_adds_is_a_caution(tmp_path, effects, old, new, verdict, said):
-    report = run(*write_files(tmp_path, table_text(effects), SETUP.replace(old, new)))
-    assert report.verdict == verdict and any(said in text for text in sentences.cautions(report))
-
-
-def test_what_is_not_given_is_not_known(nothing, tmp_path):
-    """Density without a value in the setup, and a speed of 0, which is given."""
-    assert nothing.known("density")
-    text = table_text({}, loads=(100, 150), speed=(0.05,)).replace("0.05,", "0,", 1)
-    report = run(*write_files(tmp_path, text, SETUP.replace("  density: 1600\n", "")))
-    assert not report.known("density") and report.finding.untestable["shear_rate"] == "a speed of 0"
+def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
+    setup = SETUP.replace("soil:\n", "soil:\n  dig_gain: 1.5\n")
+    report = run(*write_files(tmp_path, table_text(PLANTED), setup))
+    assert report.verdict == "none"
+    assert any("has the slip-sinkage of the setup (dig_gain 1.5)" in said for said in sentences.cautions(report))

@@ -9,10 +9,10 @@ from soil_env.discrepancy import judgement, run
 from soil_env.discrepancy.calibrate import Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Detectable
-from soil_env.discrepancy.search import ODDS, Finding, Hypothesis, candidates, search
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.discrepancy.search import Finding, Hypothesis, candidates, search
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from tests.discrepancy.files import SETUP, write_files
 from tests.discrepancy.tables import NOISE as NOISE_SD, problem, table
@@ -25,18 +25,6 @@ def planted(effects, seed=0):
     """A noisy table of 80 rows in which all conditions vary."""
     data = table(effects, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2), (-6.0, 6.0))
     return problem(data, np.random.default_rng(seed))
-
-
-def test_a_planted_effect_is_named():
-    """The one that neither the tests of the workflow nor the oracle plant."""
-    assert search(planted({"drivetrain_friction": {"constant": 1.0}})).names == ("drivetrain_friction",)
-
-
-def test_nothing_is_named_where_nothing_is_missing():
-    finding = search(planted({}))
-    assert finding.verdict == "none" and finding.names == ()
-    before = (1.0 + ODDS) ** -len(CATALOGUE)
-    assert finding.none / (1.0 - finding.none) > 4.0 * before / (1.0 - before)
 
 
 def test_a_fit_covers_the_true_soil():
@@ -60,14 +48,6 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
     assert set(reasons) == {"grousers", "multipass", "penetration_rate", "shear_rate", "grade", "drivetrain_friction"}
     assert "speed" in reasons["penetration_rate"] and "torque" in reasons["drivetrain_friction"]
     assert not set(names) & set(reasons)
-
-
-@pytest.mark.parametrize(
-    "rows", ["0.1,80,0.02,1\n0.4,80,0.06,30\n", "0.1,80,0.02,1\n0.3,80,0.05,20\n0.5,80,0.002,-30\n"]
-)
-def test_a_few_rows_that_disagree_are_judged(tmp_path, rows):
-    report = run(*write_files(tmp_path, "slip,load,sinkage,drawbar_pull\n" + rows, SMALL + NOISE))
-    assert report.verdict != "none" and report.finding.none < 0.01
 
 
 def law_error(data, size, seed):
@@ -166,12 +146,6 @@ def test_refuted_effects_leave_their_probability_to_the_others():
 def test_the_verdict_is_that_of_the_probabilities(hypotheses, verdict, names):
     finding = stated(*hypotheses)
     assert (finding.verdict, finding.names) == (verdict, names)
-
-
-def test_alternatives_stand_in_the_place_of_a_name():
-    finding = stated((("a",), False, 0.6), (("b",), False, 0.2), (("a", "c"), False, 0.16), (("d",), False, 0.04))
-    assert finding.alternatives("a") == ("b",)
-    assert finding.share("a") == pytest.approx(0.76) and finding.share("c", without=("a",)) == 0.0
 
 
 def test_none_that_would_have_been_overlooked_is_undetermined():

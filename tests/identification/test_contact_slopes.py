@@ -9,7 +9,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.parameters import soils
-from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.steady import steady_state
 from tests.terramechanics import reference
 
 R, B = 0.15, 0.12

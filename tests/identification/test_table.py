@@ -20,7 +20,8 @@ from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
 from soil_env.identification.table.report import text_of
 from soil_env.identification.table.unknown_noise import Scatter
-from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_table
+from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
+from soil_env.measurement.table import read_table
 from tests.terramechanics import reference
 
 WHEEL = SetupWheel(0.15, 0.12)

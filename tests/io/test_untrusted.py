@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from soil_env._io.loading import MOST_VALUES, ParameterError, parse_yaml, read_yaml
-from soil_env.measurement.table import read_setup
+from soil_env.measurement.setup import read_setup
 from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 

@@ -17,7 +17,8 @@ from soil_env.logs.align import Aligned, Channel
 from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
 from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
 from soil_env.logs.report import contents
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.online import OnlineIdentifier, Status
 from soil_env.parameters import soils
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.measurement.table import Prior, Setup, SetupWheel, read_setup, read_table
+from soil_env.measurement.setup import Prior, Setup, SetupWheel, read_setup
+from soil_env.measurement.table import read_table
 
 HEADER = "slip,load,sinkage,drawbar_pull"
 GOOD = (HEADER, "0.1,100,0.02,5", "0.2,100,0.021,9", "0.3,120,0.022,12.5")
@@ -51,57 +52,26 @@ def test_reads_a_full_table(tmp_path):
     "lines, words",
     [
         (["slip,sinkage", "0.1,0.02"], ["missing column 'load'"]),
-        (["slip,load", "0.1,100"], ["at least one of sinkage, drawbar_pull, torque"]),
-        (["Slip,load,sinkage", "0.1,100,0.02"], ["unknown column 'Slip'", "'slip'"]),
-        (["slip,load,load,sinkage", "0.1,100,1,0.02"], ["column 'load' appears 2 times"]),
         (["slip;load;torque", "0,1;100;2,5"], ["semicolons", "decimal commas: expected commas", "decimal points"]),
-        (["slip\tload\ttorque", "0.1\t100\t2"], ["tabs between the columns: expected commas"]),
         (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
         ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "expected a finite number in m ("]),
         ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number in N ("]),
-        ([HEADER, "0.1,100,0.02,-inf"], ["row 2", "drawbar_pull = '-inf'", "finite"]),
         ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),
         ([HEADER, "10,100,0.02,5", "20,100,0.02,6"], ["row 2", "slip = 10", "[-1, 1]", "percent"]),
         ([HEADER, "0.1,100,20,5"], ["row 2", "sinkage = 20", "can only be millimetres"]),
-        ([HEADER, "0.1,-100,0.02,5"], ["row 2", "load = -100", "load > 0 N"]),
         ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
-        ([HEADER + ",pass", "0.1,100,0.02,5,0"], ["row 2", "pass = 0", "from 1"]),
-        ([HEADER + ",pass", GOOD[1] + ",1", "0.2,100,0.02,5,1e300"], ["row 3, pass = 1e300", "from 1 to 1e+06"]),
         ([HEADER, GOOD[1], "0.2,1e300,0.02,5"], ["row 3, load = 1e300: expected newtons, at most 1e+06\n"]),
-        ([HEADER, GOOD[1], "0.2,1e-300,0.02,5"], ["row 3, load = 1e-300: expected newtons, at least 0.001\n"]),
-        (
-            [HEADER, GOOD[1], "0.2,100,0.02,-1e300"],
-            ["row 3, drawbar_pull = -1e300: expected newtons in [-1e+06, 1e+06]"],
-        ),
-        (
-            ["slip,load,torque", "0.1,100,5", "0.2,100,1e300"],
-            ["row 3, torque = 1e300: expected newton metres in [-1e+06, 1e+06]"],
-        ),
-        ([HEADER + ",sinkage_sd", GOOD[1] + ",1e300"], ["row 2, sinkage_sd = 1e300", "in [1e-09, 1e+06] m\n"]),
         ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
         ([HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"], ["row 2", "radians", "57.3"]),
-        ([HEADER + ",wheel_radius", "0.1,100,0.02,5,0"], ["row 2", "wheel_radius = 0", "metres in (0, 3]"]),
         ([HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"], ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"]),
-        ([HEADER + ",speed", "0.1,100,0.02,5,-1"], ["row 2", "speed = -1"]),
         ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
         ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
-        ([HEADER, "0.1,100,0.02,5"], ["one row: expected at least two, with different slips"]),
-        ([HEADER, "1.02,100,0.02,5"], ["row 2, slip = 1.02: expected slip in [-1, 1]\n"]),
-        (
-            [HEADER + ",grouser_height,wheel_radius", "0.1,100,0.02,5,0.1,0.1"],
-            ["row 2, grouser_height = 0.1", "less than"],
-        ),
-        ([HEADER, "0.1,100,,"], ["row 2: nothing measured"]),
-        ([HEADER], ["no rows"]),
-        ([""], ["empty file"]),
         ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
-        ([*GOOD[1:]], ["the first line has numbers", "header line"]),
         (["# " + GOOD[0], *GOOD[1:]], ["the first line has numbers", "without # before it"]),
         (
             [HEADER + ",torqe_sd", "0.1,100,0.02,5,1"],
             ["unknown column 'torqe_sd'; did you mean 'torque_sd'?", "ignore_"],
         ),
-        ([HEADER + ",sinkage_sd", "0.1,100,0.02,5,0"], ["row 2, sinkage_sd = 0: expected a standard deviation > 0 m"]),
     ],
 )
 @pytest.mark.filterwarnings("error")
@@ -119,18 +89,14 @@ def test_refuses_what_is_no_table(tmp_path):
     assert "Parquet" in refusal(read_table, written(tmp_path, *GOOD, name="data.parquet"))
 
 
-def test_sinkage_is_held_against_the_wheel_of_the_setup(tmp_path):
+def test_sinkage_and_lugs_are_held_against_the_wheel_of_the_setup(tmp_path):
     path = written(tmp_path, HEADER, "0.1,100,0.2,5", "0.2,100,0.1,5")
     assert len(read_table(path)) == 2
     assert "sinkage = 0.2" in refusal(read_table, path, SetupWheel(0.15, 0.12))
-
-
-def test_lugs_are_held_against_the_wheel(tmp_path):
     lugs = written(tmp_path, HEADER + ",grouser_height", "0.1,100,0.02,5,0.12", "0.2,100,0.02,5,")
     assert "row 2, grouser_height = 0.12: " in refusal(read_table, lugs, SetupWheel(0.1, 0.1))
     radii = written(tmp_path, HEADER + ",wheel_radius", "0.1,100,0.02,5,", "0.2,100,0.02,5,0.1")
     assert "row 3, wheel_radius = 0.1: " in refusal(read_table, radii, SetupWheel(0.3, 0.1, 0.12))
-    assert "less than the wheel radius 0.1 m" in refusal(SetupWheel, 0.1, 0.1, 0.1)
 
 
 def test_grades_that_are_degrees_stay_degrees(tmp_path):
@@ -169,24 +135,21 @@ def test_reads_a_setup(tmp_path):
     [
         (SETUP + "nois: {}", ["unknown key 'nois'", "'noise'"]),
         ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
-        ("wheel: {radius: big, width: 0.12}", ["radius = 'big'", "number"]),
         (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
-        (SETUP + "noise: {torque: .nan}", ["torque = nan", "> 0"]),
         (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
-        (SETUP + "soil: {cohesion: }", ["cohesion = None", "leave it out"]),
         (
             SETUP + "soil: {cohesion: about 1000}",
             ["soil.cohesion = 'about 1000': expected a number or {value: ..., sd: ...}"],
         ),
-        (SETUP + "soil: {friction_angle_deg: 95}", ["friction_angle_deg = 95", "deg"]),
-        (SETUP + "soil: {shear_modulus: 30}", ["shear_modulus = 30", "[0.0001, 0.3] m"]),
         (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),
         (SETUP + "soil: {k_c: 1, k_phi: 1e5, sinkage_coefficient: 1e5}", ["either sinkage_coefficient"]),
-        ("[1, 2]", ["expected a mapping"]),
         ("wheel: {radius: 1", ["not valid YAML", "in line 1"]),
         ("soil: {}", ["missing wheel: expected wheel: {radius: ..., width: ...}"]),
-        (SETUP + "soil: {cohesion: {value: .nan, sd: 1}}", ["soil.cohesion: value = nan", "finite"]),
         (SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}", ["sd = 1e-300", "at least 1e-05", "plain number"]),
+        (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
+        (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
+        (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "needed in every table"]),
+        ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}", ["grouser_height = 0.2", "wheel radius 0.1 m"]),
     ],
 )
 def test_refuses_a_bad_setup(tmp_path, text, words):
@@ -243,28 +206,6 @@ def test_a_setup_says_what_rig_it_was(tmp_path):
     assert s.tilt_deg == Prior(0.0, 1.0) and s.ignore_columns == ("note", "x")
     s = read_setup(written(tmp_path, SETUP + "tilt_deg: -1.5\n", name="setup.yaml"))
     assert s.tilt_deg.known and s.load == "normal" and s.slip_reference == "rim" and s.ignore_columns == ()
-
-
-@pytest.mark.parametrize(
-    "text, words",
-    [
-        (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
-        (SETUP + "slip_reference: hub", ["slip_reference = 'hub'", "'rim', 'tip'"]),
-        (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
-        (SETUP + "ignore_columns: note", ["ignore_columns = 'note'", "a list"]),
-        (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "needed in every table"]),
-        (
-            "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}",
-            ["wheel", "grouser_height = 0.2", "wheel radius 0.1 m"],
-        ),
-        ("wheel: {radius: 0.1, width: 0.1, grouser_count: 1.5}", ["grouser_count = 1.5", "whole number"]),
-        ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0, grouser_count: 12}", ["grouser_count = 12", "> 0 m"]),
-    ],
-)
-def test_refuses_a_setup_that_cannot_be_that_of_a_rig(tmp_path, text, words):
-    message = refusal(read_setup, written(tmp_path, text, name="setup.yaml"))
-    for word in ("setup.yaml", *words):
-        assert word in message
 
 
 def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):

@@ -11,8 +11,9 @@ import pytest
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, steady_state
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import load_rover
 
 EFFECTS = {

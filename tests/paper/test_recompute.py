@@ -2,17 +2,12 @@
 
 import dataclasses
 import math
-import os
 import re
-from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.optimize import least_squares, linprog
 
-from soil_env._io.loading import read_yaml
 from soil_env.paper import compare, model, page, printed
 from soil_env.paper.compare import HELD, MEASURED, MODELS, PRINTED_SET, P
 from tests.terramechanics import reference
@@ -223,39 +218,5 @@ def test_soils_of_fig_9_are_not_those_of_the_paper():
 
 def test_page_and_figures_are_written(tmp_path, results):
     page.write(results, tmp_path, "soil-env paper --seed 3")
-    text = (tmp_path / "paper.md").read_text(encoding="utf-8")
-    assert "seed 3" in text and "nan" not in re.findall(r"[a-z]+", text)
-    shown = re.findall(r"\(paper/(\w+\.png)\)", text)
+    shown = re.findall(r"\(paper/(\w+\.png)\)", (tmp_path / "paper.md").read_text(encoding="utf-8"))
     assert shown and {p.name for p in (tmp_path / "paper").glob("*.png")} == set(shown)
-
-
-def test_every_printed_number_is_on_the_page(results):
-    text = page.markdown(results, "")
-    numbers = re.findall(r"(?<![\w.])[-+]?\d[\d.]*(?:e[-+]?\d+)?", yaml.safe_dump(read_yaml(DATA)))
-    shown = {float(x) for x in re.findall(r"-?\d+\.?\d*(?:e[-+]\d+)?", text)}
-    shown |= {1000.0 * x for x in shown}  # kPa, kN m
-    missing = [x for x in numbers if not any(math.isclose(float(x), y, rel_tol=1e-9) for y in shown)]
-    assert not missing, " ".join(missing)
-
-
-DATA = printed.Path(printed.__file__).with_name("printed.yaml")
-TRANSCRIPT = Path(os.environ.get("SOIL_ENV_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
-
-
-@pytest.mark.skipif(not (TRANSCRIPT / "paper/printed.yaml").exists(), reason="no second transcript of the paper")
-def test_a_second_transcript_of_the_paper_has_the_same_numbers():
-    other = yaml.safe_load((TRANSCRIPT / "paper/printed.yaml").read_text())
-    other.pop("fig5", None)  # a flow chart in words
-    ours, theirs = (Counter(numbers(x)) for x in (read_yaml(DATA), other))
-    assert not theirs - ours, "not in the package"
-    unquoted = Counter([527.0, 9.5])  # of sentences, which the transcript has as comments
-    assert not ours - theirs - unquoted, "not in the transcript"
-
-
-def numbers(x) -> list[float]:
-    """All numbers in nested lists, dictionaries and strings."""
-    if isinstance(x, str):
-        return [float(v) for v in re.findall(r"\d+\.?\d*", x)]
-    if isinstance(x, (dict, list, tuple)):
-        return [v for item in (x.values() if isinstance(x, dict) else x) for v in numbers(item)]
-    return [float(x)]

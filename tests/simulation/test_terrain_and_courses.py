@@ -8,7 +8,7 @@ import pytest
 from soil_env._numba.random_streams import seed_stream
 from soil_env.parameters import ParameterError, SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
-from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 
 SEEDS = range(25)

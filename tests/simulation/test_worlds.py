@@ -1,4 +1,4 @@
-"""Worlds with effects: `model=` of the environments, judged by `model.steady_with`, differences and random driving."""
+"""Worlds with effects: `model=` of the environments, judged by `steady.steady_with`, differences and random driving."""
 
 import math
 
@@ -18,9 +18,10 @@ from soil_env.simulation.world.sensors import sense
 from soil_env.simulation.world.terrain import rut_factor
 from soil_env.simulation.world.wheel import WheelState
 from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
-from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import ground_under
 from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from soil_env.vector_env import SoilWheelVectorEnv
 from tests.simulation import wheels as bench

@@ -6,45 +6,51 @@ from soil_env.terramechanics.residual import ResidualTerm
 
 LUG = 0.012  # [m]
 WHEEL = ModelWheel(0.15, 0.15, LUG)
-#: One value of each form of each effect.
-VALUES = {
+#: Range of each parameter for tests, by effect.
+SIZES = {
     "slip_sinkage": {
-        "ratio": {"gain": 2.5, "recovery": 0.7}, "exponent": {"exponent_slope": 0.3},
-        "excavation": {"length": 0.008}, "apparent": {"gain": 2.0},
+        "gain": (0, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (0, 0.02),
     },
-    "rear_contact": {"midway": {"ratio": 0.4}, "peak_kept": {"ratio": 0.4}},
-    "stress_peak_shift": {"linear": {"offset": -0.1, "slope": 0.3}},
-    "grousers": {
-        "shear_radius": {"shear_share": 0.8}, "shear_radius_rim": {"shear_share": 0.8},
-        "radius": {"radius_share": 0.8}, "radius_rim": {"radius_share": 0.8}, "blades": {"blades": 3.0},
-    },
-    "bulldozing": {"rankine": {"rankine": 1.0}, "hegedus": {"hegedus": 0.7}},
+    "rear_contact": {"ratio": (0, 0.8)},
+    "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
+    "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
+    "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
     "multipass": {
-        "power": {"hardening": 0.3, "stiffening": 0.1, "strength": 0.05},
-        "slip_history": {"slip_gain": 0.4, "per_pass": 0.1, "stiffening": 0.1, "cohesion": 0.1},
-        "saturating": {"gain": 0.8, "stiffening": 0.1, "strength": 0.03},
+        "hardening": (-0.3, 0.8), "slip_gain": (-0.3, 0.5), "slip_scale": (0.05, 0.5), "per_pass": (-0.05, 0.3),
+        "cohesion": (-0.3, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
+        "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
     },
-    "penetration_rate": {"power": {"exponent": 0.2}, "logarithmic": {"slope": 0.15}},
+    "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
     "shear_rate": {
-        "power": {"exponent": 0.08}, "logarithmic": {"slope": 0.08}, "cohesion": {"cohesion": 0.2, "onset_speed": 0.01},
+        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.1, 0.4), "onset_speed": (0.005, 0.1),
+        "reference_speed": (0.005, 0.1),
     },
-    "shear_softening": {
-        "hump": {"sharpness": 4.0}, "hump_of_first_slope": {"sharpness": 4.0},
-        "decaying": {"drop": 0.4, "length": 0.03, "onset": 0.001},
-    },
-    "grade": {"weight": {"share": 1.0}, "weight_and_bearing": {"share": 1.0, "weakening": 0.7}},
-    "drivetrain_friction": {
-        "coulomb": {"constant": 1.0}, "coulomb_and_load": {"constant": 1.0, "share": 0.1},
-        "coulomb_and_viscous": {"constant": 1.0, "viscous": 0.3},
-    },
-    "slip_bias": {"offset": {"offset": 0.05}, "rolling_radius": {"radius_error": 0.05}},
-    "sinkage_offset": {"offset": {"offset": 0.01}},
+    "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
+    "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
+    "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},
+    "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
+    "sinkage_offset": {"offset": (-0.01, 0.01)},
 }  # fmt: skip
-CASES = {
-    f"{name}-{form.name}": {name: VALUES[name][form.name] | dict(form.fixed)}
-    for name, effect in CATALOGUE.items()
-    for form in effect.forms
-}
+
+
+#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel soon settles.
+TUNED = {
+    "bulldozing": {"rankine": 1.0, "hegedus": 0.7}, "grade": {"share": 1.0, "weakening": 0.7},
+    "shear_softening": {"sharpness": 4.0, "drop": 0.4, "length": 0.03, "onset": 0.001},
+}  # fmt: skip
+
+
+def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
+    """Parameters of one form of an effect, by default at 0.6 of their range."""
+    sizes = SIZES[name]
+    drawn = {p: float(at(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes}
+    return {name: drawn | dict(form.fixed)}
+
+
+CASES = {f"{name}-{form.name}": values(name, form) for name, effect in CATALOGUE.items() for form in effect.forms}
+for effects in CASES.values():
+    for name, drawn in effects.items():
+        drawn.update({p: v for p, v in TUNED.get(name, {}).items() if p in drawn})
 TOGETHER = {
     "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
     "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3},

@@ -46,28 +46,19 @@ def random_case(rng, softest_k):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_driving_agrees_with_quadrature(seed):
-    rng = np.random.default_rng(seed)
-    soil, theta1, r, b = random_case(rng, 0.01)
-    theta2 = rng.uniform(-0.4, 0.5) * theta1
-    thetam = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7)
-    slip = rng.uniform(0.0, 1.0)
-    judge = reference.forces(soil, slip, theta1, r, b, theta2, thetam)
-    assert relative_error(forces(soil, slip, theta1, r, b, theta2, thetam), judge, r) < 1e-4
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_braking_agrees_with_quadrature(seed):
+@pytest.mark.parametrize(("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)])
+def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
     """Where the shear reverses within the arc, de/dj has a kink that the nodes do not see: the bound is wider.
 
-    At K/r below 0.05 and deep entry the error grows further, to 1 % of the stresses at K/r = 0.01.
+    At K/r below 0.05 and deep entry that error grows further, to 1 % of the stresses at K/r = 0.01.
     """
-    rng = np.random.default_rng(1000 + seed)
-    soil, theta1, r, b = random_case(rng, 0.05)
+    rng = np.random.default_rng(seed)
+    soil, theta1, r, b = random_case(rng, softest_k)
     theta2 = rng.uniform(-0.4, 0.5) * theta1
-    slip = rng.uniform(-1.0, 0.0)
-    judge = reference.forces(soil, slip, theta1, r, b, theta2)
-    assert relative_error(forces(soil, slip, theta1, r, b, theta2), judge, r) < 1e-3
+    thetam, slip = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7), rng.uniform(*slips)
+    for at in (slip, slips[0]):  # -1 is a locked wheel: all strength points backward, whatever K is
+        judge = reference.forces(soil, at, theta1, r, b, theta2, thetam)
+        assert relative_error(forces(soil, at, theta1, r, b, theta2, thetam), judge, r) < bound
 
 
 def test_simpson_converges_to_the_quadrature():
@@ -101,15 +92,6 @@ def test_small_shear_modulus_mobilises_everything(slip, sign):
     assert q.pe_sin == pytest.approx(sign * q.p_sin, rel=1e-6)
 
 
-def test_locked_wheel_drags():
-    """At slip -1 all strength points backward, whatever K is: (c arc + tan(phi) Int sigma) r^2 b."""
-    soil = PAPER_SOIL._replace(shear_modulus=0.3)
-    w = forces(soil, -1.0, 0.6, 0.3, 0.2)
-    judge = reference.forces(soil, -1.0, 0.6, 0.3, 0.2)
-    assert w.torque < 0.0 and w.drawbar_pull < 0.0
-    assert w.torque == pytest.approx(judge.torque, rel=1e-4)
-
-
 def test_spinning_wheel_shears_over_the_whole_arc():
     """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
     k, r, theta1 = 0.03, 0.15, 0.8
@@ -122,18 +104,6 @@ def test_exponent_zero_is_constant_stress():
     assert q.p_cos == pytest.approx(math.sin(0.8), rel=1e-9)
     assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
     assert contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0 and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
-
-
-def test_mirror_angle_ends():
-    """Eq. (8) gives the exit the stress of the entry, and the peak its own."""
-    assert contact.mirror_angle(-0.1, 0.9, -0.1, 0.5) == pytest.approx(0.9)
-    assert contact.mirror_angle(0.5 - 1e-12, 0.9, -0.1, 0.5) == pytest.approx(0.5)
-    assert contact.mirror_angle(0.7, 0.9, -0.1, 0.5) == 0.7
-
-
-@pytest.mark.parametrize("sinkage", [1e-4, 0.02, 0.1, 0.29])
-def test_entry_angle_inverts_the_geometry(sinkage):
-    assert 0.15 * (1.0 - math.cos(contact.entry_angle(sinkage, 0.15))) == pytest.approx(sinkage, rel=1e-9)
 
 
 # --- symmetry, range, derivatives -------------------------------------------------------------------------------------
@@ -200,9 +170,3 @@ def test_mobilised_sinkage_coefficient_inverts_the_balance(slip, cohesion):
     assert contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(
         7e5, rel=1e-9
     )
-
-
-def test_mobilised_sinkage_coefficient_is_never_negative():
-    """A load that cohesion alone would carry needs no normal stress."""
-    q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.0, 0.01, 0.8, 0.15)[0]
-    assert contact.mobilised_sinkage_coefficient(q, 1.0, 0.5, 1e5, 0.15, 0.15, 1.0) == 0.0

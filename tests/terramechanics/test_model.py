@@ -13,9 +13,10 @@ import yaml
 from soil_env._io.loading import ParameterError
 from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.model import LEVEL, Conditions, ModelWheel, Rim, WheelSoilModel, load_model, steady_with
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
-from soil_env.terramechanics.validity import OutsideValidity, checked
+from soil_env.terramechanics.steady import LEVEL, Conditions, Rim, steady_with
+from soil_env.terramechanics.validity import OutsideValidity
 
 SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, dig_gain=0.0)
 BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
@@ -52,30 +53,27 @@ def stacked(prediction):
 # --- predict ----------------------------------------------------------------------------------------------------------
 
 
-def test_prediction_is_row_by_row():
+def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     given = {
         "slip": [0.1, 0.3, -0.2], "load": [80.0, 100.0, 90.0], "speed": [0.05, 0.1, 0.2], "pass": [1, 2, 3],
         "grade_deg": [0.0, 6.0, -6.0],
     }  # fmt: skip
     found = MODEL.predict(given)
-    assert found.supported
+    assert found.supported and not MODEL.predict(given | {"load": [80.0, 1e6, 90.0]}).supported
     for k in range(3):
         at = Conditions(given["speed"][k], given["pass"][k], math.sin(math.radians(given["grade_deg"][k])))
         expected = single(MODEL, given["slip"][k], given["load"][k], conditions=at)
         assert tuple(stacked(found)[k]) == pytest.approx(expected[:3], rel=1e-12)
+    rows = [",".join(map(str, row)) for row in zip(*given.values(), [0.01] * 3, strict=True)]
+    (tmp_path / "data.csv").write_text("\n".join([",".join([*given, "sinkage"]), *rows]))
+    np.testing.assert_array_equal(stacked(MODEL.predict(read_table(tmp_path / "data.csv"))), stacked(found))
 
 
 def test_what_is_not_given_is_level_fresh_soil_and_the_wheel_of_the_model():
     plain = WheelSoilModel(WHEEL, SOIL)
     found = plain.predict({"slip": 0.3, "load": 90.0})
     assert tuple(stacked(found)[0]) == pytest.approx(single(plain, 0.3, 90.0)[:3], rel=1e-12)
-    for same in (
-        {"speed": math.nan},
-        {"pass": 1},
-        {"grade_deg": 0.0},
-        {"wheel_radius": 0.15},
-        {"wheel_width": math.nan},
-    ):
+    for same in ({"speed": math.nan}, {"pass": 1}, {"grade_deg": 0.0}, {"wheel_radius": 0.15}):
         np.testing.assert_array_equal(stacked(plain.predict({"slip": 0.3, "load": 90.0} | same)), stacked(found))
 
 
@@ -87,22 +85,6 @@ def test_a_row_may_have_another_wheel(soil):
     for k, wheel in enumerate((WHEEL, ModelWheel(0.2, 0.06, 0.01))):
         assert tuple(stacked(found)[k]) == pytest.approx(single(model, 0.3, 90.0, wheel)[:3], rel=1e-12)
     assert found.sinkage[1] > found.sinkage[0]
-
-
-def test_a_table_and_a_mapping_predict_the_same(tmp_path):
-    rows = ["slip,load,speed,pass,grade_deg,wheel_width,sinkage", "0.1,80,0.05,1,,,0.01", "0.4,95,0.1,3,5,0.1,0.02"]
-    (tmp_path / "data.csv").write_text("\n".join(rows))
-    found = MODEL.predict(read_table(tmp_path / "data.csv"))
-    same = MODEL.predict({
-        "slip": [0.1, 0.4], "load": [80, 95], "speed": [0.05, 0.1], "pass": [1, 3], "grade_deg": [0, 5],
-        "wheel_width": [0.12, 0.1],
-    })  # fmt: skip
-    np.testing.assert_array_equal(stacked(found), stacked(same))
-
-
-def test_supported_says_whether_every_row_is_carried():
-    assert MODEL.predict(conditions()).supported
-    assert not MODEL.predict(conditions(load=[90.0, 90.0, 1e6, 90.0, 90.0])).supported
 
 
 def test_friction_shows_where_no_speed_is_given():
@@ -119,13 +101,7 @@ def test_friction_shows_where_no_speed_is_given():
         ({"sped": 1.0}, "did you mean 'speed'"),
         ({"slip": None}, "conditions: missing slip"),
         ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
-        ({"grade_deg": 100.0}, "conditions: grade_deg: expected degrees"),
         ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
-        ({"load": 0.0}, "load > 0 N"),
-        ({"load": "heavy"}, "conditions: load: expected numbers"),
-        ({"speed": -0.1}, "conditions: speed"),
-        ({"pass": 0}, "conditions: pass"),
-        ({"wheel_radius": 0.0}, "conditions: wheel_radius"),
         ({"grouser_height": 0.15}, "conditions: grouser_height: expected metres, less than the wheel radius"),
         ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
     ],
@@ -136,13 +112,6 @@ def test_wrong_conditions_are_refused_in_one_line(change, message):
     with pytest.raises(ParameterError, match=message) as error:
         MODEL.predict(given)
     assert "\n" not in str(error.value)
-
-
-def test_lugs_longer_than_the_radius_are_refused():
-    with pytest.raises(
-        ParameterError, match="grouser_height = 0.2: expected metres, less than the wheel radius 0.15 m"
-    ):
-        ModelWheel(0.15, 0.12, 0.2)
 
 
 # --- residual terms ---------------------------------------------------------------------------------------------------
@@ -182,25 +151,7 @@ def test_save_and_load(tmp_path, model):
     assert yaml.safe_load(path.read_text())["format"] == "soil_env model 1"
 
 
-def content(**change):
-    full = {
-        "format": "soil_env model 1",
-        "wheel": {"radius": 0.15, "width": 0.12},
-        "soil": {
-            "friction_angle_deg": 30, "cohesion": 1000, "shear_modulus": 0.02, "sinkage_exponent": 0.8,
-            "sinkage_coefficient": 8e5,
-        },
-        "effects": {"bulldozing": {"rankine": 1.0}},
-    }  # fmt: skip
-    return {k: v for k, v in (full | change).items() if v is not None}
-
-
-def test_a_file_needs_wheel_and_soil_only(tmp_path):
-    path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump(content(format=None, effects=None)))
-    assert WheelSoilModel.load(path).effects == {}
-    path.write_text(yaml.safe_dump(content()) + "residual:\n")
-    assert WheelSoilModel.load(path).residual == ()
+BARE = {"wheel": {"radius": 0.15, "width": 0.12}, "soil": SOIL.__dict__ | {"k_c": None, "k_phi": None}}
 
 
 @pytest.mark.parametrize(
@@ -208,44 +159,30 @@ def test_a_file_needs_wheel_and_soil_only(tmp_path):
     [
         ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
         ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
-        ({"wheel": None}, "missing wheel"),
         ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
-        ({"soil": {"cohesion": 1.0}}, "soil: missing friction_angle_deg"),
         ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
+        ({"effects": {"bulldozing": {"rankin": 1.0}}}, "bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
         ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
-        ({"effects": ["bulldozing"]}, "effects: expected a mapping"),
         ({"residual": {"channel": "torque"}}, "residual: expected a list of terms"),
-        ({"residual": [{"channel": "power", "coefficient": 1.0}]}, "residual.channel = 'power': expected one of"),
         ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
-        ({"gravity": -1.0}, "gravity = -1.0: expected a number in"),
+        ({"validity": {"slip": [1, 0]}}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
     ],
     ids=str,
 )
 def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
     path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump(content(**change)))
+    path.write_text(yaml.safe_dump(BARE))
+    assert WheelSoilModel.load(path).effects == {}
+    path.write_text(yaml.safe_dump(BARE | change))
     with pytest.raises(ParameterError, match=message) as error:
         WheelSoilModel.load(path)
     assert str(error.value).startswith(f"{path}: ")
     assert str(error.value).count(str(path)) == 1 and "\n" not in str(error.value)
 
 
-def test_without_a_soil_nothing_is_predicted(tmp_path):
-    path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump(content(soil=None)))
-    with pytest.raises(ParameterError, match="soil"):
-        WheelSoilModel.load(path).predict(conditions())
-
-
 # --- range of validity ------------------------------------------------------------------------------------------------
 
-RANGE = {
-    "slip": (0.05, 0.6),
-    "load": (100.0, 200.0),
-    "speed": (0.02, 0.1),
-    "pass": (1.0, 3.0),
-    "grade_deg": (-5.0, 5.0),
-}
+RANGE = {"slip": (0.05, 0.6), "load": (100.0, 200.0), "speed": (0.02, 0.1)}
 
 
 @pytest.mark.parametrize(
@@ -263,45 +200,6 @@ def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(condition
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert np.array_equal(model.predict(conditions).sinkage, there.sinkage)
+        model.predict({"slip": [0.05, 0.6], "load": [100, 200], "speed": [0.02, 0.1]})  # the ends
     plain = replace(model, validity={}).predict(conditions)
     assert np.array_equal(plain.sinkage, there.sinkage) and np.array_equal(plain.torque, there.torque)
-
-
-def test_within_its_range_and_at_its_ends_there_is_no_warning():
-    model = WheelSoilModel(WHEEL, SOIL, validity=RANGE)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        model.predict({"slip": [0.05, 0.6], "load": [100, 200], "speed": [0.02, 0.1], "pass": 3, "grade_deg": -5})
-        model.predict({"slip": 0.1, "load": 150})  # the speed is not known
-
-
-@pytest.mark.parametrize(
-    "validity, message",
-    [
-        ({"slop": [0, 1]}, "validity: unknown key 'slop'; did you mean 'slip'"),
-        ({"slip": [1, 0]}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
-        ({"slip": [0, float("nan")]}, "validity.slip = "),
-        ([0, 1], "validity: expected a mapping"),
-    ],
-)
-def test_what_is_no_range_is_refused(validity, message):
-    with pytest.raises(ParameterError, match=message):
-        checked(validity)
-    with pytest.raises(ParameterError, match=message):
-        WheelSoilModel.from_content({"wheel": {"radius": 0.15, "width": 0.1}, "validity": validity})
-
-
-@pytest.mark.parametrize(
-    "make, message",
-    [
-        (lambda: WheelSoilModel.load(3), "expected the path of a model.yaml"),
-        (lambda: load_model(""), "expected the path of a model.yaml"),
-        (lambda: MODEL.predict(None), "conditions = None: expected a Table or a mapping"),
-        (lambda: WheelSoilModel(None), "WheelSoilModel.wheel = None: expected a ModelWheel"),
-        (lambda: WheelSoilModel(WHEEL, SOIL, {}, None), "residual = None: expected a sequence"),
-    ],
-)
-def test_wrong_types_are_one_line(make, message):
-    with pytest.raises(ParameterError, match=message) as error:
-        make()
-    assert "\n" not in str(error.value)

@@ -1,17 +1,20 @@
-"""The reaction with effects: its derivatives, lanes against floats, and each added force against its own equation."""
+"""The reaction with effects: its derivatives, and each added force against its own equation.
+
+Lanes are compared with floats in tests/simulation/test_worlds.py.
+"""
 
 import math
 
 import numpy as np
 import pytest
 
-from soil_env.parameters import SoilState, soils
-from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, grousers, pack_effects
-from soil_env.terramechanics.residual import ResidualTerm, residual_law
+from soil_env.parameters import soils
+from soil_env.terramechanics import contact, reaction
+from soil_env.terramechanics.effects import acting, grousers, pack_effects
+from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
-from tests.terramechanics.reactions import ground_in_lanes, react, react_in_lanes
+from tests.terramechanics.reactions import react
 
 R, GRAVITY = 0.15, 9.81
 EVERY = [*ACTING, "together", "none"]
@@ -104,10 +107,6 @@ def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f
     return reaction.at_the_axle(f, bulldozing, blades, pull, torque, v, u, wheel_with(case))
 
 
-def test_without_effects_nothing_is_added():
-    assert axle("none") == FLAT
-
-
 @pytest.mark.parametrize(("v", "sign"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])
 def test_bulldozing_resists_the_travel(v, sign):
     found = axle("none", v=v, bulldozing=12.0)
@@ -129,25 +128,6 @@ def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
     assert wheel.rim_ratio == wheel.shear_ratio == 1.0
 
 
-@pytest.mark.parametrize(("case", "u"), [
-    ("drivetrain_friction-coulomb", 0.4), ("drivetrain_friction-coulomb_and_load", -0.4),
-    ("drivetrain_friction-coulomb_and_viscous", 0.4), ("together", 0.4),
-])  # fmt: skip
-def test_friction_of_the_drivetrain_is_that_of_the_steady_state(case, u):
-    """`drive_torque` of the torque at the axle, here and in `steady_with`; it never gives energy."""
-    wheel = wheel_with(case)
-    at_axle = wheel.shear_ratio * FLAT.torque
-    expected = effects.drive_torque(at_axle, u / R, reaction.REST_SPEED / R, wheel.effects)
-    found = axle(case, u=u)
-    assert found.torque == pytest.approx(expected)
-    assert (found.torque - at_axle) * u > 0.0
-
-
-def test_the_residual_law_is_added_as_it_is():
-    found = axle("none", pull=-3.0, torque=0.7)
-    assert found.drawbar_pull == FLAT.drawbar_pull - 3.0 and found.torque == FLAT.torque + 0.7
-
-
 def test_a_base_reaction_is_that_of_the_whole_without_effects():
     soil, wheel, rng = soils()["lete_sand"].state(R), wheel_with("none"), np.random.default_rng(3)
     for _ in range(50):
@@ -157,70 +137,3 @@ def test_a_base_reaction_is_that_of_the_whole_without_effects():
         assert react(ground, v, u, load, wheel) == pytest.approx(
             reaction.reaction(v, u, sinkage, load, soil, R, R), rel=1e-12
         )
-
-
-# --- lanes and floats -------------------------------------------------------------------------------------------------
-
-
-def eight(seed):
-    """(x [13, 8] as `ground_in_lanes` takes it, speeds [3, 8]) of eight wheels in all kinds of motion."""
-    rng, names = np.random.default_rng(seed), sorted(soils())
-    ground = np.array([soils()[str(name)].state(R) for name in rng.choice(names, 8)]).T
-    pairs = np.array([motion(rng) for _ in range(8)]).T
-    x = np.vstack([
-        rng.uniform(0.004, 0.12, 8), pairs, rng.uniform(50.0, 250.0, 8), rng.uniform(-0.3, 0.3, 8),
-        rng.choice([1.0, 2.0], 8), ground,
-    ])  # fmt: skip
-    return np.ascontiguousarray(x), np.vstack([pairs * rng.uniform(0.9, 1.1, (2, 8)), rng.uniform(50.0, 250.0, 8)])
-
-
-def ground_of(x, k, wheel):
-    return reaction.ground_under(*(float(v) for v in x[:4, k]), SoilState(*map(float, x[6:, k])), float(x[4, k]),
-                                 float(x[5, k]), wheel)  # fmt: skip
-
-
-@pytest.mark.parametrize("case", EVERY)
-def test_the_ground_is_the_same_in_lanes(case):
-    """Soil in contact, arc, digging, bulldozing, blades, residual law."""
-    wheel, out = wheel_with(case), np.empty((16, 8))
-    for seed in range(6):
-        x, _ = eight(seed)
-        ground_in_lanes(x, wheel, out)
-        for k in range(8):
-            g = ground_of(x, k, wheel)
-            expected = [*g.soil, *g.arc[:4], *g[2:]]
-            np.testing.assert_allclose(out[:, k], expected, rtol=1e-13, atol=1e-14)
-
-
-@pytest.mark.parametrize("case", EVERY)
-def test_the_reaction_is_the_same_in_lanes(case):
-    """But for the order of sums over the nodes: relative to the load, and to the largest derivative of the kind."""
-    wheel, out = wheel_with(case), np.empty((10, 8))
-    for seed in range(6):
-        x, speeds = eight(seed)
-        react_in_lanes(x, speeds, wheel, out)
-        for k in range(8):
-            v, u, load = map(float, speeds[:, k])
-            f = react(ground_of(x, k, wheel), v, u, load, wheel)
-            steep = max(map(abs, f[4:8])) + 1.0
-            size = np.array(
-                [
-                    load,
-                    load,
-                    load,
-                    f.sinkage_coefficient,
-                    *[steep] * 4,
-                    *[abs(f.sinkage_coefficient_v) + abs(f.sinkage_coefficient_u)] * 2,
-                ]
-            )
-            if f.sinkage_coefficient > 0.0:
-                size *= max(
-                    1.0, f.sinkage_coefficient * x[0, k] ** x[10, k] * R * R / load
-                )  # where shear lifts against the stress
-            assert np.all(np.abs(out[:, k] - f) <= 1e-13 * size + 1e-13), (seed, k)
-
-
-def test_every_effect_is_seen_by_these_tests():
-    assert {case.split("-")[0] for case in ACTING} | {"slip_bias", "sinkage_offset"} == set(CATALOGUE)
-    assert wheel_with("none").effects == NO_EFFECTS and not wheel_with("none").on
-    assert isinstance(RESIDUAL[0], ResidualTerm)

@@ -1,4 +1,4 @@
-"""`model.steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
+"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
 
 import math
 
@@ -7,44 +7,21 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState
-from soil_env.terramechanics import model
 from soil_env.terramechanics.effects import CATALOGUE, pack_effects, true_slip
-from soil_env.terramechanics.model import Conditions, Rim, predict_rows, steady_with
+from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, predict_rows, steady_with
 from tests.terramechanics import reference
+from tests.terramechanics.cases import values
 
-#: Sizes from which parameters are drawn, by effect.
-SIZES = {
-    "slip_sinkage": {
-        "gain": (0, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (0, 0.02),
-    },
-    "rear_contact": {"ratio": (0, 0.8)},
-    "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
-    "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
-    "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
-    "multipass": {
-        "hardening": (-0.3, 0.8), "slip_gain": (-0.3, 0.5), "slip_scale": (0.05, 0.5), "per_pass": (-0.05, 0.3),
-        "cohesion": (-0.3, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
-        "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
-    },
-    "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
-    "shear_rate": {
-        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.1, 0.4), "onset_speed": (0.005, 0.1),
-        "reference_speed": (0.005, 0.1),
-    },
-    "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
-    "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
-    "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},
-    "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
-    "sinkage_offset": {"offset": (-0.01, 0.01)},
-}  # fmt: skip
 FORMS = [(name, form) for name, effect in CATALOGUE.items() for form in effect.forms]
 
 
-def values(name, form, rng):
-    """Random parameters of one form of an effect."""
-    sizes = SIZES[name]
-    drawn = {p: float(rng.uniform(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes}
-    return {name: drawn | dict(form.fixed)}
+def random_effects(rng, count):
+    """{effect: parameters} of `count` effects, each in one of its forms."""
+    out = {}
+    for name in rng.choice(list(CATALOGUE), count, replace=False):
+        forms = CATALOGUE[str(name)].forms
+        out |= values(str(name), forms[rng.integers(len(forms))], rng.uniform)
+    return out
 
 
 def random_place(rng):
@@ -108,36 +85,24 @@ def random_slip(rng):
 def test_one_effect_against_quadrature(name, form, case):
     rng = np.random.default_rng([case, *map(ord, name + form.name)])
     soil, site, load = random_place(rng)
-    compare(soil, random_slip(rng), load, site, values(name, form, rng))
+    compare(soil, random_slip(rng), load, site, values(name, form, rng.uniform))
 
 
-@pytest.mark.parametrize("seed", range(30))
-def test_the_base_model_against_quadrature(seed):
-    """Half of the soils dig."""
-    rng = np.random.default_rng(100 + seed)
-    soil, site, load = random_place(rng)
-    compare(soil, random_slip(rng), load, site, {})
+def test_the_base_model_against_quadrature():
+    """Half of the soils dig; most carry the wheel, else nothing would be judged."""
+    carried = 0
+    for seed in range(30):
+        rng = np.random.default_rng(100 + seed)
+        soil, site, load = random_place(rng)
+        carried += compare(soil, random_slip(rng), load, site, {})
+    assert carried > 24
 
 
 @pytest.mark.parametrize("seed", range(50))
 def test_effects_together_against_quadrature(seed):
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
-    effects = {}
-    for name in rng.choice(list(CATALOGUE), rng.integers(2, 6), replace=False):
-        forms = CATALOGUE[str(name)].forms
-        effects |= values(str(name), forms[rng.integers(len(forms))], rng)
-    compare(soil, random_slip(rng), load, site, effects)
-
-
-def test_most_of_these_cases_are_carried():
-    """Guards the comparisons against judging nothing."""
-    rng = np.random.default_rng(7)
-    carried = 0
-    for _ in range(60):
-        soil, site, load = random_place(rng)
-        carried += steady(soil, random_slip(rng), load, site, {}).supported
-    assert carried > 50
+    compare(soil, random_slip(rng), load, site, random_effects(rng, rng.integers(2, 6)))
 
 
 # --- equivalent cases -------------------------------------------------------------------------------------------------
@@ -146,80 +111,20 @@ SOIL = SoilState(math.tan(math.radians(32.0)), 800.0, 0.015, 9e5, 0.9, 0.0, 0.5)
 SITE = reference.Site(0.15, 0.12, 0.012, 0.1, 1.0, 0.0, 15000.0)
 
 
-@pytest.mark.parametrize("slip", [-0.4, 0.1, 0.6])
-def test_a_larger_radius_is_a_larger_wheel(slip):
-    lugs = steady(SOIL, slip, 90.0, SITE, {"grousers": {"radius_share": 1.0}})
-    assert lugs == pytest.approx(steady(SOIL, slip, 90.0, SITE._replace(r=0.162, lug=0.0), {}), rel=1e-5)
-
-
-@pytest.mark.parametrize("share", ["shear_share", "radius_share"])
-@pytest.mark.parametrize("slip", [0.0, 0.1, 0.6])
-def test_slip_at_the_rim_is_more_slip_at_the_tips(share, slip):
-    """V/(r w) = 1 - i at the rim is (1 - i) r/R at tips of radius R."""
-    tips = 1.0 - (1.0 - slip) * 0.15 / (0.15 + 0.5 * 0.012)
-    at_rim = steady(SOIL, slip, 90.0, SITE, {"grousers": {share: 0.5, "slip_at_rim": 1.0}})
-    assert at_rim == pytest.approx(steady(SOIL, tips, 90.0, SITE, {"grousers": {share: 0.5}}), rel=1e-5)
-
-
-def test_digging_of_the_effect_is_digging_of_the_soil():
-    digging = SOIL._replace(dig_gain=2.0, dig_recovery=0.7)
-    effect = {"slip_sinkage": {"gain": 2.0, "recovery": 0.7}}
-    for slip in (-0.5, 0.2, 0.7):
-        assert steady(SOIL, slip, 90.0, SITE, effect) == steady(digging, slip, 90.0, SITE, {})
-
-
-def test_biased_slip_is_another_slip():
-    for effect, slip in (({"offset": 0.04}, 0.34), ({"radius_error": 0.04}, 0.3 + 0.04 * 0.7)):
-        found = steady(SOIL, 0.3, 90.0, SITE, {"slip_bias": effect})
-        assert found == pytest.approx(steady(SOIL, slip, 90.0, SITE, {}), rel=1e-12)
-
-
-def test_apparent_slip_sinkage_multiplies_the_sinkage_alone():
-    plain = steady(SOIL, 0.4, 90.0, SITE, {})
-    deeper = steady(SOIL, 0.4, 90.0, SITE, {"slip_sinkage": {"gain": 1.5, "recovery": 0.5, "apparent": 1.0}})
-    assert deeper.sinkage == pytest.approx(1.75 * plain.sinkage)  # (1 + i)/(1 - 0.5 i)
-    assert deeper[1:] == plain[1:]
-
-
 @pytest.mark.parametrize(("gain", "slip"), [(0.5, 0.9), (0.5, 1.0), (10.0, 1.0)])
 def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, slip):
     """Without recovery the ratio 1 + g i/(1 - i) has no bounds of its own."""
     fx = {"slip_sinkage": {"gain": gain, "recovery": 0.0, "apparent": 1.0}}
-    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= model.DEEPEST * 0.15
-
-
-def test_the_weight_on_a_slope():
-    """Normal load W cos b, and W sin b less pull; uphill and downhill alike otherwise."""
-    effect, b = {"grade": {"share": 1.0}}, math.radians(10.0)
-    up, down = (steady(SOIL, 0.3, 90.0, SITE._replace(grade=sign * b), effect) for sign in (1.0, -1.0))
-    level = steady(SOIL, 0.3, 90.0 * math.cos(b), SITE, {})
-    assert up.drawbar_pull == pytest.approx(level.drawbar_pull - 90.0 * math.sin(b), abs=1e-4)
-    assert down.drawbar_pull - up.drawbar_pull == pytest.approx(180.0 * math.sin(b))
-    assert (up.sinkage, up.torque) == pytest.approx((level.sinkage, level.torque), rel=1e-6)
-    assert (down.sinkage, down.torque) == (up.sinkage, up.torque)
-
-
-def test_wheel_speed_of_viscous_friction():
-    """w = V/(r (1 - i)) driven, V (1 + i)/r braked."""
-    for slip, turning in ((0.5, 0.1 / (0.15 * 0.5)), (-0.4, 0.1 * 0.6 / 0.15), (0.0, 0.1 / 0.15), (-1.0, 0.0)):
-        torque = [steady(SOIL, slip, 90.0, SITE, {"drivetrain_friction": {"viscous": v}}).torque for v in (0.0, 2.0)]
-        assert torque[1] - torque[0] == pytest.approx(2.0 * turning, abs=1e-9)
+    assert 0.0 < steady(SOIL, slip, 90.0, SITE, fx).sinkage <= DEEPEST * 0.15
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    length=st.floats(0.3, 3.0),
-    force=st.floats(0.1, 10.0),
-    speed=st.floats(0.2, 5.0),
-)
+@given(seed=st.integers(0, 10**6), length=st.floats(0.3, 3.0), force=st.floats(0.1, 10.0), speed=st.floats(0.2, 5.0))
 def test_units_do_not_matter(seed, length, force, speed):
     """Metres, newtons and seconds can be changed together: every law is right in its dimensions."""
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
-    slip, effects = random_slip(rng), {}
-    for name in CATALOGUE:
-        effects |= values(name, CATALOGUE[name].forms[rng.integers(len(CATALOGUE[name].forms))], rng)
+    slip, effects = random_slip(rng), random_effects(rng, len(CATALOGUE))
     pressure = force / length**2
     units = {
         ("slip_sinkage", "length"): length,
@@ -260,10 +165,7 @@ def table(seed, count=162):
     """(slip, load, wheels, conditions, soil, unit weight, effects) of a random table."""
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
-    effects = {}
-    for name in rng.choice(list(CATALOGUE), 3, replace=False):
-        forms = CATALOGUE[str(name)].forms
-        effects |= values(str(name), forms[rng.integers(len(forms))], rng)
+    effects = random_effects(rng, 3)
     wheels = np.stack([site.r * rng.uniform(0.9, 1.1, count), np.full(count, site.b), np.full(count, site.lug)], axis=1)
     grade = np.sin(np.radians(rng.uniform(-8.0, 8.0, count)))
     conditions = np.stack([10.0 ** rng.uniform(-2.0, 0.0, count), rng.integers(1, 4, count), grade], axis=1)
@@ -277,44 +179,24 @@ def rows(case, guess):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rows_are_single_points(seed):
+def test_rows_are_single_points_whatever_the_guess(seed):
     case = table(seed)
     slip, load, wheels, conditions, soil, weight, fx = case
-    carried, out = rows(case, np.zeros(slip.size))
+    guess = np.zeros(slip.size)
+    carried, cold = rows(case, guess)
     single = [
         steady_with(slip[k], load[k], soil, Rim(*wheels[k]), Conditions(*conditions[k]), weight, fx, 0.0)
         for k in range(slip.size)
     ]
-    np.testing.assert_array_equal(out, np.array([s[:3] for s in single]))
+    np.testing.assert_array_equal(cold, np.array([s[:3] for s in single]))
     assert carried == sum(s.supported for s in single)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_rows_do_not_depend_on_the_guess(seed):
-    case = table(seed)
-    r, load = case[2][:, 0], case[1]
-    carried, cold = rows(case, np.zeros(r.size))
-    rng = np.random.default_rng(seed)
+    r, rng = wheels[:, 0], np.random.default_rng(seed)
     size = np.stack([r, load, load * r], axis=1)
-    for guess in (10.0 ** rng.uniform(-6.0, 1.0, r.size) * r, np.full(r.size, 1e-300), np.full(r.size, 1e3)):
-        again, out = rows(case, guess)
+    # `guess` is renewed by the depth that was found; 1e3 is deeper than any wheel
+    for start in (guess, 10.0 ** rng.uniform(-6.0, 1.0, r.size) * r, np.full(r.size, 1e-300), np.full(r.size, 1e3)):
+        again, out = rows(case, start)
         assert again == carried
         np.testing.assert_array_less(np.abs(out - cold) / size, 2e-6)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_guesses_are_renewed(seed):
-    """By the depth of the hole, which the next call starts from; 0 where nothing carries."""
-    case = table(seed)
-    fx = case[-1]
-    guess = np.zeros(case[0].size)
-    _, out = rows(case, guess)
-    known = guess > 0.0
-    np.testing.assert_allclose(guess[known], out[known, 0] - fx.sinkage_offset_offset, rtol=1e-12)
-    again = guess.copy()
-    _, warm = rows(case, again)
-    size = np.stack([case[2][:, 0], case[1], case[1] * case[2][:, 0]], axis=1)
-    np.testing.assert_array_less(np.abs(warm - out) / size, 2e-6)
 
 
 @settings(max_examples=150, deadline=None)

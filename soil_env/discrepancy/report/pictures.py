@@ -29,11 +29,11 @@ _STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.
           "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
 
 
-def pictures(report: Report, form: str = "svg") -> dict[str, bytes]:
-    """{name: picture} of "predicted", "slip" and "ranking"; `form` is "svg" or "png"."""
+def pictures(report: Report) -> dict[str, bytes]:
+    """{name: SVG} of "predicted", "slip" and "ranking"."""
     with matplotlib.rc_context(_STYLE):
         drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
-        return {name: _saved(draw(report), form) for name, draw in drawn.items()}
+        return {name: _saved(draw(report)) for name, draw in drawn.items()}
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -42,11 +42,9 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _saved(figure: Figure, form: str) -> bytes:
+def _saved(figure: Figure) -> bytes:
     stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=130, metadata={"Date": None} if form == "svg" else None)
-    if form != "svg":
-        return stream.getvalue()
+    figure.savefig(stream, format="svg", metadata={"Date": None})
     text = stream.getvalue().decode("utf-8")
     return re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", text, flags=re.S).encode("utf-8")
 

@@ -20,7 +20,8 @@ from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
 from soil_env.identification.table.unknown_noise import FEW, Scatter
 from soil_env.measurement.doubts import load_doubt
-from soil_env.measurement.table import UNITS, Setup, Table
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import UNITS, Table
 
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion", "tilt_deg")
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees

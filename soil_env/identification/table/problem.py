@@ -43,7 +43,8 @@ from soil_env.identification.table.form_error import (
 )
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
 from soil_env.identification.table.rig import predict_table
-from soil_env.measurement.table import MEASURED, Setup, Table
+from soil_env.measurement.setup import Setup
+from soil_env.measurement.table import MEASURED, Table
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import Rows
 

@@ -9,7 +9,8 @@ import numpy as np
 from soil_env.identification.table.priors import known_digging, soil_state
 from soil_env.measurement.setup import Setup
 from soil_env.terramechanics.effects import Effects
-from soil_env.terramechanics.model import Rows, predict_rows
+from soil_env.terramechanics.model import Rows
+from soil_env.terramechanics.steady import predict_rows
 
 
 def predict_table(

@@ -13,9 +13,9 @@ from soil_env._numba.random_streams import normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import blend, row_soil
-from soil_env.terramechanics.model import Conditions, Rim, steady_with
 from soil_env.terramechanics.reaction import Interaction
 from soil_env.terramechanics.residual import dimensionless_groups, residual_at
+from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 
 _BISECTIONS = 8  # of the steepest grade on ground that slopes weaken

@@ -10,8 +10,8 @@ How to add an effect:
    the law returns x unchanged. Laws take floats or lanes: use `_numba.elementary`, and `where_less` for conditions.
 3. Add its name to `_NAMES` below. Model files, the simulated world, `WheelSoilModel.predict`, the discrepancy
    workflow, its report and the table of `text.markdown` have it from there.
-4. Add values of each form to `cases.py` and `test_steady_effects.py` in `tests/terramechanics`, and the law as its
-   source writes it to `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics`.
+4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source writes it to
+   `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics`.
 """
 
 from __future__ import annotations
