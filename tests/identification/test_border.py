@@ -10,31 +10,13 @@ from scipy.stats import multivariate_normal
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT
 from soil_env.driving.wheels import Simulation
+from soil_env.identification.online import soil_nodes
 from soil_env.identification.online.border import (
-    begin,
-    cross_here,
     cross_where_the_grade_changes,
-    end,
     follow_border,
     note_grade,
-    share_here,
 )
-from soil_env.identification.online.curve import (
-    FIELDS,
-    LOAD,
-    ON_BORDER,
-    PULL,
-    PULL_WEIGHT,
-    READINGS,
-    SINKAGE,
-    SINKAGE_WEIGHT,
-    SLIP,
-    SLIP_WEIGHT,
-    TORQUE,
-    TORQUE_WEIGHT,
-)
-from soil_env.identification.online.filter_bank import CANDIDATES, filter_numbers, new_banks, restart
-from soil_env.identification.online.soil_nodes import GAUSSIAN, LOG_WEIGHT, NODE_ROWS, OLD, SAME_SOIL, STAYS
+from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.ground import share_of_next
 
@@ -52,21 +34,6 @@ def _note(banks, x, pitch, looks, numbers):
         follow_border(banks, 0, numbers)
     if looks and banks.point.crossing[0] == 0.0:
         cross_where_the_grade_changes(banks, 0, numbers)
-
-
-@compiled_root
-def _cross_here(banks, numbers):
-    cross_here(banks, 0, numbers)
-
-
-@compiled_root
-def _end(banks, numbers):
-    end(banks, 0, numbers)
-
-
-@compiled_root
-def _share_here(banks, x, spread, numbers, out):
-    out[0], out[1] = share_here(banks, 0, x, spread, numbers)
 
 
 class Wheel:
@@ -175,59 +142,6 @@ def _look(banks, numbers):
     cross_where_the_grade_changes(banks, 0, numbers)
 
 
-def test_a_border_that_ends_is_behind():
-    """The grade is that of the new soil, and the search begins anew: no reading of the old soil counts."""
-    wheel = Wheel()
-    x = np.arange(0.0, 1.2, STEP)
-    for at, pitch in zip(x, pitches(x, 1.0, 0.2, np.random.default_rng(0), 1e-4), strict=True):
-        wheel.note(at, pitch)
-    assert wheel.crossing and wheel.p.rise[0] == pytest.approx(0.2, abs=0.02)
-    _end(wheel.banks, NUMBERS)
-    assert not wheel.crossing and wheel.p.grade[0] == pytest.approx(0.25, abs=0.02)
-    assert np.all(wheel.banks.candidates == 0.0) and len(wheel.banks.candidates[0]) == 2 * CANDIDATES
-    for at in np.arange(1.2, 3.0, STEP):
-        wheel.note(at, 0.25)
-        assert not wheel.crossing
-
-
-def test_a_next_soil_may_begin_before_it_is_believed():
-    """Its share rises while the pitch tells of a border that is not believed yet, and is taken back on it."""
-    rng, wheel, shares = np.random.default_rng(4), Wheel(), []
-    x = np.arange(0.0, 3.0, STEP)
-    for at, pitch in zip(x, pitches(x, 2.5, math.radians(4.0), rng), strict=True):
-        if wheel.crossing:
-            break
-        wheel.note(at, pitch)
-        shares.append((wheel.p.next_share[0], wheel.p.next_square[0]))
-    shares = np.array(shares)
-    assert wheel.crossing and wheel.p.next_share[0] == wheel.p.next_square[0] == 0.0
-    assert np.all((shares >= 0.0) & (shares <= 1.0)) and np.all(shares[:, 1] <= shares[:, 0] + 1e-12)
-    assert shares[:-1, 0].max() > 0.1 and np.median(shares[:60, 0]) < 0.03
-
-
-def on_bins(told, sd):
-    """What is left of a curve of two bins on a border and two behind it, at the end of it."""
-    wheel = Wheel()
-    _cross_here(wheel.banks, wheel.numbers)
-    wheel.p.points[0] = wheel.p.bins[0] = 4.0
-    wheel.p.crossing[0], wheel.p.fixed[0], wheel.p.border_variance[0] = 1.0, told, (sd * LENGTH) ** 2
-    wheel.p.mass[0] = 15.0
-    bins = wheel.banks.bins[0].reshape(-1, FIELDS)
-    for b in range(4):
-        bins[b, [READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT]] = 8.0, 0.2 + 0.1 * b, 1e4, 0.02, 1e8
-        bins[b, [PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT, LOAD]] = 14.0 + 5.0 * b, 4.0, 5.0 + b, 100.0, 147.0
-        bins[b, ON_BORDER] = 1.0 if b < 2 else 0.0
-    _end(wheel.banks, wheel.numbers)
-    return wheel, bins[: int(wheel.p.bins[0]), SLIP]
-
-
-@pytest.mark.parametrize(("told", "sd", "kept"), [(0.0, 0.05, 4), (0.0, 0.12, 2), (1.0, 0.05, 2)])
-def test_readings_on_a_border_of_unsure_place_are_dropped_behind_it(told, sd, kept):
-    wheel, slips = on_bins(told, sd)
-    np.testing.assert_allclose(slips, [0.2, 0.3, 0.4, 0.5][-kept:])
-    assert np.all(np.isfinite(wheel.banks.known[0])) and wheel.p.crossing[0] == 0.0
-
-
 # --- on courses -------------------------------------------------------------------------------------------------------
 
 
@@ -283,8 +197,12 @@ def weights_of_the_same_soil(changes):
         sim.restart(0)
         was = 0.0
         for step in range(420):
-            nodes = banks.nodes[0].reshape(NODE_ROWS, COUNT)
-            weight = math.exp(nodes[LOG_WEIGHT, STAYS]) if nodes[SAME_SOIL, STAYS] > 0.0 else 0.0
+            nodes = banks.nodes[0].reshape(soil_nodes.NODE_ROWS, COUNT)
+            weight = (
+                math.exp(nodes[soil_nodes.LOG_WEIGHT, soil_nodes.STAYS])
+                if nodes[soil_nodes.SAME_SOIL, soil_nodes.STAYS] > 0.0
+                else 0.0
+            )
             sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
             if was == 1.0 and banks.point.crossing[0] == 0.0:
                 found.append(weight)
@@ -321,18 +239,3 @@ def test_a_slope_on_the_same_soil_is_told_from_a_new_soil():
     assert len(same) >= 8 and len(other) >= 8
     assert np.median(same) > 5.0 * 0.05  # what is believed before the forces are known
     assert np.median(other) < 0.2 * 0.05
-
-
-def test_what_is_known_of_the_old_soil_is_kept_on_a_border():
-    sim = Simulation(1, SCENARIO, "identified", threads=1)
-    sim.seed(0, np.random.default_rng(2))
-    sim.restart(0)
-    for k in range(60):
-        sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
-    banks = sim.worlds.ids.banks
-    assert banks.point.crossing[0] == 0.0 and banks.point.points[0] > 3.0
-    before, mass = banks.known[0, :GAUSSIAN].copy(), banks.point.mass[0]
-    begin(banks, 0, NUMBERS, 1.0, 1e-4, 0.1)
-    np.testing.assert_array_equal(banks.known[0, OLD:], before)
-    np.testing.assert_array_equal(banks.known[0, :GAUSSIAN], NUMBERS.prior.forces)
-    assert banks.point.mass[0] == mass

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
@@ -33,17 +32,6 @@ def by_name(recent):
     return dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
 
 
-@given(st.lists(st.floats(-1e6, 1e6), min_size=SIZE, max_size=SIZE), st.integers(0, 100))
-@settings(max_examples=60, deadline=None)
-def test_probabilities_are_probabilities_and_grow_with_the_horizon(values, seed):
-    rng = np.random.default_rng(seed)
-    net = im.shipped_network()
-    inputs = np.array([values, np.array(values) * rng.normal(size=SIZE), net.mean + rng.normal(size=SIZE) / net.scale])
-    found = im.score_inputs(inputs, net)
-    assert np.isfinite(found).all() and (found >= 0.0).all() and (found <= 1.0).all()
-    assert (found[:, 1] >= found[:, 0]).all()
-
-
 def test_the_compiled_network_is_the_one_of_matrices():
     warning, rng, k = im.ImmobilisationWarning(load_scenario("mixed")), np.random.default_rng(1), np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.MEMORY)))
@@ -60,12 +48,6 @@ def test_averages_answer_a_step_with_their_time_constants():
         left = math.exp(-after * period / scale)
         assert found[f"slip_{scale:g}s"] == pytest.approx(0.8 - 0.5 * left, rel=1e-12)
         assert found[f"sinkage_{scale:g}s"] == pytest.approx(0.2)
-
-
-def test_averages_do_not_depend_on_the_control_period():
-    fine = im.warning_numbers(load_scenario("mixed", {"control": {"period": 0.05, "substep": 0.05}}))
-    changed = READING._replace(slip=0.8, pitch=0.3)
-    np.testing.assert_allclose(follow([READING] + [changed] * 10), follow([READING] + [changed] * 20, None, fine))
 
 
 def test_halts_are_left_out():
@@ -145,11 +127,6 @@ def views(scenario, steps):
     return out
 
 
-def test_without_a_camera_the_view_is_nothing():
-    for found, _ in views("mixed", 30):
-        assert [found[name] for name in im.INPUTS[im.BLIND :]] == [0.0] * (len(im.INPUTS) - im.BLIND)
-
-
 def test_with_a_camera_the_view_is_that_of_the_observation():
     ways, forks, before = [], {"open": 0, "settled": 0}, None
     for found, observed in views("two_lines", 1200):
@@ -171,14 +148,6 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
-
-
-def test_the_sensors_are_followed_only_where_they_are_asked_for():
-    for info, rows in (("full", 1), ("numeric", 1), ("short", 0), ("none", 0)):
-        env = SoilWheelEnv(info=info)
-        env.reset(seed=0)
-        env.step([0.3])
-        assert env.simulation.worlds.recent.shape == (rows, im.MEMORY)
 
 
 def test_held_actions_miss_no_reading():

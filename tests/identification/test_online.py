@@ -13,8 +13,7 @@ from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
-from soil_env.online import OnlineIdentifier
-from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
+from soil_env.parameters import Belief, SoilSpread, load_scenario, soils
 from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
 from tests.identification.observing import observe
@@ -269,13 +268,3 @@ def test_without_identification_a_wheel_drives_as_with_it():
     np.testing.assert_array_equal(a.state["x"], b.state["x"])
     assert a.ids.status[0] != Status.NO_DATA.value == b.ids.status[0]
     np.testing.assert_array_equal(b.ids.estimate[0], runs["none"].belief.identifier.prior)
-
-
-def test_what_asks_for_an_estimate_is_refused_without_identification():
-    off = {"belief": {"method": "none"}}
-    with pytest.raises(ParameterError, match="expected 'filter' for observation 'identified'"):
-        Simulation(1, load_scenario("mixed", off), "identified", 1)
-    with pytest.raises(ParameterError, match=r"reward\.information: expected 0 where belief\.method = 'none'"):
-        load_scenario("mixed", off | {"reward": {"information": 1.0}})
-    with pytest.raises(ParameterError, match="belief.method = 'none': expected 'filter'"):
-        OnlineIdentifier(wheels()["planetary_rover"], Belief(method="none"))

@@ -18,7 +18,6 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
-from soil_env.identification.table.report import text_of
 from soil_env.identification.table.unknown_noise import Scatter
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors, read_table
 from tests.terramechanics import reference
@@ -252,13 +251,6 @@ def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
 
 
-def test_refuses_a_wheel_above_the_ground(tmp_path):
-    rows = clean().copy()
-    rows[3, 2] = -0.001
-    with pytest.raises(ParameterError, match="row 5, sinkage = -0.001: expected metres in"):
-        identify_table(table_of(tmp_path, rows), setup_of())
-
-
 # --- what looks wrong ---------------------------------------------------------------------------------------------
 
 
@@ -271,22 +263,6 @@ def test_a_very_wide_prior_tells_no_more_than_the_admissible_range(tmp_path):
         assert e.parameters["friction_angle_deg"].value == pytest.approx(
             usual.parameters["friction_angle_deg"].value, abs=0.02
         )
-
-
-def test_doubts_units(tmp_path):
-    known, rng = ("cohesion", "sinkage_exponent"), np.random.default_rng(4)
-    table = table_of(tmp_path, clean(), rng)
-    assert identify_table(table, setup_of(known)).warnings == ()
-    ample = {name: 30.0 * sd for name, sd in SD.items()}
-    words = " ".join(identify_table(table, setup_of(known, ample)).warnings)
-    assert words.count("far smaller than its given noise") >= 2
-    rows = clean() * [1.0, 1e-3, 1.0, 1e-3, 1e-3]
-    words = " ".join(identify_table(table_of(tmp_path, rows), setup_of(("sinkage_exponent",), None)).warnings)
-    assert "The median load is 0.12 N" in words and "if it is kN" in words
-    odd = identify_table(table, setup_of(("sinkage_exponent",), cohesion=Prior(1.5, 0.5)))
-    assert any("looks like kPa" in w for w in odd.check_first) and set(odd.check_first) <= set(odd.warnings)
-    said = text_of(odd)
-    assert said.startswith("CHECK FIRST") and said.count("looks like kPa") == 1
 
 
 def test_intervals_stay_within_what_a_soil_can_be(tmp_path):

@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pytest
 
-from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
@@ -274,25 +273,6 @@ def test_ground_is_called_impassable_with_a_probability_and_not_where_it_was_cro
     assert len(_impassable(Aligned(0, time, rows, {}, 0.1), log_map, ground, values, status)) == 1  # its last 15 cm
 
 
-def test_lengths_are_those_of_the_wheel(tmp_path):
-    """A border is two radii long unless the belief says otherwise; a wheel stands by how fast it turns."""
-    wheel = {"radius": 0.05, "width": 0.04, "body_mass": 2}
-    found = read_map(write_map(tmp_path, {"wheel": wheel}))
-    assert found.belief.border == pytest.approx(0.1)
-    known = read_map(write_map(tmp_path, {"wheel": wheel, "belief": {"border": 0.3}}))
-    assert known.belief.border == 0.3 and read_map(write_map(tmp_path)).belief.border == pytest.approx(0.3)
-
-
-def test_a_ground_with_one_slip_has_no_table(without_digging):
-    log_map = without_digging
-    log = made(log_map, [(0.2, 6.0)], noise=1.0)
-    found = replay(log, log_map)
-    steady = steady_windows(log, log_map, found.ground)
-    parts = grounds(found, steady)
-    assert len(steady.rows) > 3 and not files(parts, steady, log_map, found.prior) and not commands(parts, steady)
-    assert "two slips" in advice(found, parts, steady)[1]
-
-
 def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap")
     (tmp_path / "out").mkdir()
@@ -324,10 +304,3 @@ def test_command_refuses_in_one_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "twist.y" in said and "/odom" in said
     assert not (tmp_path / "out").exists()
-
-
-def test_a_misspelt_section_of_the_map_is_told_as_such(tmp_path):
-    path = write_map(tmp_path)
-    path.write_text(path.read_text().replace("channels:", "chanels:"))
-    with pytest.raises(ParameterError, match="unknown key 'chanels'; did you mean 'channels'"):
-        read_map(path)
