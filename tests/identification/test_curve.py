@@ -17,10 +17,10 @@ WEIGHTED = (
 )
 
 
-def point(slip=0.2, sinkage=0.02, place=0.0, on_border=False, readings=8.0, pull=14.0, **weights):
+def point(slip=0.2, sinkage=0.02, place=0.0, on_border=False, readings=8.0):
     """A point [FIELDS] of the curve."""
     out = np.zeros(c.FIELDS)
-    out[[c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] = slip, sinkage, pull, 5.0
+    out[[c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] = slip, sinkage, 14.0, 5.0
     out[[c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1e4, 1e6, 1.0, 100.0
     out[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD, c.ON_BORDER]] = (
         readings,
@@ -30,8 +30,6 @@ def point(slip=0.2, sinkage=0.02, place=0.0, on_border=False, readings=8.0, pull
         0.03,
         float(on_border),
     )
-    for name, value in weights.items():
-        out[{"slip_weight": c.SLIP_WEIGHT, "pull_weight": c.PULL_WEIGHT}[name]] = value
     return out
 
 
@@ -70,12 +68,13 @@ def sums(bins):
     )
 
 
-floats = st.floats
+floats, weight = st.floats, st.floats(1e-3, 1e6)
 points = st.lists(
     st.tuples(
         floats(-0.4, 0.9), floats(1e-3, 0.2), floats(-50.0, 50.0), floats(-9.0, 9.0), floats(1.0, 200.0),
         floats(-0.4, 0.9), floats(-5.0, 5.0), floats(0.0, 0.2), st.booleans(), floats(1.0, 8.0),
-        st.lists(floats(1e-3, 1e6), min_size=4, max_size=4),
+        st.tuples(weight, weight, st.just(0.0) | weight, st.just(0.0) | weight),  # 0: not measured
+
     ),
     max_size=40,
 )  # fmt: skip

@@ -14,15 +14,14 @@ from soil_env.identification.online.curve_fit import begin_bin, fit, share_on_bo
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
 from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.terramechanics.ground import share_of_next
+from tests.identification.observing import symmetric
 from tests.identification.test_contact_slopes import reactions
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
 LOAD_N, R, B = 147.0, NUMBERS.radius, NUMBERS.width
 PRIOR = NUMBERS.prior.forces[: n.SOIL].copy()
-PRIOR_COVARIANCE = np.zeros((n.SOIL, n.SOIL))
-PRIOR_COVARIANCE[np.tril_indices(n.SOIL)] = NUMBERS.prior.forces[n.SOIL :]
-PRIOR_COVARIANCE += np.tril(PRIOR_COVARIANCE, -1).T
+PRIOR_COVARIANCE = symmetric(NUMBERS.prior.forces[n.SOIL :])
 SAND = soils()["lunar_nominal"].state(B)
 TRUTH = np.array([SAND.tan_phi, SAND.cohesion, SAND.sinkage_exponent, math.log(SAND.shear_modulus)])
 
@@ -93,9 +92,7 @@ class Fitted:
 
     @property
     def covariance(self):
-        out = np.zeros((n.SOIL, n.SOIL))
-        out[np.tril_indices(n.SOIL)] = self.banks.known[0, n.SOIL : n.GAUSSIAN]
-        return out + np.tril(out, -1).T
+        return symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
 
 
 class Judge:
@@ -106,15 +103,12 @@ class Judge:
         self.form = error * LOAD_N
         self.scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
 
-    def residual(self, x, fixed):
+    def residual(self, x, ln_K):
         """Of the prior, the bins' slips and sinkages, pulls and torques; x in standard deviations of the prior."""
-        soil = np.append(x[:3], fixed) if fixed is not None else x[:4]
-        soil = PRIOR + self.scale * soil
-        of_bins = x[3 if fixed is not None else 4 :].reshape(-1, 2)
+        soil, of_bins = PRIOR + self.scale * np.append(x[:3], ln_K), x[3:].reshape(-1, 2)
         away, P = soil - PRIOR, PRIOR_COVARIANCE
-        if fixed is not None:
-            slope = P[:3, 3] / P[3, 3]
-            away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
+        slope = P[:3, 3] / P[3, 3]
+        away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
         out = [np.linalg.solve(np.linalg.cholesky(P), away), of_bins.ravel()]
         for point, (slip_off, sinkage_off) in zip(self.points, of_bins, strict=True):
             slip = point[c.SLIP] + slip_off / math.sqrt(point[c.SLIP_WEIGHT])
@@ -125,20 +119,17 @@ class Judge:
             out.append([(point[c.PULL] - pull) / sd, (point[c.TORQUE] - torque) / of_torque])
         return np.concatenate([np.ravel(o) for o in out])
 
-    def solve(self, ln_K=None):
-        """(mean, covariance, chi-squared) of the soil, or of the other three unknowns at a given ln K."""
-        fixed = None if ln_K is None else (ln_K - PRIOR[3]) / self.scale[3]
-        free = 4 if ln_K is None else 3
-        start = np.zeros(free + 2 * len(self.points))
+    def solve(self, ln_K):
+        """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K."""
+        fixed, start = (ln_K - PRIOR[3]) / self.scale[3], np.zeros(3 + 2 * len(self.points))
         found = least_squares(self.residual, start, args=(fixed,), xtol=1e-12, ftol=1e-12, gtol=1e-10)
-        covariance = np.linalg.inv(found.jac.T @ found.jac)[:free, :free]
-        scale = self.scale[:free]
-        return PRIOR[:free] + scale * found.x[:free], covariance * np.outer(scale, scale), 2.0 * found.cost
+        covariance, scale = np.linalg.inv(found.jac.T @ found.jac)[:3, :3], self.scale[:3]
+        return PRIOR[:3] + scale * found.x[:3], covariance * np.outer(scale, scale), 2.0 * found.cost
 
 
-def noisy_points(seed, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points of `TRUTH` as they are measured."""
-    rng, points = np.random.default_rng(seed), exact_points(TRUTH, SLIPS, SINKAGES, sd)
+def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
+    """Points of a soil as they are measured."""
+    points = exact_points(soil, SLIPS, SINKAGES, sd)
     points[:, [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] += rng.standard_normal((len(points), 4)) * sd
     points[:, c.KEY] = SLIPS
     return points
@@ -147,7 +138,7 @@ def noisy_points(seed, sd=(4e-3, 3e-4, 0.25, 0.04)):
 @pytest.mark.parametrize("seed", range(3))
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
-    points = noisy_points(seed)
+    points = noisy_points(np.random.default_rng(seed))
     fitted, judge = Fitted(points), Judge(points)
     nodes = fitted.nodes
     log_weight = np.empty(COUNT)
@@ -160,9 +151,7 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
         log_weight[k] = -0.5 * away**2 - 0.5 * chi + 0.5 * np.linalg.slogdet(covariance)[1]
         if likely[k]:
             sd = np.sqrt(np.diag(covariance))
-            found = np.zeros((n.UNKNOWNS, n.UNKNOWNS))
-            found[np.tril_indices(n.UNKNOWNS)] = nodes[n.COVARIANCE : n.COVARIANCE + n.TRIANGLE, k]
-            found = (found + np.tril(found, -1).T)[:3, :3]
+            found = symmetric(nodes[n.COVARIANCE : n.COVARIANCE + n.TRIANGLE, k])[:3, :3]
             assert np.all(np.abs(nodes[:3, k] - mean) < 0.15 * sd), (k, (nodes[:3, k] - mean) / sd)
             np.testing.assert_allclose(found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08)
             assert nodes[n.COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
@@ -178,11 +167,7 @@ def test_errors_are_as_large_as_stated():
         soil = rng.multivariate_normal(PRIOR, PRIOR_COVARIANCE)
         if soil[0] < 0.25 or soil[1] < 0.0:
             continue
-        sd = (4e-3, 3e-4, 0.5, 0.08)
-        points = exact_points(soil, SLIPS, SINKAGES, sd)
-        points[:, [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] += rng.standard_normal((len(points), 4)) * sd
-        points[:, c.KEY] = SLIPS
-        fitted = Fitted(points, again=4)
+        fitted = Fitted(noisy_points(rng, soil, (4e-3, 3e-4, 0.5, 0.08)), again=4)
         scaled.append((fitted.mean - soil) / np.sqrt(np.diag(fitted.covariance)))
     inside = np.mean(np.abs(scaled) < 1.0, axis=0)
     assert np.all((inside > 0.5) & (inside < 0.9)), inside
