@@ -74,11 +74,12 @@ def by_numpy(mean, P, others):
 
 def test_precisions_add_up_and_the_prior_counts_once():
     other = MEAN + 0.3 * SD * np.array([1.0, -1.0, 1.0, 0.5, 1.0])
-    wheels = Wheels([MEAN, other], [covariance(), covariance(1.3)])
-    mean, variance = wheels.pooled()
-    expected = by_numpy(MEAN, covariance(), [(other, covariance(1.3))])
-    assert mean == pytest.approx(expected[0], rel=1e-9) and variance == pytest.approx(expected[1], rel=1e-9)
-    assert np.all(variance[SHARED] < 0.8 * np.diag(covariance())[SHARED])
+    others = [(other, covariance(1.3)), (MEAN - 0.3 * SD, covariance(0.9))]
+    for told in (others[:1], others, others[::-1]):
+        mean, variance = Wheels([MEAN, *(m for m, _ in told)], [covariance(), *(P for _, P in told)]).pooled()
+        expected = by_numpy(MEAN, covariance(), told)
+        assert mean == pytest.approx(expected[0], rel=1e-9) and variance == pytest.approx(expected[1], rel=1e-9)
+        assert np.all(variance[SHARED] < 0.8 * np.diag(covariance())[SHARED])
 
 
 def test_who_knows_no_more_than_the_prior_adds_nothing():

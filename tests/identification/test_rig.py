@@ -12,24 +12,13 @@ from scipy.optimize import brentq
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.measurement.table import NoiseLevels, Prior, Setup, SoilPriors, read_table
-from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, table_of
-from tests.terramechanics import reference
+from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, steady, table_of
 
 KNOWN = {"cohesion": Prior(SAND.cohesion, 0.0), "sinkage_exponent": Prior(SAND.sinkage_exponent, 0.0)}
 
 
 def setup_of(noise=SD, **options) -> Setup:
     return Setup(WHEEL, SoilPriors(**KNOWN), NoiseLevels(**(noise or {})), **options)
-
-
-def steady(slip: float, load: float) -> tuple[float, float, float]:
-    """(sinkage, drawbar pull, torque) at a load normal to the ground."""
-
-    def at(z):
-        return reference.forces(SAND, slip, math.acos(1.0 - z / WHEEL.radius), WHEEL.radius, WHEEL.width)
-
-    z = brentq(lambda z: at(z).load - load, 1e-6, 0.9 * WHEEL.radius, xtol=1e-10, rtol=1e-9)
-    return z, at(z).drawbar_pull, at(z).torque
 
 
 def table(folder, names: str, rows, seed: int | None = 0):
@@ -174,6 +163,3 @@ def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
     half = identify_table(quiet, setup_of())
     width = [p.high - p.low for p in (x.parameters["friction_angle_deg"] for x in (e, half))]
     assert width[0] == pytest.approx(width[1], rel=0.05)
-
-
-# --- units ------------------------------------------------------------------------------------------------------------

@@ -32,21 +32,23 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "data"
 
 
+def steady(slip, load, soil=SAND, wheel=WHEEL):
+    """(sinkage, drawbar pull, torque) at a load normal to the ground."""
+
+    def at(z):
+        return reference.forces(soil, slip, math.acos(1.0 - z / wheel.radius), wheel.radius, wheel.width)
+
+    z = brentq(lambda z: at(z).load - load, 1e-6, 0.9 * wheel.radius, xtol=1e-10, rtol=1e-9)
+    return z, at(z).drawbar_pull, at(z).torque
+
+
 @cache
 def clean(soil=SAND, slips=SLIPS, loads=LOADS, wheel=WHEEL):
     """Rows [N, 5] of slip, load, sinkage, drawbar pull, torque without noise."""
     rows = []
     for load in loads:
         for slip in slips:
-
-            def at(z, slip=slip):
-                return reference.forces(soil, slip, math.acos(1.0 - z / wheel.radius), wheel.radius, wheel.width)
-
-            def lacking(z, load=load, at=at):
-                return at(z).load - load
-
-            z = brentq(lacking, 1e-6, 0.9 * wheel.radius, xtol=1e-10, rtol=1e-9)
-            rows.append((slip, load, z, at(z).drawbar_pull, at(z).torque))
+            rows.append((slip, load, *steady(slip, load, soil, wheel)))
     return np.array(rows)
 
 
@@ -240,9 +242,6 @@ def test_says_that_the_model_does_not_fit(tmp_path):
     [
         (("sinkage", "torque"), slice(None), setup_of(), "no row has a sinkage, or both drawbar_pull and torque"),
         ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),
-        (("drawbar_pull", "torque"), slice(None), setup_of(), "no row has drawbar_pull or torque"),
-        ((), slice(None), setup_of(noise=SD | {"torque": 1e-300}), "noise.torque = 1e-300: expected at least"),
-        (("torque",), slice(0, 2), setup_of(), "4 measured values .* 5 parameters: expected at least 5"),
         (("torque",), slice(0, 2), setup_of(("cohesion",), None), "4 parameters .*sinkage noise .* at least 6"),
     ],
 )
@@ -321,19 +320,6 @@ def test_intervals_from_one_channel_are_students(count):
     found = linregress(x, y)
     half = t.ppf(0.975, count - 2) * found.stderr
     assert (low, high) == pytest.approx((found.slope - half, found.slope + half), abs=0.05 * half)
-
-
-def test_intervals_from_few_points_at_one_load(tmp_path):
-    """Two channels of unknown noise, four points: 95 % intervals; fewer than 51 of 60 has probability 5e-4."""
-    rows, rng = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,)), np.random.default_rng(9)
-    hits = {"friction_angle_deg": 0, "shear_modulus": 0}
-    for _ in range(60):
-        e = identify_table(table_of(tmp_path, rows, rng), setup_of(("cohesion", "sinkage_exponent"), None))
-        assert e.converged
-        for name in hits:
-            p = e.parameters[name]
-            hits[name] += p.low <= dict(zip(NAMES, SAND, strict=True))[name] <= p.high
-    assert min(hits.values()) >= 51, hits
 
 
 def test_intervals_from_four_drawbar_pulls_are_finite(tmp_path):
