@@ -120,7 +120,8 @@ def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
 def numbers_of(ids):
     """All that is remembered."""
     return np.concatenate([ids.estimate.ravel(), ids.sd.ravel(), ids.covariance.ravel(), ids.best_pull.ravel(),
-                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel(), ids.banks.candidates.ravel()])  # fmt: skip
+                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel(),
+                           ids.banks.candidates.ravel()])  # fmt: skip
 
 
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])

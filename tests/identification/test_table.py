@@ -322,6 +322,19 @@ def test_intervals_from_one_channel_are_students(count):
     assert (low, high) == pytest.approx((found.slope - half, found.slope + half), abs=0.05 * half)
 
 
+def test_intervals_from_few_points_at_one_load(tmp_path):
+    """Two channels of unknown noise, four points: 95 % intervals; fewer than 51 of 60 has probability 5e-4."""
+    rows, rng = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,)), np.random.default_rng(9)
+    hits = {"friction_angle_deg": 0, "shear_modulus": 0}
+    for _ in range(60):
+        e = identify_table(table_of(tmp_path, rows, rng), setup_of(("cohesion", "sinkage_exponent"), None))
+        assert e.converged
+        for name in hits:
+            p = e.parameters[name]
+            hits[name] += p.low <= dict(zip(NAMES, SAND, strict=True))[name] <= p.high
+    assert min(hits.values()) >= 51, hits
+
+
 def test_intervals_from_four_drawbar_pulls_are_finite(tmp_path):
     """Four slips, no torque, 20 draws: the sampling of the noise stays within its box, and intervals are finite."""
     rows, rng = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,)), np.random.default_rng(10)
