@@ -1,7 +1,5 @@
 """The traction curve: what it keeps of the points, and which points come into one bin."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -102,17 +100,6 @@ def test_nothing_is_lost_or_added(given_points):
         assert np.all((curve.bins[:, c.SLIP] >= low - 1e-9) & (curve.bins[:, c.SLIP] <= high + 1e-9))
 
 
-def test_places_on_a_border_are_told_apart():
-    """Each point there has a bin of its own, while there is room, whatever its slip."""
-    curve = Curve(*[point(place=0.02 * k, on_border=True) for k in range(5)], point())
-    assert curve.count == 6
-    full = Curve(*[point(place=0.05 * k, on_border=True) for k in range(c.BINS)])
-    changed, replaced = full.add(point(place=0.052, on_border=True))
-    assert full.count == c.BINS and replaced == -1 and changed == 1
-    spread = math.hypot(0.03, 0.001)
-    np.testing.assert_allclose(full.bins[1, [c.PLACE, c.SPREAD]], [0.051, spread], rtol=1e-9)
-
-
 def test_where_there_is_no_room_the_least_loss_is_taken():
     """Of bins that are nearest, those of few readings are merged first: the new point takes the place of one."""
     slips = [0.0, 0.05, 0.12, 0.2, 0.3, 0.44, 0.62, 0.85]
@@ -123,10 +110,3 @@ def test_where_there_is_no_room_the_least_loss_is_taken():
     changed, replaced = curve.add(point(-0.3, readings=100.0))
     assert (changed, replaced) == (3, 4)
     assert curve.bins[3, c.SLIP] == pytest.approx(0.25) and curve.bins[4, c.SLIP] == pytest.approx(-0.3)
-
-
-def test_bins_before_a_border_are_merged_before_those_on_it():
-    curve = Curve(*[point(0.1 * k) for k in range(4)], *[point(place=0.1 * k, on_border=True) for k in range(4)])
-    curve.add(point(0.33))
-    curve.add(point(0.9))
-    assert curve.count == c.BINS and (curve.bins[:, c.ON_BORDER] == 1.0).sum() == 4

@@ -173,16 +173,6 @@ def test_errors_are_as_large_as_stated():
     assert np.all((inside > 0.5) & (inside < 0.9)), inside
 
 
-def test_no_reading_of_a_channel_tells_nothing():
-    """Weight next to zero of pull and torque: what is known is the prior."""
-    points = exact_points(TRUTH, SLIPS, SINKAGES)
-    points[:, [c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1e-12
-    fitted = Fitted(points)
-    sd = np.sqrt(np.diag(PRIOR_COVARIANCE))
-    np.testing.assert_allclose((fitted.mean - PRIOR) / sd, 0.0, atol=0.01)
-    np.testing.assert_allclose(np.sqrt(np.diag(fitted.covariance)) / sd, 1.0, rtol=0.03)
-
-
 def share(x, spread, place, length):
     """(share of the new soil, its slope by the place of the border)."""
     out = np.zeros(2 * COUNT)

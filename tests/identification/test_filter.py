@@ -49,13 +49,6 @@ def test_a_point_is_a_few_readings():
     assert [n for n, outcome in enumerate(outcomes) if outcome == RENEWED] == [3, 5, 7, 9]
 
 
-def test_a_point_ends_where_the_slip_changes():
-    fed = Fed()
-    fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 3)
-    assert fed.feed(STEADY._replace(slip=0.4, rim_speed=0.1, speed=0.06)) == [RENEWED]
-    assert fed.p.points[0] == 1.0 and fed.bins[0, curve.READINGS] == 3.0
-
-
 def test_two_sensors_of_a_quantity_are_averaged_by_their_precision():
     """Slip by its sensor and by two speeds, pull by acceleration and mass, torque by that of the motor; by numpy."""
     fed = Fed()

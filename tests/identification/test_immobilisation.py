@@ -87,28 +87,6 @@ def test_inputs_have_the_estimate_without_dimension():
     assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
 
 
-VIEW = im.View(0.5, 0.3, 0.2, 3.0, True, False, -0.1, 0.25, 1.0, 0.2, 0.1, 0.0)
-
-
-def seen(view, radius=0.15):
-    """What the network reads of a view on a pitch of 0.1 rad, by name."""
-    plain = load_scenario("mixed", {"wheel": {"radius": radius, "width": radius}})
-    recent, numbers = follow([READING])[None], im.warning_numbers(plain)
-    im.see(recent, 0, view, numbers)
-    return dict(zip(im.INPUTS[im.BLIND :], recent[0, AVERAGES + 1 :], strict=True))
-
-
-def test_margins_of_a_view_are_over_the_grade_of_their_line():
-    found = seen(VIEW)
-    assert found["here_margin"] == pytest.approx(0.2 - math.tan(0.1)) and found["here_met"] == 2.0
-    assert found["line_margin"] == pytest.approx(0.25 + math.tan(0.1)) and found["line_met"] == 1.0
-    assert found["beside_margin"] == pytest.approx(0.1 - math.tan(0.2)) and found["beside_met"] == 0.0
-    assert found["grade_change"] == pytest.approx(-2.0 * math.sin(0.1))
-    assert (found["camera"], found["ahead_seen"], found["line_chosen"]) == (1.0, 1.0, 0.0)
-    assert (found["border_behind"], found["border_ahead"]) == (pytest.approx(0.5 / 0.15), pytest.approx(2.0))
-    assert seen(VIEW._replace(since=1.5, left=0.9), 0.45) == pytest.approx(found)  # lengths by the radius
-
-
 def views(scenario, steps):
     """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
     env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)

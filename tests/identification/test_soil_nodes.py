@@ -154,29 +154,3 @@ def test_a_soil_that_stays_the_same_is_known_as_well_as_before():
     soil.gather(banks, 0)
     sd = np.sqrt(np.diag(before))
     np.testing.assert_allclose(known(banks)[1] / np.outer(sd, sd), before / np.outer(sd, sd), atol=0.01)
-
-
-@pytest.mark.parametrize(("same", "stays"), [(0.9, True), (0.1, False)])
-def test_behind_a_border_the_likelier_soil_is_taken(filled, same, stays):
-    banks, numbers, _ = filled
-    learn(banks)
-    soil.gather(banks, 0)
-    soil.begin_next_soil(banks, 0, numbers)
-    soil.set_priors(banks, 0)
-    new = rows(banks)[soil.LN_K].copy()
-    learn(banks, 1, same)
-    w = np.exp(rows(banks)[soil.LOG_WEIGHT, : soil.STAYS])
-    banks.point.points[0], banks.point.bins[0] = 5.0, 3.0
-    assert soil.leave_old_soil(banks, 0) == stays
-    n = rows(banks)
-    np.testing.assert_array_equal(n[soil.SAME_SOIL], 0.0)
-    assert (banks.point.points[0], banks.point.bins[0]) == (5.0, 3.0)
-    old, P = known(banks, old=True)
-    centre, half = n[soil.LN_K].mean(), 0.5 * np.ptp(n[soil.LN_K])
-    if stays:
-        assert centre == pytest.approx(old[3]) and half == pytest.approx(soil.REACH * math.sqrt(P[3, 3]), rel=1e-6)
-        assert banks.prior[0, 0] == old[3]
-    else:
-        mean = (w @ new[: soil.STAYS]) / w.sum()
-        sd = math.sqrt((w @ (new[: soil.STAYS] - mean) ** 2) / w.sum())
-        assert centre == pytest.approx(mean) and half == pytest.approx(soil.REACH * sd, rel=1e-6)
