@@ -29,7 +29,7 @@ from soil_env.identification.online.identifier import (
     forget,
     identifier_numbers,
     new_identifiers,
-    new_replay,
+    new_outcomes,
     observe_rows,
 )
 from soil_env.identification.online.status import Status
@@ -215,7 +215,7 @@ class OnlineIdentifier:
         self._unknown = [_UNKNOWN * unit for unit in units]
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
-        self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_replay(1)
+        self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_outcomes(1)
         self.reset()
 
     def reset(self) -> None:

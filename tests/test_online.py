@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import soil_env  # noqa: F401  (registers SoilWheel-v0)
-from soil_env._io.loading import ParameterError
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, wheels
 
@@ -172,13 +171,6 @@ def test_slip_from_the_speeds_and_a_speed_from_the_slip():
     assert sd[0] < sd[1]
 
 
-def test_motion_that_is_not_known_is_passed_over():
-    identifier = OnlineIdentifier(WHEEL)
-    before = identifier.estimate
-    for _ in range(20):
-        assert identifier.update(STEADY._replace(wheel_speed=math.nan, slip=math.nan)) == before
-
-
 ABSURD = [
     {"sinkage": 22.0}, {"sinkage": 0.151}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5},
     {"time": 0.4}, {"time": math.inf}, {"load": 1e9}, {"load": -1e9}, {"motor_torque": 1e4}, {"pitch": 20.0},
@@ -200,42 +192,6 @@ def test_bad_readings_are_refused_and_leave_no_trace(wrong):
     for k in range(6, 16):
         a, b = one.update(STEADY._replace(time=0.1 * k)), other.update(STEADY._replace(time=0.1 * k))
         assert a == b
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [("planetary_rover",), (None,), (WHEEL, {"method": "filter"}), (WHEEL, BELIEF, 3), (WHEEL, Belief(soils=["snow"]))],
-)
-def test_arguments_of_another_type_are_named(arguments):
-    with pytest.raises(TypeError, match="^(wheel|belief|belief.soils|noise) = .*: expected a "):
-        OnlineIdentifier(*arguments)
-    with pytest.raises(TypeError, match="scenario"):
-        OnlineIdentifier.of_scenario(WHEEL)
-    with pytest.raises(TypeError, match="expected Readings"):
-        OnlineIdentifier(WHEEL).update(STEADY._asdict())
-    with pytest.raises(ValueError, match="load"):
-        OnlineIdentifier(WHEEL).traversability(load=math.nan)
-    for load in (-5, 0.0, True):
-        with pytest.raises(ParameterError, match=f"^load = {load}: expected a finite number > 0"):
-            OnlineIdentifier(WHEEL).traversability(load=load)
-    for pitch, expected in ((math.inf, "a finite number"), (2.0, "radians")):
-        with pytest.raises(ParameterError, match=f"^pitch = {pitch}: expected {expected}"):
-            OnlineIdentifier(WHEEL).traversability(pitch=pitch)
-
-
-def test_a_smaller_load_counts_as_a_twentieth_of_the_weight():
-    identifier = OnlineIdentifier(WHEEL)
-    weight = identifier.scenario.weight
-    assert identifier.traversability(load=1e-6) == identifier.traversability(load=0.05 * weight)
-    assert identifier.traversability(load=0.06 * weight) != identifier.traversability(load=0.05 * weight)
-
-
-@pytest.mark.parametrize(
-    "name, value", [("period", 0.0), ("period", None), ("gravity", -9.81), ("relaxation", math.nan), ("period", "1")]
-)
-def test_numbers_out_of_range_are_named(name, value):
-    with pytest.raises(ParameterError, match=f"^{name} = {value!r}: expected a number"):
-        OnlineIdentifier(WHEEL, **{name: value})
 
 
 def test_whatever_is_admitted_gives_a_soil():

@@ -5,16 +5,13 @@ from __future__ import annotations
 import base64
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib import resources
-from pathlib import Path
 
 import jinja2
-
-from soil_env._io.loading import ParameterError
 
 _NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a column of numbers begins
 
@@ -77,20 +74,6 @@ def wrapped(markdown: str, width: int = 120) -> str:
     lines = [b if b.startswith(fixed) else textwrap.fill(" ".join(b.split()), width, break_long_words=False,
                                                          break_on_hyphens=False) for b in blocks]  # fmt: skip
     return "\n\n".join(lines) + "\n"
-
-
-def renewed(text: str, parts: Mapping[str, str], where: str | Path) -> str:
-    """`text` with what stands between `<!-- NAME -->` and `<!-- end -->` replaced for each name of `parts`.
-
-    ParameterError, which names `where`, if there is not one such part for each.
-    """
-    for name, part in parts.items():
-        found = list(re.finditer(rf"<!-- {name} -->\n(.*?)<!-- end -->", text, flags=re.DOTALL))
-        if len(found) != 1:
-            markers = f"<!-- {name} --> ... <!-- end -->"
-            raise ParameterError(f"{where}: expected one pair of markers {markers}, found {len(found)}")
-        text = f"{text[: found[0].start(1)]}{part}\n{text[found[0].end(1) :]}"
-    return text
 
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:

@@ -98,17 +98,3 @@ def save_figure(figure, path: str | Path, **options) -> None:
     stream = io.BytesIO()
     figure.savefig(stream, format=Path(path).suffix[1:], **options)
     replace_file(path, stream.getvalue())
-
-
-def append_line(path: str | Path, text: str) -> None:
-    """Add a line to a file and wait until it is on the disk; where that fails the file is left as it was."""
-    with open(path, "ab", buffering=0) as stream:
-        size = stream.seek(0, os.SEEK_END)
-        try:
-            rest = memoryview(text.encode() + b"\n")
-            while rest:
-                rest = rest[stream.write(rest) :]
-            os.fsync(stream.fileno())
-        except OSError as error:
-            os.ftruncate(stream.fileno(), size)
-            raise OSError(error.errno, error.strerror, str(path)) from None

@@ -1,12 +1,32 @@
-"""One set of readings for one wheel, by the function that the online identifier calls."""
+"""Simulations and single readings for the tests of the identifier."""
+
+import math
 
 import numpy as np
 
-from soil_env.identification.online.identifier import new_replay, observe_rows
+from soil_env.driving.wheels import Simulation
+from soil_env.identification.online.identifier import new_outcomes, observe_rows
 
 
 def observe(ids, wheel, reading, numbers):
-    """What `reading` did to the estimate of a wheel of `ids`: `HELD`, `MOVED` or `RENEWED`."""
-    replay = new_replay(1)
-    observe_rows(ids, np.array([wheel]), np.array([reading], dtype=float), numbers, replay)
-    return replay.outcome.item()
+    """Outcome of `reading` for the estimate of a wheel of `ids`: `HELD`, `MOVED` or `RENEWED`."""
+    outcomes = new_outcomes(1)
+    observe_rows(ids, np.array([wheel]), np.array([reading], dtype=float), numbers, outcomes)
+    return outcomes.outcome.item()
+
+
+def started(scenario, *seeds):
+    """Simulation of identified wheels, one for each seed of `default_rng`, each at the start of its course."""
+    simulation = Simulation(len(seeds), scenario, "identified", threads=1)
+    for k, seed in enumerate(seeds):
+        simulation.seed(k, np.random.default_rng(seed))
+        simulation.restart(k)
+    return simulation
+
+
+def symmetric(triangle):
+    """Symmetric matrix of a lower triangle, row by row."""
+    n = round((math.sqrt(8 * len(triangle) + 1) - 1) / 2)
+    out = np.zeros((n, n))
+    out[np.tril_indices(n)] = triangle
+    return out + np.tril(out, -1).T

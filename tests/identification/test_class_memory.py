@@ -50,20 +50,6 @@ def combined(posteriors):
     return h / J, J**-0.5
 
 
-def test_a_class_not_met_is_the_prior(one):
-    np.testing.assert_array_equal(one.kept.patches, 0)
-    for c in range(3):
-        np.testing.assert_allclose(one.of(c), (PRIOR, WIDE), rtol=1e-12)
-    assert PRIOR[memory.PULL] == identifier_numbers(SCENARIO).prior_pull[0]
-
-
-def test_a_later_estimate_on_the_same_patch_replaces_the_earlier(one):
-    one.remember(1, 4, PRIOR - WIDE, SD)
-    one.remember(1, 4, ESTIMATE, 0.5 * SD)
-    np.testing.assert_allclose(one.of(1), (ESTIMATE, 0.5 * SD), rtol=1e-9)
-    assert one.kept.patches[0, 1] == 1
-
-
 def test_precisions_of_patches_add_up_and_the_prior_counts_once(one):
     told = [(ESTIMATE, SD), (ESTIMATE - 0.3 * SD, 0.8 * SD), (ESTIMATE + 0.1 * SD, 1.2 * SD)]
     for patch, (estimate, sd) in enumerate(told):

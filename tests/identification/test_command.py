@@ -5,9 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from soil_env._io.files import replace_files
 from soil_env.cli import main
 from tests.identification.test_table import EXAMPLE, NAMES
 
@@ -30,40 +27,8 @@ def test_command_line(tmp_path):
 
 
 def test_command_line_refuses_in_one_line(tmp_path, capsys):
-    (tmp_path / "data.csv").write_text("slip,load,sinkage\n0.1,100,30\n")
-    out = tmp_path / "out"
-    assert (
-        main(["identify", str(tmp_path / "data.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(out)]) == 2
-    )
+    data, out = tmp_path / "data.csv", tmp_path / "out"
+    data.write_text("slip,load,sinkage\n0.1,100,30\n")
+    assert main(["identify", str(data), "--setup", str(EXAMPLE / "setup.yaml"), "--out", str(out)]) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and "row 2, sinkage = 30" in said.err and not out.exists()
-    file = str(tmp_path / "data.csv")
-    assert (
-        main(["identify", str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml"), "--out", file])
-        == 2
-    )
-    assert "expected a folder" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("blocked", ["identification.json", "identification.png"])
-def test_writes_both_files_or_none(tmp_path, capsys, blocked):
-    (tmp_path / blocked).mkdir()
-    assert (
-        main(
-            [
-                "identify",
-                str(EXAMPLE / "single_wheel.csv"),
-                "--setup",
-                str(EXAMPLE / "setup.yaml"),
-                "--out",
-                str(tmp_path),
-            ]
-        )
-        == 2
-    )
-    assert f"{blocked}: is a folder" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == [blocked]
-    (tmp_path / "old").write_text("old")
-    with pytest.raises(OSError, match="no.folder"):
-        replace_files(tmp_path, {"old": b"new", "no/folder": b""})
-    assert (tmp_path / "old").read_text() == "old" and len(list(tmp_path.iterdir())) == 2

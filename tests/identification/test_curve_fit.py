@@ -9,50 +9,19 @@ from scipy.optimize import least_squares
 
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT, fill, to_array
-from soil_env.identification.online.contact_slopes import Slopes
-from soil_env.identification.online.curve import (
-    FIELDS,
-    KEY,
-    LOAD,
-    ON_BORDER,
-    PLACE,
-    PULL,
-    PULL_WEIGHT,
-    READINGS,
-    SINKAGE,
-    SINKAGE_WEIGHT,
-    SLIP,
-    SLIP_WEIGHT,
-    SPREAD,
-    TORQUE,
-    TORQUE_WEIGHT,
-    add,
-)
-from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form, share_on_border
+from soil_env.identification.online import curve as c, soil_nodes as n
+from soil_env.identification.online.curve_fit import begin_bin, fit, share_on_border
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.online.soil_nodes import (
-    COST,
-    COVARIANCE,
-    GAUSSIAN,
-    LN_K,
-    LOG_WEIGHT,
-    NODE_ROWS,
-    SOIL,
-    TRIANGLE,
-    UNKNOWNS,
-    begin_next_soil,
-)
 from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.terramechanics.ground import share_of_next
+from tests.identification.observing import symmetric
 from tests.identification.test_contact_slopes import reactions
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
 LOAD_N, R, B = 147.0, NUMBERS.radius, NUMBERS.width
-PRIOR = NUMBERS.prior.forces[:SOIL].copy()
-PRIOR_COVARIANCE = np.zeros((SOIL, SOIL))
-PRIOR_COVARIANCE[np.tril_indices(SOIL)] = NUMBERS.prior.forces[SOIL:]
-PRIOR_COVARIANCE += np.tril(PRIOR_COVARIANCE, -1).T
+PRIOR = NUMBERS.prior.forces[: n.SOIL].copy()
+PRIOR_COVARIANCE = symmetric(NUMBERS.prior.forces[n.SOIL :])
 SAND = soils()["lunar_nominal"].state(B)
 TRUTH = np.array([SAND.tan_phi, SAND.cohesion, SAND.sinkage_exponent, math.log(SAND.shear_modulus)])
 
@@ -62,9 +31,9 @@ def _feed(banks, points, border, numbers):
     misfit = 0.0
     for t in range(len(points)):
         p = banks.point
-        count, changed, replaced = add(banks.bins[0], int(p.bins[0]), points[t], border)
+        count, changed, replaced = c.add(banks.bins[0], int(p.bins[0]), points[t], border)
         if replaced >= 0 or count > int(p.bins[0]):
-            begin_bin(banks, 0, replaced if replaced >= 0 else changed, points[t, KEY])
+            begin_bin(banks, 0, replaced if replaced >= 0 else changed, points[t, c.KEY])
         p.bins[0], p.points[0] = count, p.points[0] + 1.0
         misfit = fit(banks, 0, changed, replaced, numbers)
     return misfit
@@ -90,11 +59,11 @@ def forces(soil, sinkage, slip, load=LOAD_N):
 
 def exact_points(soil, slips, sinkages, sd=(1e-3, 1e-4, 0.02, 0.003)):
     """Points [n, FIELDS] without noise; `sd` of slip, sinkage [m], pull [N] and torque [N m] are their weights."""
-    out = np.zeros((len(slips), FIELDS))
+    out = np.zeros((len(slips), c.FIELDS))
     for row, slip, sinkage in zip(out, slips, sinkages, strict=True):
-        row[[SLIP, SINKAGE, PULL, TORQUE]] = slip, sinkage, *forces(soil, sinkage, slip)
-        row[[SLIP_WEIGHT, SINKAGE_WEIGHT, PULL_WEIGHT, TORQUE_WEIGHT]] = 1.0 / np.square(sd)
-        row[[READINGS, LOAD, KEY, PLACE, SPREAD, ON_BORDER]] = 8.0, LOAD_N, slip, 0.1, 0.02, 0.0
+        row[[c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] = slip, sinkage, *forces(soil, sinkage, slip)
+        row[[c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1.0 / np.square(sd)
+        row[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD, c.ON_BORDER]] = 8.0, LOAD_N, slip, 0.1, 0.02, 0.0
     return out
 
 
@@ -115,17 +84,15 @@ class Fitted:
 
     @property
     def nodes(self):
-        return self.banks.nodes[0].reshape(NODE_ROWS, COUNT)
+        return self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
 
     @property
     def mean(self):
-        return self.banks.known[0, :SOIL].copy()
+        return self.banks.known[0, : n.SOIL].copy()
 
     @property
     def covariance(self):
-        out = np.zeros((SOIL, SOIL))
-        out[np.tril_indices(SOIL)] = self.banks.known[0, SOIL:GAUSSIAN]
-        return out + np.tril(out, -1).T
+        return symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
 
 
 class Judge:
@@ -136,97 +103,61 @@ class Judge:
         self.form = error * LOAD_N
         self.scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
 
-    def residual(self, x, fixed):
+    def residual(self, x, ln_K):
         """Of the prior, the bins' slips and sinkages, pulls and torques; x in standard deviations of the prior."""
-        soil = np.append(x[:3], fixed) if fixed is not None else x[:4]
-        soil = PRIOR + self.scale * soil
-        of_bins = x[3 if fixed is not None else 4 :].reshape(-1, 2)
+        soil, of_bins = PRIOR + self.scale * np.append(x[:3], ln_K), x[3:].reshape(-1, 2)
         away, P = soil - PRIOR, PRIOR_COVARIANCE
-        if fixed is not None:
-            slope = P[:3, 3] / P[3, 3]
-            away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
+        slope = P[:3, 3] / P[3, 3]
+        away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
         out = [np.linalg.solve(np.linalg.cholesky(P), away), of_bins.ravel()]
         for point, (slip_off, sinkage_off) in zip(self.points, of_bins, strict=True):
-            slip = point[SLIP] + slip_off / math.sqrt(point[SLIP_WEIGHT])
-            sinkage = point[SINKAGE] + sinkage_off / math.sqrt(point[SINKAGE_WEIGHT])
+            slip = point[c.SLIP] + slip_off / math.sqrt(point[c.SLIP_WEIGHT])
+            sinkage = point[c.SINKAGE] + sinkage_off / math.sqrt(point[c.SINKAGE_WEIGHT])
             pull, torque = forces(soil, sinkage, slip)
-            sd = math.sqrt(1.0 / point[PULL_WEIGHT] + self.form**2)
-            of_torque = math.sqrt(1.0 / point[TORQUE_WEIGHT] + (self.form * R) ** 2)
-            out.append([(point[PULL] - pull) / sd, (point[TORQUE] - torque) / of_torque])
+            sd = math.sqrt(1.0 / point[c.PULL_WEIGHT] + self.form**2)
+            of_torque = math.sqrt(1.0 / point[c.TORQUE_WEIGHT] + (self.form * R) ** 2)
+            out.append([(point[c.PULL] - pull) / sd, (point[c.TORQUE] - torque) / of_torque])
         return np.concatenate([np.ravel(o) for o in out])
 
-    def solve(self, ln_K=None):
-        """(mean, covariance, chi-squared) of the soil, or of the other three unknowns at a given ln K."""
-        fixed = None if ln_K is None else (ln_K - PRIOR[3]) / self.scale[3]
-        free = 4 if ln_K is None else 3
-        start = np.zeros(free + 2 * len(self.points))
+    def solve(self, ln_K):
+        """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K."""
+        fixed, start = (ln_K - PRIOR[3]) / self.scale[3], np.zeros(3 + 2 * len(self.points))
         found = least_squares(self.residual, start, args=(fixed,), xtol=1e-12, ftol=1e-12, gtol=1e-10)
-        covariance = np.linalg.inv(found.jac.T @ found.jac)[:free, :free]
-        scale = self.scale[:free]
-        return PRIOR[:free] + scale * found.x[:free], covariance * np.outer(scale, scale), 2.0 * found.cost
+        covariance, scale = np.linalg.inv(found.jac.T @ found.jac)[:3, :3], self.scale[:3]
+        return PRIOR[:3] + scale * found.x[:3], covariance * np.outer(scale, scale), 2.0 * found.cost
 
 
-@pytest.mark.parametrize("name", ["lunar_nominal", "dry_sand", "quartz_sand"])
-def test_exact_points_give_the_soil(name):
-    """Readings without noise, at slips of all sizes: the soil comes out within half of the stated errors.
-
-    The sensors are ten times better than a rover's, but not exact: nodes lie no closer than 0.017 of ln K.
-    """
-    soil = soils()[name].state(B)
-    truth = np.array([soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)])
-    fitted = Fitted(exact_points(truth, SLIPS, SINKAGES, sd=(4e-4, 4e-5, 0.05, 0.008)), error=3e-4)
-    away, sd = fitted.mean - truth, np.sqrt(np.diag(fitted.covariance))
-    assert np.all(np.abs(away) < [0.03, 200.0, 0.1, 0.03]), away
-    assert np.all(np.abs(away) < [sd[0], sd[1], 1.5 * sd[2], sd[3]]), away / sd
-    assert sd[3] < 0.06 and fitted.misfit < 4.0
-
-
-def noisy_points(seed, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points of `TRUTH` as they are measured."""
-    rng, points = np.random.default_rng(seed), exact_points(TRUTH, SLIPS, SINKAGES, sd)
-    points[:, [SLIP, SINKAGE, PULL, TORQUE]] += rng.standard_normal((len(points), 4)) * sd
-    points[:, KEY] = SLIPS
+def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
+    """Points of a soil as they are measured."""
+    points = exact_points(soil, SLIPS, SINKAGES, sd)
+    points[:, [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] += rng.standard_normal((len(points), 4)) * sd
+    points[:, c.KEY] = SLIPS
     return points
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
-    points = noisy_points(seed)
+    points = noisy_points(np.random.default_rng(seed))
     fitted, judge = Fitted(points), Judge(points)
     nodes = fitted.nodes
     log_weight = np.empty(COUNT)
     scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
-    likely = np.exp(nodes[LOG_WEIGHT]) > 2e-3
+    likely = np.exp(nodes[n.LOG_WEIGHT]) > 2e-3
     assert likely.sum() >= 4
     for k in range(COUNT):
-        mean, covariance, chi = judge.solve(nodes[LN_K, k])
-        away = (nodes[LN_K, k] - PRIOR[3]) / scale[3]
+        mean, covariance, chi = judge.solve(nodes[n.LN_K, k])
+        away = (nodes[n.LN_K, k] - PRIOR[3]) / scale[3]
         log_weight[k] = -0.5 * away**2 - 0.5 * chi + 0.5 * np.linalg.slogdet(covariance)[1]
         if likely[k]:
             sd = np.sqrt(np.diag(covariance))
-            found = np.zeros((UNKNOWNS, UNKNOWNS))
-            found[np.tril_indices(UNKNOWNS)] = nodes[COVARIANCE : COVARIANCE + TRIANGLE, k]
-            found = (found + np.tril(found, -1).T)[:3, :3]
+            found = symmetric(nodes[n.COVARIANCE : n.COVARIANCE + n.TRIANGLE, k])[:3, :3]
             assert np.all(np.abs(nodes[:3, k] - mean) < 0.15 * sd), (k, (nodes[:3, k] - mean) / sd)
             np.testing.assert_allclose(found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08)
-            assert nodes[COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
+            assert nodes[n.COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
     weight = np.exp(log_weight - log_weight.max())
-    np.testing.assert_allclose(np.exp(nodes[LOG_WEIGHT]), weight / weight.sum(), atol=0.03)
-    assert fitted.misfit == pytest.approx(nodes[COST].min())
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_mixture_is_the_maximum_a_posteriori_where_all_is_nearly_linear(seed):
-    points = noisy_points(seed, sd=(1e-3, 1e-4, 0.06, 0.01))
-    fitted = Fitted(points, error=1e-4)
-    mean, covariance, _ = Judge(points, 1e-4).solve()
-    sd = np.sqrt(np.diag(covariance))
-    assert np.all(np.abs(fitted.mean - mean) < 0.3 * sd), (fitted.mean - mean) / sd
-    np.testing.assert_allclose(np.sqrt(np.diag(fitted.covariance)) / sd, 1.0, atol=0.15)
-    correlation = fitted.covariance / np.outer(*[np.sqrt(np.diag(fitted.covariance))] * 2)
-    np.testing.assert_allclose(correlation, covariance / np.outer(sd, sd), atol=0.1)
-    assert np.all(np.abs(fitted.mean - TRUTH) < 4.0 * sd)
+    np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), weight / weight.sum(), atol=0.03)
+    assert fitted.misfit == pytest.approx(nodes[n.COST].min())
 
 
 def test_errors_are_as_large_as_stated():
@@ -236,24 +167,10 @@ def test_errors_are_as_large_as_stated():
         soil = rng.multivariate_normal(PRIOR, PRIOR_COVARIANCE)
         if soil[0] < 0.25 or soil[1] < 0.0:
             continue
-        sd = (4e-3, 3e-4, 0.5, 0.08)
-        points = exact_points(soil, SLIPS, SINKAGES, sd)
-        points[:, [SLIP, SINKAGE, PULL, TORQUE]] += rng.standard_normal((len(points), 4)) * sd
-        points[:, KEY] = SLIPS
-        fitted = Fitted(points, again=4)
+        fitted = Fitted(noisy_points(rng, soil, (4e-3, 3e-4, 0.5, 0.08)), again=4)
         scaled.append((fitted.mean - soil) / np.sqrt(np.diag(fitted.covariance)))
     inside = np.mean(np.abs(scaled) < 1.0, axis=0)
     assert np.all((inside > 0.5) & (inside < 0.9)), inside
-
-
-def test_no_reading_of_a_channel_tells_nothing():
-    """Weight next to zero of pull and torque: what is known is the prior."""
-    points = exact_points(TRUTH, SLIPS, SINKAGES)
-    points[:, [PULL_WEIGHT, TORQUE_WEIGHT]] = 1e-12
-    fitted = Fitted(points)
-    sd = np.sqrt(np.diag(PRIOR_COVARIANCE))
-    np.testing.assert_allclose((fitted.mean - PRIOR) / sd, 0.0, atol=0.01)
-    np.testing.assert_allclose(np.sqrt(np.diag(fitted.covariance)) / sd, 1.0, rtol=0.03)
 
 
 def share(x, spread, place, length):
@@ -274,42 +191,3 @@ def test_the_share_on_a_border_and_its_slope():
             if 1e-3 < found < 1.0 - 1e-3:
                 rise = share(x, spread, place + 1e-6, length)[0] - share(x, spread, place - 1e-6, length)[0]
                 assert slope == pytest.approx(rise / 2e-6, rel=1e-4, abs=1e-6)
-
-
-def border_points(old, new, middle, length, sd):
-    """Points on a border, of the blend of two soils that the filter believes in: linear in its unknowns."""
-    places = middle + length * np.linspace(-0.45, 0.45, 8)
-    points = exact_points(old, SLIPS, SINKAGES, sd)
-    for row, place in zip(points, places, strict=True):
-        w = 0.5 * sum(share_of_next((place + s - middle) / length)[0] for s in (-0.02, 0.02))
-        row[[PULL, TORQUE]] = forces(w * new + (1.0 - w) * old, row[SINKAGE], row[SLIP])
-        row[[PLACE, ON_BORDER]] = place, 1.0
-    return points
-
-
-def come_to_a_border(old, new):
-    """A filter that knows the old soil by a rover's sensors, has come to a border and has passed it."""
-    sd = (4e-3, 3e-4, 0.5, 0.08)
-    fitted = Fitted(exact_points(old, SLIPS, SINKAGES, sd))
-    p = fitted.banks.point
-    p.crossing[0], p.border[0], p.border_variance[0] = 1.0, 1.0, 1e-4
-    begin_next_soil(fitted.banks, 0, NUMBERS)
-    _feed(fitted.banks, border_points(old, new, 1.0, NUMBERS.border, sd), NUMBERS.border, NUMBERS)
-    return fitted, math.exp(fitted.nodes[LOG_WEIGHT, COUNT - 1])
-
-
-def test_on_a_border_the_new_soil_is_found():
-    """Seven nodes lie far apart there, and are not spread anew before its end."""
-    fitted, same = come_to_a_border(TRUTH + np.array([-0.05, 0.0, 0.0, 0.3]), TRUTH)
-    sd = np.sqrt(np.diag(fitted.covariance))
-    assert same < 0.01 and sd[3] < 0.5 * math.sqrt(PRIOR_COVARIANCE[3, 3])
-    assert np.all(np.abs(fitted.mean - TRUTH) < 3.0 * sd)
-
-
-def test_the_quadratic_form_is_that_of_numpy():
-    rng = np.random.default_rng(0)
-    factor = rng.standard_normal((SOIL, SOIL))
-    P, a, b = factor @ factor.T, rng.standard_normal(4), rng.standard_normal(4)
-    slopes = [Slopes(9.0, *(float(v) for v in x), 9.0, 9.0) for x in (a, b)]
-    triangle = np.concatenate([[7.0, 7.0], P[np.tril_indices(SOIL)]])
-    assert quadratic_form(triangle, 2, *slopes) == pytest.approx(a @ P @ b)

@@ -7,24 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
-from soil_env.identification.online import identifier
-from soil_env.identification.online.curve import (
-    BINS,
-    FIELDS,
-    PULL,
-    PULL_WEIGHT,
-    READINGS,
-    SLIP,
-    SLIP_WEIGHT,
-    TORQUE,
-    TORQUE_WEIGHT,
-)
+from soil_env.identification.online import curve, identifier
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
-from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import Belief, load_scenario
-from tests.identification.observing import observe
+from tests.identification.observing import observe, started
 
 SCENARIO = load_scenario("mixed")
 PLAIN = replace(SCENARIO, belief=Belief())
@@ -47,7 +34,7 @@ class Fed:
     @property
     def bins(self):
         """Bins of the curve [n, FIELDS]."""
-        return self.ids.banks.bins[0].reshape(BINS + 1, FIELDS)[: int(self.p.bins[0])]
+        return self.ids.banks.bins[0].reshape(curve.BINS + 1, curve.FIELDS)[: int(self.p.bins[0])]
 
 
 # --- points -----------------------------------------------------------------------------------------------------------
@@ -62,13 +49,6 @@ def test_a_point_is_a_few_readings():
     assert [n for n, outcome in enumerate(outcomes) if outcome == RENEWED] == [3, 5, 7, 9]
 
 
-def test_a_point_ends_where_the_slip_changes():
-    fed = Fed()
-    fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 3)
-    assert fed.feed(STEADY._replace(slip=0.4, rim_speed=0.1, speed=0.06)) == [RENEWED]
-    assert fed.p.points[0] == 1.0 and fed.bins[0, READINGS] == 3.0
-
-
 def test_two_sensors_of_a_quantity_are_averaged_by_their_precision():
     """Slip by its sensor and by two speeds, pull by acceleration and mass, torque by that of the motor; by numpy."""
     fed = Fed()
@@ -77,11 +57,11 @@ def test_two_sensors_of_a_quantity_are_averaged_by_their_precision():
     bin_, mass = fed.bins[0], r.load / fed.numbers.filter.gravity
     by_speeds = math.hypot(sd[5], 0.74 * sd[6]) / 0.1
     for value, weight, readings, sds in (
-        (SLIP, SLIP_WEIGHT, (0.25, 0.26), (sd[0], by_speeds)),
-        (PULL, PULL_WEIGHT, (14.0, mass * 1.1), (sd[2], mass * sd[9])),
-        (TORQUE, TORQUE_WEIGHT, (5.5, 5.9), (sd[4], sd[8])),
+        (curve.SLIP, curve.SLIP_WEIGHT, (0.25, 0.26), (sd[0], by_speeds)),
+        (curve.PULL, curve.PULL_WEIGHT, (14.0, mass * 1.1), (sd[2], mass * sd[9])),
+        (curve.TORQUE, curve.TORQUE_WEIGHT, (5.5, 5.9), (sd[4], sd[8])),
     ):
-        w, first = np.power(sds, -2.0), 0.07 if value == TORQUE else 1e-6  # the rim speed has jumped at first
+        w, first = np.power(sds, -2.0), 0.07 if value == curve.TORQUE else 1e-6  # the rim speed has jumped at first
         assert bin_[value] == pytest.approx(w @ readings / w.sum(), rel=0.1 * first)
         assert bin_[weight] == pytest.approx(16.0 * w.sum(), rel=first)
 
@@ -96,16 +76,6 @@ def test_wheels_that_do_not_drive_tell_nothing(changes):
     assert fed.p.points[0] == 0.0 and fed.ids.status[0] == Status.NO_DATA
 
 
-def test_a_jolt_of_the_rim_is_passed_over():
-    """The law of a steady wheel does not hold for a rim that speeds up by more than a share of gravity."""
-    fed = Fed()
-    fed.feed(STEADY._replace(rim_speed=0.2, speed=0.15))
-    fed.feed(STEADY._replace(rim_speed=0.2, speed=0.15), 3)
-    before = fed.ids.banks.open.readings[0]
-    fed.feed(STEADY._replace(rim_speed=0.4, speed=0.3))
-    assert fed.ids.banks.open.readings[0] == 0.0 < before
-
-
 # --- on courses -------------------------------------------------------------------------------------------------------
 
 
@@ -114,10 +84,7 @@ def known_along_a_soil():
     """Median standard deviations [5, 2] of friction and K of eight wheels, a quarter of the drive apart."""
     course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
     changes = {"course": course, "control": {"action": "wheel_speed"}}
-    sim = Simulation(8, load_scenario("mixed", changes), "identified", threads=1)
-    for k in range(8):
-        sim.seed(k, np.random.default_rng([3, k]))
-        sim.restart(k)
+    sim = started(load_scenario("mixed", changes), *([3, k] for k in range(8)))
     sds = [np.median(sim.worlds.ids.sd[:, :2], axis=0)]
     for step in range(240):
         sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
@@ -146,7 +113,8 @@ def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
 def numbers_of(ids):
     """All that is remembered."""
     return np.concatenate([ids.estimate.ravel(), ids.sd.ravel(), ids.covariance.ravel(), ids.best_pull.ravel(),
-                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel()])  # fmt: skip
+                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel(),
+                           ids.banks.candidates.ravel()])  # fmt: skip
 
 
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])
@@ -163,7 +131,7 @@ def test_wild_readings_never_give_nan(data):
         )  # fmt: skip
         for _ in range(5):
             observe(ids, 0, reading, fed.numbers)
-            assert 0.0 <= fed.p.bins[0] <= BINS
+            assert 0.0 <= fed.p.bins[0] <= curve.BINS
         assert np.all(np.isfinite(numbers_of(ids))) and np.all(ids.sd > 0.0)
         if np.all(ids.sd < 1e3 * scale):
             assert np.linalg.eigvalsh(ids.covariance[0] / np.outer(ids.sd[0], ids.sd[0])).min() > -1e-5
@@ -205,10 +173,7 @@ def test_steady_readings_of_one_soil_contradict_nothing():
     course = {"length": 60.0, "patch_length": [60.0, 60.0], "halt_interval": [1e5, 1e6], "margin": [0.1, 0.1]}
     still = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
     changes = {"course": course, "soils": {"dry_sand": 1}, "spread": still, "control": {"action": "wheel_speed"}}
-    sim = Simulation(8, load_scenario("mixed", changes), "identified", threads=1)
-    for k in range(8):
-        sim.seed(k, np.random.default_rng([9, k]))
-        sim.restart(k)
+    sim = started(load_scenario("mixed", changes), *([9, k] for k in range(8)))
     misfit = borders = 0
     for step in range(300):
         sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.07 * step)), np.zeros(8, np.int8))
@@ -219,9 +184,7 @@ def test_steady_readings_of_one_soil_contradict_nothing():
 
 def test_forget_leaves_nothing_of_the_course_before():
     numbers, fresh = identifier.identifier_numbers(SCENARIO), identifier.new_identifiers(1)
-    sim = Simulation(1, SCENARIO, "identified", threads=1)
-    sim.seed(0, np.random.default_rng(1))
-    sim.restart(0)
+    sim = started(SCENARIO, 1)
     for k in range(160):
         sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
     used = sim.worlds.ids
@@ -229,59 +192,5 @@ def test_forget_leaves_nothing_of_the_course_before():
         identifier.forget(ids, 0, numbers)
         for _ in range(60):
             observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
-    np.testing.assert_array_equal(used.estimate, fresh.estimate)
-    np.testing.assert_array_equal(used.covariance, fresh.covariance)
-    np.testing.assert_array_equal(used.best_pull, fresh.best_pull)
-    np.testing.assert_array_equal(used.banks.candidates, fresh.banks.candidates)
-    np.testing.assert_array_equal(used.banks.nodes, fresh.banks.nodes)
-    np.testing.assert_array_equal(used.banks.sinkage, fresh.banks.sinkage)
+    np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
     assert used.banks.point.tobytes() == fresh.banks.point.tobytes()
-
-
-def test_wheels_do_not_disturb_each_other():
-    alone, two = Fed(), Fed(wheels=2)
-    for k in range(120):
-        slip = 0.3 + 0.25 * math.sin(0.1 * k)
-        one = STEADY._replace(slip=slip, speed=0.375 * (1.0 - slip))
-        other = one._replace(torque=9.0, sinkage=0.04)
-        alone.feed(one)
-        two.feed(other, wheel=1)
-        two.feed(one, wheel=0)
-    np.testing.assert_array_equal(alone.ids.estimate[0], two.ids.estimate[0])
-    np.testing.assert_array_equal(alone.ids.covariance[0], two.ids.covariance[0])
-    assert np.abs(two.ids.estimate[0] - two.ids.estimate[1]).max() > 0.1
-
-
-def test_on_a_border_the_ground_changes_from_reading_to_reading():
-    """`MOVED` without a new point: what is told of the ground passes from the old soil to the new one by the share."""
-    sim = Simulation(1, load_scenario("mixed", {"control": {"action": "wheel_speed"}}), "identified", threads=1)
-    sim.seed(0, np.random.default_rng(0))
-    sim.restart(0)
-    p, ids, seen = sim.worlds.ids.banks.point, sim.worlds.ids, 0
-    for step in range(300):
-        points, before = p.points[0], ids.estimate[0].copy()
-        crossing = p.crossing[0]
-        sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
-        if crossing == p.crossing[0] == 1.0 and points == p.points[0]:  # on a border, and no new point
-            known = ids.banks.known[0].reshape(2, -1)[:, :4]
-            x = (p.place[0] - p.border[0]) / sim.scenario.belief.border + 0.5
-            x = min(max(x, 0.0), 1.0)
-            w = x * x * (3.0 - 2.0 * x)
-            ground = w * known[0] + (1.0 - w) * known[1]
-            np.testing.assert_allclose(ids.estimate[0, [0, 1]], [math.atan(ground[0]), ground[3]], rtol=1e-9)
-            seen += not np.array_equal(before, ids.estimate[0])
-        elif crossing == p.crossing[0] == 0.0 and points == p.points[0]:
-            np.testing.assert_array_equal(before, ids.estimate[0])
-    assert seen > 5
-
-
-@pytest.mark.parametrize("scenario", [SCENARIO, PLAIN], ids=["library", "plain"])
-def test_it_starts_from_what_is_believed(scenario):
-    sim = Simulation(1, scenario, "identified", threads=1)
-    sim.seed(0, np.random.default_rng(0))
-    sim.restart(0)
-    mean, covariance = published_prior(scenario)
-    np.testing.assert_allclose(sim.worlds.ids.estimate[0], mean)
-    np.testing.assert_allclose(sim.worlds.ids.covariance[0], covariance)
-    np.testing.assert_allclose(sim.worlds.ids.sd[0], np.sqrt(np.diag(covariance)))
-    assert sim.worlds.ids.status[0] == Status.NO_DATA

@@ -142,10 +142,3 @@ def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it
     assert form_error._TURNED == pytest.approx(by_error / abs(by_K), rel=0.05)
     lost = -np.log(shear(0.01).sum() / shear(-0.01).sum()) / 0.02
     assert form_error._STRONGER == pytest.approx(lost, rel=0.05)
-
-
-def test_the_prior_of_the_size():
-    prior = form_error.size_prior()
-    assert prior.sum() == pytest.approx(1.0) and prior[0] == pytest.approx(0.1)
-    ordinary = (form_error.SIZES > 0.015) & (form_error.SIZES < 0.25)
-    assert prior[ordinary].sum() > 0.75

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from soil_env.env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
@@ -33,17 +32,6 @@ def by_name(recent):
     return dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
 
 
-@given(st.lists(st.floats(-1e6, 1e6), min_size=SIZE, max_size=SIZE), st.integers(0, 100))
-@settings(max_examples=60, deadline=None)
-def test_probabilities_are_probabilities_and_grow_with_the_horizon(values, seed):
-    rng = np.random.default_rng(seed)
-    net = im.shipped_network()
-    inputs = np.array([values, np.array(values) * rng.normal(size=SIZE), net.mean + rng.normal(size=SIZE) / net.scale])
-    found = im.score_inputs(inputs, net)
-    assert np.isfinite(found).all() and (found >= 0.0).all() and (found <= 1.0).all()
-    assert (found[:, 1] >= found[:, 0]).all()
-
-
 def test_the_compiled_network_is_the_one_of_matrices():
     warning, rng, k = im.ImmobilisationWarning(load_scenario("mixed")), np.random.default_rng(1), np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.MEMORY)))
@@ -60,12 +48,6 @@ def test_averages_answer_a_step_with_their_time_constants():
         left = math.exp(-after * period / scale)
         assert found[f"slip_{scale:g}s"] == pytest.approx(0.8 - 0.5 * left, rel=1e-12)
         assert found[f"sinkage_{scale:g}s"] == pytest.approx(0.2)
-
-
-def test_averages_do_not_depend_on_the_control_period():
-    fine = im.warning_numbers(load_scenario("mixed", {"control": {"period": 0.05, "substep": 0.05}}))
-    changed = READING._replace(slip=0.8, pitch=0.3)
-    np.testing.assert_allclose(follow([READING] + [changed] * 10), follow([READING] + [changed] * 20, None, fine))
 
 
 def test_halts_are_left_out():
@@ -105,28 +87,6 @@ def test_inputs_have_the_estimate_without_dimension():
     assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
 
 
-VIEW = im.View(0.5, 0.3, 0.2, 3.0, True, False, -0.1, 0.25, 1.0, 0.2, 0.1, 0.0)
-
-
-def seen(view, radius=0.15):
-    """What the network reads of a view on a pitch of 0.1 rad, by name."""
-    plain = load_scenario("mixed", {"wheel": {"radius": radius, "width": radius}})
-    recent, numbers = follow([READING])[None], im.warning_numbers(plain)
-    im.see(recent, 0, view, numbers)
-    return dict(zip(im.INPUTS[im.BLIND :], recent[0, AVERAGES + 1 :], strict=True))
-
-
-def test_margins_of_a_view_are_over_the_grade_of_their_line():
-    found = seen(VIEW)
-    assert found["here_margin"] == pytest.approx(0.2 - math.tan(0.1)) and found["here_met"] == 2.0
-    assert found["line_margin"] == pytest.approx(0.25 + math.tan(0.1)) and found["line_met"] == 1.0
-    assert found["beside_margin"] == pytest.approx(0.1 - math.tan(0.2)) and found["beside_met"] == 0.0
-    assert found["grade_change"] == pytest.approx(-2.0 * math.sin(0.1))
-    assert (found["camera"], found["ahead_seen"], found["line_chosen"]) == (1.0, 1.0, 0.0)
-    assert (found["border_behind"], found["border_ahead"]) == (pytest.approx(0.5 / 0.15), pytest.approx(2.0))
-    assert seen(VIEW._replace(since=1.5, left=0.9), 0.45) == pytest.approx(found)  # lengths by the radius
-
-
 def views(scenario, steps):
     """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
     env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)
@@ -143,11 +103,6 @@ def views(scenario, steps):
         if ended:
             env.reset()
     return out
-
-
-def test_without_a_camera_the_view_is_nothing():
-    for found, _ in views("mixed", 30):
-        assert [found[name] for name in im.INPUTS[im.BLIND :]] == [0.0] * (len(im.INPUTS) - im.BLIND)
 
 
 def test_with_a_camera_the_view_is_that_of_the_observation():
@@ -171,14 +126,6 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
-
-
-def test_the_sensors_are_followed_only_where_they_are_asked_for():
-    for info, rows in (("full", 1), ("numeric", 1), ("short", 0), ("none", 0)):
-        env = SoilWheelEnv(info=info)
-        env.reset(seed=0)
-        env.step([0.3])
-        assert env.simulation.worlds.recent.shape == (rows, im.MEMORY)
 
 
 def test_held_actions_miss_no_reading():

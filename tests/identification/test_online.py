@@ -13,11 +13,10 @@ from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
-from soil_env.online import OnlineIdentifier
-from soil_env.parameters import Belief, ParameterError, SoilSpread, load_scenario, soils, wheels
+from soil_env.parameters import Belief, SoilSpread, load_scenario, soils
 from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
-from tests.identification.observing import observe
+from tests.identification.observing import observe, started
 
 SAND = soils()["lunar_nominal"].state(0.15)
 UNIFORM = {"length": 60.0, "patch_length": [100.0, 100.0], "halt_interval": [1e5, 1e5], "margin": [0.1, 0.1]}
@@ -73,10 +72,7 @@ def simulate(changes=None, wheels=1, mode="wheel_speed", spread=NO_SPREAD, grade
             "soils": {"lunar_nominal": 1}, "spread": spread, "control": {"action": mode},
             "course": UNIFORM | {"grade_deg": list(grade)}}  # fmt: skip
     scenario = replace(load_scenario("mixed", base | (changes or {})), belief=belief)
-    sim = Simulation(wheels, scenario, "identified", threads=1)
-    for k in range(wheels):
-        sim.seed(k, np.random.default_rng(k))
-        sim.restart(k)
+    sim = started(scenario, *range(wheels))
     return sim, unknowns(sim.worlds.courses.soils[:, 0])
 
 
@@ -118,7 +114,6 @@ def driven(seed, steps, command):
     sim, truth = simulate()
     sim.seed(0, np.random.default_rng(seed))
     sim.restart(0)
-    assert sim.worlds.ids.status[0] == Status.NO_DATA
     sim.step(0, 0.3)
     assert sim.worlds.ids.status[0] == Status.NO_DATA
     for k in range(steps):
@@ -140,42 +135,42 @@ def test_driving_with_varied_slip_finds_the_soil():
         assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
 
 
-def test_a_border_between_soils_is_noticed():
-    """By the forces alone, on the level: one metre into dry sand the estimate is that of it, not of lunar regolith."""
+def level(soil_of_next):
+    """A course of two soils on the level; `soil_of_next` makes the second of the first [7]."""
     sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
     soil = sim.worlds.courses.soils
-    soil[0, 1] = soils()["dry_sand"].state(0.15)
+    soil[0, 1] = soil_of_next(soil[0, 0])
     sim.worlds.courses.grades[:] = 0.0
-    state, ids = sim.worlds.state, sim.worlds.ids
-    truth = unknowns(soil[0, :2])[:, :2]
-    for k in range(400):
-        if state.x[0] > 3.6:
-            break
+    return sim, unknowns(soil[0, :2])[:, :2]
+
+
+def to_place(sim, x):
+    """Drive until x [m] with varied slip."""
+    for k in range(900):
+        if sim.worlds.state.x[0] > x:
+            return
         sim.step(0, excited(k))
+    raise AssertionError(sim.worlds.state.x[0])
+
+
+def test_a_border_between_soils_is_noticed():
+    """By the forces alone: one metre into dry sand the estimate is that of it, not of lunar regolith."""
+    sim, truth = level(lambda soil: soils()["dry_sand"].state(0.15))
+    ids = sim.worlds.ids
+    to_place(sim, 3.6)
     assert np.all(np.abs(ids.estimate[0, :2] - truth[0]) < 3.0 * ids.sd[0, :2]) and ids.borders[0] == 0
-    for k in range(400):
-        if state.x[0] > 5.3:
-            break
-        sim.step(0, excited(k))
-    assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
-    assert np.all(np.abs(ids.estimate[0, :2] - truth[1]) < 3.0 * ids.sd[0, :2])
+    to_place(sim, 5.3)
+    assert ids.borders[0] >= 1 and np.all(np.abs(ids.estimate[0, :2] - truth[1]) < 3.0 * ids.sd[0, :2])
     assert np.linalg.norm(ids.estimate[0, :2] - truth[1]) < np.linalg.norm(ids.estimate[0, :2] - truth[0])
 
 
 def test_a_change_of_the_sinkage_coefficient_alone_is_noticed():
-    """On the level, by how deep the wheel sinks: pull and torque hardly tell of it."""
-    sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
-    soil = sim.worlds.courses.soils
-    soil[0, 1] = soil[0, 0]
-    soil[0, 1, 3] *= 0.5
-    sim.worlds.courses.grades[:] = 0.0
-    state, ids = sim.worlds.state, sim.worlds.ids
-    for k in range(900):
-        if state.x[0] > 5.3:
-            break
-        sim.step(0, excited(k))
-        assert ids.borders[0] == 0 or state.x[0] > 3.8
-    assert 5.3 < state.x[0] < 5.6 and ids.borders[0] >= 1
+    """By how deep the wheel sinks: pull and torque hardly depend on it."""
+    sim, _ = level(lambda soil: soil * [1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0])
+    to_place(sim, 3.8)
+    assert sim.worlds.ids.borders[0] == 0
+    to_place(sim, 5.3)
+    assert sim.worlds.ids.borders[0] >= 1
 
 
 @compiled_root
@@ -185,10 +180,7 @@ def _published(ids, numbers, anew):
 
 def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
     """By its derivative: as one that is found anew, to a hundredth of the load."""
-    sim, apart = (
-        Simulation(1, load_scenario("mixed", {"control": {"action": "wheel_speed"}}), "identified", threads=1),
-        [],
-    )
+    sim, apart = started(load_scenario("mixed", {"control": {"action": "wheel_speed"}}), 0), []
     ids, numbers = sim.worlds.ids, sim.belief.identifier
     for seed in range(8):
         sim.seed(0, np.random.default_rng(seed))
@@ -269,13 +261,3 @@ def test_without_identification_a_wheel_drives_as_with_it():
     np.testing.assert_array_equal(a.state["x"], b.state["x"])
     assert a.ids.status[0] != Status.NO_DATA.value == b.ids.status[0]
     np.testing.assert_array_equal(b.ids.estimate[0], runs["none"].belief.identifier.prior)
-
-
-def test_what_asks_for_an_estimate_is_refused_without_identification():
-    off = {"belief": {"method": "none"}}
-    with pytest.raises(ParameterError, match="expected 'filter' for observation 'identified'"):
-        Simulation(1, load_scenario("mixed", off), "identified", 1)
-    with pytest.raises(ParameterError, match=r"reward\.information: expected 0 where belief\.method = 'none'"):
-        load_scenario("mixed", off | {"reward": {"information": 1.0}})
-    with pytest.raises(ParameterError, match="belief.method = 'none': expected 'filter'"):
-        OnlineIdentifier(wheels()["planetary_rover"], Belief(method="none"))

@@ -11,26 +11,21 @@ from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
+<<<<<<< HEAD
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SoilPriors
 from soil_env.measurement.table import read_table
 from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, table_of
 from tests.terramechanics import reference
+=======
+from soil_env.measurement.table import NoiseLevels, Prior, Setup, SoilPriors, read_table
+from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, steady, table_of
+>>>>>>> r/tident
 
 KNOWN = {"cohesion": Prior(SAND.cohesion, 0.0), "sinkage_exponent": Prior(SAND.sinkage_exponent, 0.0)}
 
 
 def setup_of(noise=SD, **options) -> Setup:
     return Setup(WHEEL, SoilPriors(**KNOWN), NoiseLevels(**(noise or {})), **options)
-
-
-def steady(slip: float, load: float) -> tuple[float, float, float]:
-    """(sinkage, drawbar pull, torque) at a load normal to the ground."""
-
-    def at(z):
-        return reference.forces(SAND, slip, math.acos(1.0 - z / WHEEL.radius), WHEEL.radius, WHEEL.width)
-
-    z = brentq(lambda z: at(z).load - load, 1e-6, 0.9 * WHEEL.radius, xtol=1e-10, rtol=1e-9)
-    return z, at(z).drawbar_pull, at(z).torque
 
 
 def table(folder, names: str, rows, seed: int | None = 0):
@@ -73,16 +68,6 @@ def test_pull_and_torque_suffice(tmp_path, seed):
     for name in ("friction_angle_deg", "sinkage_coefficient"):  # what was not measured is missed
         a, b = e.parameters[name], full.parameters[name]
         assert a.high - a.low > b.high - b.low
-
-
-def test_rows_without_sinkage_count(tmp_path):
-    rows = clean().copy()
-    rows[::2, 2] = np.nan
-    path = tmp_path / "data.csv"
-    lines = [",".join("" if math.isnan(x) else f"{x:.7g}" for x in row) for row in rows]
-    path.write_text("slip,load,sinkage,drawbar_pull,torque\n" + "\n".join(lines) + "\n")
-    e = identify_table(read_table(path, WHEEL), setup_of())
-    assert e.values == 24 * 2 + 12 and found(e) == pytest.approx(SAND.friction_angle_deg, rel=1e-3)
 
 
 def test_one_force_needs_a_prior_of_the_stiffness(tmp_path):
@@ -165,15 +150,6 @@ def test_a_tilt_is_fitted_with_the_soil(tmp_path, tilt):
     assert level.law_error > 2.0 * e.law_error and "tilt_deg" not in level.parameters
 
 
-def test_a_tilt_adds_to_the_grade_of_a_vertical_load(tmp_path):
-    """Rows on grades written 1.5 deg too low."""
-    rows = [(slip, load, grade - 1.5, *rest) for slip, load, grade, *rest in on_grades()]
-    t = table(tmp_path, "slip,load,grade_deg,sinkage,drawbar_pull,torque", rows, None)
-    e = identify_table(t, setup_of(load="vertical", tilt_deg=Prior(0.0, 1.0)))
-    assert found(e, "tilt_deg") == pytest.approx(1.5, abs=0.05)
-    assert found(e) == pytest.approx(SAND.friction_angle_deg, rel=2e-3)
-
-
 # --- noise row by row -------------------------------------------------------------------------------------------------
 
 
@@ -194,13 +170,3 @@ def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
     half = identify_table(quiet, setup_of())
     width = [p.high - p.low for p in (x.parameters["friction_angle_deg"] for x in (e, half))]
     assert width[0] == pytest.approx(width[1], rel=0.05)
-
-
-# --- units ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_load_in_kilograms_is_said_first(tmp_path):
-    rows = clean() * [1.0, 1.0 / 9.81, 1.0, 1.0, 1.0]
-    e = identify_table(table_of(tmp_path, rows), Setup(WHEEL, noise=NoiseLevels(**SD)))
-    assert "expected load in newtons (if it is in kilograms or kgf, multiply it by 9.81)" in e.warnings[0]
-    assert "kilograms" not in " ".join(identify_table(table_of(tmp_path, clean()), setup_of()).warnings)

@@ -9,27 +9,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
 from soil_env._numba.lanes import COUNT
+from soil_env.identification.online import sinkage_filter as sf
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
-from soil_env.identification.online.sinkage_filter import (
-    DEPTH,
-    GAIN,
-    HERE,
-    LOG_WEIGHT,
-    OLD_GAIN,
-    OLD_PRESSURE,
-    PRESSURE,
-    STATES,
-    Ground,
-    Motion,
-    begin_next_sinkage,
-    cell,
-    follow,
-    keep_old_sinkage,
-    mean,
-    new_soil,
-    spread,
-    start,
-)
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
@@ -48,38 +29,40 @@ class Wheel:
         self.s = self.banks.sinkage[0]
 
     def start(self, sinkage, variance=1e-12):
-        start(self.banks, 0, sinkage, variance)
+        sf.start(self.banks, 0, sinkage, variance)
 
     def know(self, y, ln_gain, sd=1e-9):
         """Pressure and gain next to exactly."""
-        for i, value in ((PRESSURE, y), (GAIN, ln_gain)):
+        for i, value in ((sf.PRESSURE, y), (sf.GAIN, ln_gain)):
             self.s[i * COUNT : (i + 1) * COUNT] = value
-            for j in range(STATES):
-                self.s[cell(i, j) : cell(i, j) + COUNT] = sd * sd if i == j else 0.0
-        self.s[LOG_WEIGHT * COUNT :] = -math.log(COUNT)
+            for j in range(sf.STATES):
+                self.s[sf.cell(i, j) : sf.cell(i, j) + COUNT] = sd * sd if i == j else 0.0
+        self.s[sf.LOG_WEIGHT * COUNT :] = -math.log(COUNT)
 
     def follow(self, motion, bearing, depth=None, by_depth=-N, share=1.0, by_place=0.0, place_variance=0.0):
         """Through a time in which the pressure mobilised at `depth` [m] is that of a bearing sinkage of `bearing` [m]
         on the soil whose y is that of the prior."""
-        depth = mean(self.s, DEPTH) if depth is None else depth
+        depth = sf.mean(self.s, sf.DEPTH) if depth is None else depth
         y = self.numbers.prior.sinkage[0]
         ln_s = y + N * math.log(bearing / self.numbers.depth) - N * math.log(depth)
-        follow(self.banks, 0, Ground(ln_s, depth, by_depth, N, share, by_place, place_variance), motion, self.numbers)
+        sf.follow(
+            self.banks, 0, sf.Ground(ln_s, depth, by_depth, N, share, by_place, place_variance), motion, self.numbers
+        )
 
     @property
     def sinkage(self):
-        return mean(self.s, DEPTH)
+        return sf.mean(self.s, sf.DEPTH)
 
     def moments(self, i):
         """(mean, standard deviation) of a state over all filters."""
-        return mean(self.s, i), math.sqrt(spread(self.s, i, i))
+        return sf.mean(self.s, i), math.sqrt(sf.spread(self.s, i, i))
 
-    def check(self, size=STATES):
+    def check(self, size=sf.STATES):
         """The covariance of each filter and of all is positive semidefinite; weights sum to one."""
-        w = np.exp(self.s[LOG_WEIGHT * COUNT : (LOG_WEIGHT + 1) * COUNT])
+        w = np.exp(self.s[sf.LOG_WEIGHT * COUNT : (sf.LOG_WEIGHT + 1) * COUNT])
         assert w.sum() == pytest.approx(1.0, abs=1e-9) and np.all(np.isfinite(self.s))
-        P = np.array([[self.s[cell(i, j) : cell(i, j) + COUNT] for j in range(size)] for i in range(size)])
-        whole = np.array([[spread(self.s, i, j) for j in range(size)] for i in range(size)])
+        P = np.array([[self.s[sf.cell(i, j) : sf.cell(i, j) + COUNT] for j in range(size)] for i in range(size)])
+        whole = np.array([[sf.spread(self.s, i, j) for j in range(size)] for i in range(size)])
         for p in (*np.moveaxis(P, 2, 0), whole):
             sd = np.sqrt(np.maximum(np.diag(p), 1e-18))
             assert np.all(np.diag(p) >= 0.0) and np.linalg.eigvalsh(p / np.outer(sd, sd)).min() > -1e-7
@@ -88,7 +71,9 @@ class Wheel:
 def moved(speed, sliding, seconds=DT, sinkage=0.02, variance=LOST, shock=0.0, time=None):
     """Motion at a travel and a sliding speed [m/s]; `time` 0: what lacks in depth does not come by itself."""
     a, _ = excavation_rate(speed, sliding, 1.0, RECOVERY, LENGTH)
-    return Motion(a * seconds, sliding * seconds / LENGTH, shock, seconds if time is None else time, sinkage, variance)
+    return sf.Motion(
+        a * seconds, sliding * seconds / LENGTH, shock, seconds if time is None else time, sinkage, variance
+    )
 
 
 def law(z, bearing, gain, motions):
@@ -116,17 +101,6 @@ def test_with_exact_parameters_the_sinkage_follows_its_law(ln_gain, bearing, rat
         assert wheel.sinkage == pytest.approx(min(z, 1.9 * R), rel=1e-6)
 
 
-def test_the_bearing_sinkage_is_where_the_soil_has_the_pressure():
-    """y is ln of the pressure at `depth`: at another y the law goes to another depth, by the exponent."""
-    wheel = Wheel()
-    for off in (-0.3, 0.0, 0.4):
-        wheel.know(NUMBERS.prior.sinkage[0] + off, -30.0)  # no digging
-        wheel.start(0.05)
-        wheel.banks.point.bearing[0] = 0.0
-        wheel.follow(moved(1e4, 0.0, time=0.0), 0.02)
-        assert wheel.sinkage == pytest.approx(0.02 * math.exp(-off / N), rel=1e-6)
-
-
 @pytest.mark.parametrize("offset", [-2.0, -0.5, 0.0, 0.7, 2.0])
 def test_what_lacks_in_depth_comes_in_the_mean(offset):
     """At rest for long: the moments are those of the larger of the sinkage and its bearing depth, by draws."""
@@ -135,31 +109,23 @@ def test_what_lacks_in_depth_comes_in_the_mean(offset):
     wheel.start(bearing + offset * sd, sd * sd)
     wheel.follow(moved(0.0, 0.0, 100.0), bearing)
     z = np.maximum(bearing + sd * (offset + np.random.default_rng(0).standard_normal(400_000)), bearing)
-    found, of_all = wheel.moments(DEPTH)
+    found, of_all = wheel.moments(sf.DEPTH)
     assert found == pytest.approx(z.mean(), abs=0.02 * sd)
     least = (0.02 * R) ** 2 + (0.1 * (found - bearing - offset * sd)) ** 2  # of the law itself
     assert of_all**2 - least == pytest.approx(z.var(), rel=0.05, abs=2e-3 * sd * sd)
 
 
-def test_a_wheel_that_stands_does_not_rise():
-    wheel = Wheel()
-    wheel.know(NUMBERS.prior.sinkage[0], 0.0)
-    wheel.start(0.05)
-    wheel.follow(moved(0.0, 0.0, 10.0), 0.02)
-    assert wheel.sinkage == pytest.approx(0.05, rel=1e-4)
-
-
 def test_the_bank_of_a_new_soil_has_the_moments_of_the_prior():
     wheel, prior = Wheel(), NUMBERS.prior
-    new_soil(wheel.banks, 0, NUMBERS)
+    sf.new_soil(wheel.banks, 0, NUMBERS)
     P = prior.sinkage_covariance.reshape(2, 2)
-    for i, state in enumerate((PRESSURE, GAIN)):
+    for i, state in enumerate((sf.PRESSURE, sf.GAIN)):
         found, sd = wheel.moments(state)
         assert found == pytest.approx(prior.sinkage[i], abs=1e-9)
         assert sd == pytest.approx(math.sqrt(P[i, i]), rel=0.08)
     library = Wheel(filter_numbers(load_scenario("two_lines")))
     P = library.numbers.prior.sinkage_covariance.reshape(2, 2)
-    found = np.array([[spread(library.s, i, j) for j in (PRESSURE, GAIN)] for i in (PRESSURE, GAIN)])
+    found = np.array([[sf.spread(library.s, i, j) for j in (sf.PRESSURE, sf.GAIN)] for i in (sf.PRESSURE, sf.GAIN)])
     np.testing.assert_allclose(found / np.outer(*[np.sqrt(np.diag(P))] * 2), P / np.outer(*[np.sqrt(np.diag(P))] * 2),
                                atol=0.15)  # fmt: skip
 
@@ -177,9 +143,9 @@ def test_pressure_and_gain_are_learnt_from_the_sinkage(seed):
         z = law(z, bearing, NUMBERS.dig_gain * math.exp(ln_gain), [(speed, sliding)])[0]
         # the pressure mobilised is that of a bearing sinkage of 0.02 m on the soil of the prior, whatever the depth
         wheel.follow(moved(speed, sliding, sinkage=z + 1e-3 * rng.standard_normal(), variance=1e-6), 0.02)
-        wheel.check(HERE)
-    for state, truth, before in ((PRESSURE, prior.sinkage[0] + off, prior.sinkage_covariance[0]),
-                                 (GAIN, ln_gain, prior.sinkage_covariance[3])):  # fmt: skip
+        wheel.check(sf.HERE)
+    for state, truth, before in ((sf.PRESSURE, prior.sinkage[0] + off, prior.sinkage_covariance[0]),
+                                 (sf.GAIN, ln_gain, prior.sinkage_covariance[3])):  # fmt: skip
         found, sd = wheel.moments(state)
         assert abs(found - truth) < 3.0 * sd < 3.0 * 0.6 * math.sqrt(before), state
 
@@ -195,13 +161,13 @@ def test_covariances_stay_positive_and_weights_sum_to_one(data):
     for _ in range(data.draw(st.integers(1, 15))):
         turn = data.draw(st.integers(0, 9))
         if turn == 0 and not on_border:
-            begin_next_sinkage(wheel.banks, 0, wheel.numbers)
+            sf.begin_next_sinkage(wheel.banks, 0, wheel.numbers)
             on_border = True
         elif turn == 1 and on_border:
             if data.draw(st.booleans()):
-                keep_old_sinkage(wheel.banks, 0)
+                sf.keep_old_sinkage(wheel.banks, 0)
             on_border = False
-        motion = Motion(
+        motion = sf.Motion(
             data.draw(st.floats(0.0, 5.0)), data.draw(st.floats(0.0, 5.0)), data.draw(st.floats(0.0, 1.0)),
             data.draw(st.floats(0.0, 2.0)), data.draw(st.floats(0.0, 1.5)) * r, data.draw(st.floats(1e-8, 1e2)),
         )  # fmt: skip
@@ -210,29 +176,8 @@ def test_covariances_stay_positive_and_weights_sum_to_one(data):
             motion, data.draw(st.floats(1e-3, 0.5)) * r, None, data.draw(st.floats(-2.0, 0.0)), share,
             -5.0 * on_border, data.draw(st.floats(0.0, 0.01)),
         )  # fmt: skip
-        wheel.check(STATES if on_border else HERE)
+        wheel.check(sf.STATES if on_border else sf.HERE)
         assert (1.0 - 1e-9) * 1e-3 * r <= wheel.sinkage <= 1.9 * r * (1.0 + 1e-9) and wheel.banks.point.bearing[0] > 0.0
-
-
-def test_a_border_keeps_the_sinkage_and_begins_with_the_prior():
-    wheel = Wheel()
-    wheel.start(0.02, 1e-5)
-    for k in range(20):
-        wheel.follow(moved(0.2, 0.05 + 0.04 * math.sin(k), sinkage=0.024, variance=1e-6), 0.02)
-    before = {i: wheel.moments(i) for i in (DEPTH, PRESSURE, GAIN)}
-    with_depth = spread(wheel.s, DEPTH, PRESSURE)
-    begin_next_sinkage(wheel.banks, 0, NUMBERS)
-    wheel.check()
-    fresh = Wheel()
-    for old, new in ((DEPTH, DEPTH), (PRESSURE, OLD_PRESSURE), (GAIN, OLD_GAIN)):
-        assert wheel.moments(new) == pytest.approx(before[old], rel=1e-9)
-    assert spread(wheel.s, DEPTH, OLD_PRESSURE) == pytest.approx(with_depth, rel=1e-9)
-    for i in (PRESSURE, GAIN):
-        assert wheel.moments(i) == pytest.approx(fresh.moments(i), rel=1e-9)
-        assert spread(wheel.s, DEPTH, i) == pytest.approx(0.0, abs=1e-15)
-    keep_old_sinkage(wheel.banks, 0)
-    for i in (DEPTH, PRESSURE, GAIN):
-        assert wheel.moments(i) == pytest.approx(before[i], rel=1e-9)
 
 
 def test_on_a_border_the_ground_is_of_both_soils():
@@ -240,9 +185,9 @@ def test_on_a_border_the_ground_is_of_both_soils():
     wheel, y = Wheel(), NUMBERS.prior.sinkage[0]
     wheel.know(y - 0.4, math.log(0.5))
     wheel.start(0.03)
-    begin_next_sinkage(wheel.banks, 0, NUMBERS)
-    wheel.s[PRESSURE * COUNT : (PRESSURE + 1) * COUNT] = y + 0.2
-    wheel.s[GAIN * COUNT : (GAIN + 1) * COUNT] = math.log(2.0)
+    sf.begin_next_sinkage(wheel.banks, 0, NUMBERS)
+    wheel.s[sf.PRESSURE * COUNT : (sf.PRESSURE + 1) * COUNT] = y + 0.2
+    wheel.s[sf.GAIN * COUNT : (sf.GAIN + 1) * COUNT] = math.log(2.0)
     share, speed, sliding = 0.3, 0.2, 0.1
     bearing = 0.02 * math.exp(-(share * 0.2 - (1.0 - share) * 0.4) / N)
     gain = NUMBERS.dig_gain * (share * 2.0 + (1.0 - share) * 0.5)

@@ -5,27 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
-from soil_env._io.loading import to_dict
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
-from soil_env.identification.online.soil_prior import (
-    PRESSURE,
-    TANGENT,
-    depth_of,
-    moments,
-    of_library,
-    prior_of_belief,
-    published_prior,
-    soil_prior,
-    widths,
-)
-from soil_env.logs.mapping import read_map
-from soil_env.parameters import Belief, ParameterError, load_scenario, scenario_names
+from soil_env.identification.online import soil_prior
+from soil_env.parameters import Belief, load_scenario, scenario_names
 from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
-from tests.logs.bags import write_map
 
 
 def believing(**belief):
@@ -38,14 +24,14 @@ def every_scenario():
 
 
 def test_moments_are_those_of_draws_of_the_mixture():
-    rng, gaussians = np.random.default_rng(0), of_library(load_scenario("mixed"))
+    rng, gaussians = np.random.default_rng(0), soil_prior.of_library(load_scenario("mixed"))
     weights = np.array([g[0] for g in gaussians])
     which = rng.choice(len(gaussians), 400_000, p=weights / weights.sum())
     rows = np.concatenate([
         rng.multivariate_normal(mean, covariance, (which == k).sum())
         for k, (_, mean, covariance) in enumerate(gaussians)
     ])  # fmt: skip
-    mean, covariance = moments(gaussians)
+    mean, covariance = soil_prior.moments(gaussians)
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(rows.mean(axis=0) - mean) < 0.01 * sd)
     np.testing.assert_allclose(np.cov(rows.T) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.015)
@@ -64,9 +50,9 @@ def test_the_library_is_what_the_world_draws():
     scenario, out = load_scenario("mixed"), np.empty((4000, 7))
     drawn(np.array([seed_stream(np.random.default_rng(0))]), course_numbers(scenario), out)
     tangent, cohesion, K, S, n, gain = out[:, :6].T
-    y = np.log(S) + n * math.log(depth_of(scenario))
+    y = np.log(S) + n * math.log(soil_prior.depth_of(scenario))
     rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / scenario.belief.dig_gain)])
-    mean, covariance = prior_of_belief(scenario)
+    mean, covariance = soil_prior.prior_of_belief(scenario)
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(rows.mean(axis=1) - mean) < 0.1 * sd)
     np.testing.assert_allclose(rows.std(axis=1), sd, rtol=0.1)
@@ -76,12 +62,12 @@ def test_the_library_is_what_the_world_draws():
 @pytest.mark.parametrize("scenario", every_scenario(), ids=lambda s: s.name)
 def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
     """Symmetric, positive definite, and as wide as soils differ: neither sure nor without any idea."""
-    for mean, covariance in (prior_of_belief(scenario), published_prior(scenario)):
+    for mean, covariance in (soil_prior.prior_of_belief(scenario), soil_prior.published_prior(scenario)):
         assert np.all(np.isfinite(mean))
         np.testing.assert_allclose(covariance, covariance.T, rtol=1e-12)
         sd = np.sqrt(np.diag(covariance))
         assert np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min() > 1e-4
-    mean, covariance = published_prior(scenario)
+    mean, covariance = soil_prior.published_prior(scenario)
     sd = np.sqrt(np.diag(covariance))
     assert np.all((np.degrees(mean[0]) > 15.0) & (np.degrees(mean[0]) < 45.0))
     assert np.all(sd[[0, 1, 2]] > [math.radians(1.0), 0.1, 0.1]) and np.all(sd[[1, 2, 4]] < 3.0)
@@ -90,11 +76,11 @@ def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
 @pytest.mark.parametrize("scenario", [load_scenario("mixed"), believing()], ids=["library", "plain"])
 def test_the_regression_is_that_of_the_forces_on_the_sinkage(scenario):
     """Least squares over draws of the joint Gaussian; the rest of the variance is that of the residuals."""
-    mean, covariance = prior_of_belief(scenario)
+    mean, covariance = soil_prior.prior_of_belief(scenario)
     rows = np.random.default_rng(1).multivariate_normal(mean, covariance, 200_000) - mean
-    prior, sd = soil_prior(scenario), np.sqrt(np.diag(covariance))
-    found, *_ = np.linalg.lstsq(rows[:, PRESSURE:], rows[:, :PRESSURE], rcond=None)
-    scale = np.outer(sd[PRESSURE:], 1.0 / sd[:PRESSURE])
+    prior, sd = soil_prior.soil_prior(scenario), np.sqrt(np.diag(covariance))
+    found, *_ = np.linalg.lstsq(rows[:, soil_prior.PRESSURE :], rows[:, : soil_prior.PRESSURE], rcond=None)
+    scale = np.outer(sd[soil_prior.PRESSURE :], 1.0 / sd[: soil_prior.PRESSURE])
     np.testing.assert_allclose(prior.regression.reshape(4, 2).T * scale, found * scale, atol=0.02)
     np.testing.assert_array_equal(prior.forces[:4], mean[:4])
     np.testing.assert_array_equal(prior.forces[4:], covariance[:4, :4][np.tril_indices(4)])
@@ -105,29 +91,17 @@ def test_the_regression_is_that_of_the_forces_on_the_sinkage(scenario):
 def test_pressures_are_compared_at_one_depth():
     """The prior is the same whatever exponent the belief refers S to; the published S is not."""
     one, other = (load_scenario("mixed", {"belief": {"sinkage_exponent": n}}) for n in (0.8, 1.2))
-    for a, b in zip(prior_of_belief(one), prior_of_belief(other), strict=True):
+    for a, b in zip(soil_prior.prior_of_belief(one), soil_prior.prior_of_belief(other), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
-    at = published_prior(one)[0][2] - published_prior(other)[0][2]
-    assert at == pytest.approx(0.4 * math.log(depth_of(one)))
-
-
-def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
-    """As a change, in a file of a scenario and in the map of a log; a saved belief with the defaults is taken."""
-    belief, path = {"soils": {"dry_sand": 1.0}, "cohesion_sd": 9.0}, tmp_path / "own.yaml"
-    path.write_text(yaml.safe_dump({"soils": {"dry_sand": 1.0}, "belief": belief}))
-    for read in (lambda: load_scenario(path), lambda: load_scenario("mixed", {"belief": {"friction_sd_deg": 5.0}}),
-                 lambda: read_map(write_map(tmp_path, {"belief": belief}))):  # fmt: skip
-        with pytest.raises(ParameterError, match=r"belief\.\w+: without effect beside belief.soils"):
-            read()
-    saved = to_dict(load_scenario("mixed").belief)
-    assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
+    at = soil_prior.published_prior(one)[0][2] - soil_prior.published_prior(other)[0][2]
+    assert at == pytest.approx(0.4 * math.log(soil_prior.depth_of(one)))
 
 
 def test_widths_of_a_library_hold_68_percent_of_it():
     """Against draws; soils of two kinds, which lie at both ends of the interval, need a wider one."""
-    gaussians, rng = of_library(load_scenario("sticky")), np.random.default_rng(3)
+    gaussians, rng = soil_prior.of_library(load_scenario("sticky")), np.random.default_rng(3)
     drawn = np.concatenate([rng.multivariate_normal(mean, covariance, 40_000) for _, mean, covariance in gaussians])
-    mean, covariance = moments(gaussians)
+    mean, covariance = soil_prior.moments(gaussians)
     off = np.abs(drawn - mean) / np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(np.mean(off < widths(gaussians), axis=0), 0.683, atol=0.01)
-    assert widths(gaussians)[TANGENT] > 1.15
+    np.testing.assert_allclose(np.mean(off < soil_prior.widths(gaussians), axis=0), 0.683, atol=0.01)
+    assert soil_prior.widths(gaussians)[soil_prior.TANGENT] > 1.15

@@ -18,7 +18,6 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
-from soil_env.identification.table.report import text_of
 from soil_env.identification.table.unknown_noise import Scatter
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
@@ -34,21 +33,23 @@ ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "data"
 
 
+def steady(slip, load, soil=SAND, wheel=WHEEL):
+    """(sinkage, drawbar pull, torque) at a load normal to the ground."""
+
+    def at(z):
+        return reference.forces(soil, slip, math.acos(1.0 - z / wheel.radius), wheel.radius, wheel.width)
+
+    z = brentq(lambda z: at(z).load - load, 1e-6, 0.9 * wheel.radius, xtol=1e-10, rtol=1e-9)
+    return z, at(z).drawbar_pull, at(z).torque
+
+
 @cache
 def clean(soil=SAND, slips=SLIPS, loads=LOADS, wheel=WHEEL):
     """Rows [N, 5] of slip, load, sinkage, drawbar pull, torque without noise."""
     rows = []
     for load in loads:
         for slip in slips:
-
-            def at(z, slip=slip):
-                return reference.forces(soil, slip, math.acos(1.0 - z / wheel.radius), wheel.radius, wheel.width)
-
-            def lacking(z, load=load, at=at):
-                return at(z).load - load
-
-            z = brentq(lacking, 1e-6, 0.9 * wheel.radius, xtol=1e-10, rtol=1e-9)
-            rows.append((slip, load, z, at(z).drawbar_pull, at(z).torque))
+            rows.append((slip, load, *steady(slip, load, soil, wheel)))
     return np.array(rows)
 
 
@@ -242,22 +243,12 @@ def test_says_that_the_model_does_not_fit(tmp_path):
     [
         (("sinkage", "torque"), slice(None), setup_of(), "no row has a sinkage, or both drawbar_pull and torque"),
         ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),
-        (("drawbar_pull", "torque"), slice(None), setup_of(), "no row has drawbar_pull or torque"),
-        ((), slice(None), setup_of(noise=SD | {"torque": 1e-300}), "noise.torque = 1e-300: expected at least"),
-        (("torque",), slice(0, 2), setup_of(), "4 measured values .* 5 parameters: expected at least 5"),
         (("torque",), slice(0, 2), setup_of(("cohesion",), None), "4 parameters .*sinkage noise .* at least 6"),
     ],
 )
 def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words):
     with pytest.raises(ParameterError, match=words):
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
-
-
-def test_refuses_a_wheel_above_the_ground(tmp_path):
-    rows = clean().copy()
-    rows[3, 2] = -0.001
-    with pytest.raises(ParameterError, match="row 5, sinkage = -0.001: expected metres in"):
-        identify_table(table_of(tmp_path, rows), setup_of())
 
 
 # --- what looks wrong ---------------------------------------------------------------------------------------------
@@ -272,22 +263,6 @@ def test_a_very_wide_prior_tells_no_more_than_the_admissible_range(tmp_path):
         assert e.parameters["friction_angle_deg"].value == pytest.approx(
             usual.parameters["friction_angle_deg"].value, abs=0.02
         )
-
-
-def test_doubts_units(tmp_path):
-    known, rng = ("cohesion", "sinkage_exponent"), np.random.default_rng(4)
-    table = table_of(tmp_path, clean(), rng)
-    assert identify_table(table, setup_of(known)).warnings == ()
-    ample = {name: 30.0 * sd for name, sd in SD.items()}
-    words = " ".join(identify_table(table, setup_of(known, ample)).warnings)
-    assert words.count("far smaller than its given noise") >= 2
-    rows = clean() * [1.0, 1e-3, 1.0, 1e-3, 1e-3]
-    words = " ".join(identify_table(table_of(tmp_path, rows), setup_of(("sinkage_exponent",), None)).warnings)
-    assert "The median load is 0.12 N" in words and "if it is kN" in words
-    odd = identify_table(table, setup_of(("sinkage_exponent",), cohesion=Prior(1.5, 0.5)))
-    assert any("looks like kPa" in w for w in odd.check_first) and set(odd.check_first) <= set(odd.warnings)
-    said = text_of(odd)
-    assert said.startswith("CHECK FIRST") and said.count("looks like kPa") == 1
 
 
 def test_intervals_stay_within_what_a_soil_can_be(tmp_path):

@@ -9,7 +9,7 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from soil_env._io.files import append_line, check_outputs, replace_file, replace_files, save_figure, write_json
+from soil_env._io.files import check_outputs, replace_file, replace_files, save_figure, write_json
 
 resource = pytest.importorskip("resource")
 
@@ -71,15 +71,6 @@ def test_a_figure_is_whole_or_not_at_all(tmp_path):
 def test_a_figure(tmp_path):
     save_figure(matplotlib.figure.Figure(), tmp_path / "a.png", dpi=30)
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_a_line_is_added_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "a"
-    append_line(path, "one")
-    with full(), pytest.raises(OSError):
-        append_line(path, "x" * 5000)
-    append_line(path, "two")
-    assert path.read_text() == "one\ntwo\n"
 
 
 def test_no_folder(tmp_path):

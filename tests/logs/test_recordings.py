@@ -133,62 +133,37 @@ def test_units_gear_and_motor_constant(tmp_path):
     [
         ("torque", {"topic": "/joint_state", "field": "effort[0]"}, ("/joint_state", "/joint_states")),
         ("speed", {"topic": "/odom", "field": "twist.linear.x"}, ("/odom", "'twist.twist.linear.x'")),
-        ("speed", {"topic": "/odom", "field": "twist.twist.linear"}, ("/odom", "twist.twist.linear.x")),
         ("torque", {"topic": "/joint_states", "field": "effort[whel]"}, ("/joint_states", "'whel'", "'wheel'")),
         ("torque", {"topic": "/joint_states", "field": "position[0]"}, ("/joint_states", "position[0]", "0 values")),
-        ("torque", {"topic": "/joint_states", "field": "effort"}, ("/joint_states", "effort", "number")),
-        ("speed", {"topic": "/odom", "field": "twist..x"}, ("speed.field", "twist..x")),
-        ("pitch", {"topic": "/odom", "field": "twist.twist", "unit": "quaternion"}, ("/odom", "x, y, z and w")),
         ("sinkage", {"column": "z"}, ("sinkage", "column z", "topic")),
     ],
 )
 def test_errors_name_topic_and_field_and_the_nearest_known(drives, tmp_path, channel, source, named):
     folder, _, _ = drives
-    changes = {n: {k: v for k, v in s.items()} for n, s in example()["CHANNELS"].items()} | {"torque": None}
-    changes |= {"sinkage": {"topic": "/range", "field": "range"}, channel: source}
+    changes = example()["CHANNELS"] | {"torque": None, "sinkage": {"topic": "/range", "field": "range"}}
     with pytest.raises(ParameterError) as error:
-        read_recording(folder / "MCAP", read_map(write_map(tmp_path, changes)))
-    assert all(name in str(error.value) for name in named), str(error.value)
-    assert "\n" not in str(error.value)
+        read_recording(folder / "MCAP", read_map(write_map(tmp_path, changes | {channel: source})))
+    assert all(name in str(error.value) for name in named) and "\n" not in str(error.value), str(error.value)
 
 
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"torque": {"topic": "/drive", "field": "i", "unit": "Nm"}}, ("torque.unit", "'N m'")),
         ({"torque": {"topic": "/drive", "field": "i", "unit": "A"}}, ("torque", "motor_constant")),
         ({"speed": {"topic": "/drive", "field": "v", "gear": 3}}, ("speed.gear",)),
         ({"speed": {"topic": "/drive", "feild": "v"}}, ("channels.speed", "'feild'", "'field'")),
-        ({"speed": {"topic": "/drive"}}, ("speed", "field")),
         ({"speed": {"topic": "/d", "field": "v", "column": "v"}}, ("speed", "column")),
         ({"speed": None}, ("speed", "slip")),
-        ({"wheel_speed": {"constant": 2}}, ("wheel_speed", "constant")),
-        ({"sinkage": {"topic": "/d", "field": "z", "sign": 0.5}}, ("sinkage.sign",)),
         ({"torque": {"topic": "/d", "field": "i", "sd": 1e9}}, ("channels.torque.sd", "at most")),
         ({"wheel": "planetary_rovr"}, ("wheel", "'planetary_rover'")),
-        ({"wheel": {"radius": 0.15}}, ("wheel", "width", "body_mass")),
         ({"period": 0.1, "windows": {"duration": 0.3}}, ("windows", "duration")),
-        ({"soil": {"cohesion": {"value": 1}, "phi": 30}}, ("soil", "'phi'")),
-        ({"clocks": "log"}, ("'clocks'", "'clock'")),
     ],
 )
 def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
     with pytest.raises(ParameterError) as error:
         read_map(write_map(tmp_path, changes))
-    assert all(name in str(error.value) for name in named), str(error.value)
-    assert "map.yaml" in str(error.value) and "\n" not in str(error.value)
-    assert str(error.value).count("channels") <= 1
-
-
-def test_a_recording_of_another_kind_is_refused(tmp_path):
-    log_map = read_map(write_map(tmp_path))
-    (tmp_path / "a.mcap").write_bytes(b"no such thing" * 10)
-    (tmp_path / "a.db3").write_bytes(b"no such thing" * 100)
-    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0")
-    (tmp_path / "empty").mkdir()
-    for name in ("a.mcap", "a.db3", "a.bag", "empty", "none.mcap"):
-        with pytest.raises(ParameterError, match=name):
-            read_recording(tmp_path / name, log_map)
+    said = str(error.value)
+    assert all(name in said for name in ("map.yaml", *named)) and "\n" not in said, said
 
 
 def stamped(path, delay, back=20):
@@ -237,15 +212,17 @@ def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
 
 @pytest.mark.parametrize("size", [0, 8, 20, 200])
 def test_a_bag_cut_before_its_first_message(tmp_path, size):
-    content = write_json_mcap(tmp_path / "whole.mcap").read_bytes()
+    content, log_map = write_json_mcap(tmp_path / "whole.mcap").read_bytes(), read_map(write_map(tmp_path))
     (tmp_path / "a.mcap").write_bytes(content[:size])
-    with pytest.raises(ParameterError, match="a.mcap: (is empty|has no topics: not one message is whole)"):
-        read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path)))
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: 3")
-    (tmp_path / "bag" / "a.mcap").write_bytes(content[:size])
-    with pytest.raises(ParameterError, match="bag: has no topics"):
-        read_recording(tmp_path / "bag", read_map(write_map(tmp_path)))
+    with pytest.raises(ParameterError, match=r"a.mcap: (is empty|has no topics: not one message is whole)"):
+        read_recording(tmp_path / "a.mcap", log_map)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
+def test_a_file_of_another_kind_is_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"no such thing" * 100)
+    with pytest.raises(ParameterError, match=name):
+        read_recording(tmp_path / name, read_map(write_map(tmp_path)))
 
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
@@ -308,19 +285,23 @@ def test_a_cut_sqlite_bag_is_refused(drives, tmp_path, share):
         read_recording(tmp_path / "cut.db3", log_map)
 
 
+COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
+HEADER = "t,wheel_speed,speed,sinkage,torque\n"
+
+
+def lines(times):
+    return [f"{t:g},2,{0.1 * k:.1f},0.02,5\n" for k, t in enumerate(times)]
+
+
 def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
-    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
-    log_map = read_map(write_map(tmp_path, changes))
-    rows = "".join(f"{0.1 * k:.1f},2,0.25,0.02,5\n" for k in range(10))
-    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + rows + "1.0,2,0.2")
+    log_map, rows = read_map(write_map(tmp_path, COLUMNS)), "".join(lines(0.1 * np.arange(10)))
+    (tmp_path / "a.csv").write_text(HEADER + rows + "1.0,2,0.2")
     part = read_recording(tmp_path / "a.csv", log_map)
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
-    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n1.0,2,0.2\n" + rows)
-    with pytest.raises(ParameterError, match="row 2"):
-        read_recording(tmp_path / "a.csv", log_map)
-    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + rows + "1.0,2,fast,0.02,5\n")
-    with pytest.raises(ParameterError, match="row 12, speed = 'fast'"):
-        read_recording(tmp_path / "a.csv", log_map)
+    for content, named in (("1.0,2,0.2\n" + rows, "row 2"), (rows + "1.0,2,fast,0.02,5\n", "row 12, speed = 'fast'")):
+        (tmp_path / "a.csv").write_text(HEADER + content)
+        with pytest.raises(ParameterError, match=named):
+            read_recording(tmp_path / "a.csv", log_map)
 
 
 TIMES = {  # unit -> three stamps a tenth of a second apart
@@ -336,29 +317,18 @@ TIMES = {  # unit -> three stamps a tenth of a second apart
 def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     rows = [f"{t},2,{v},0.02," for t, v in zip(TIMES[unit], ("0.25", "", "0.35"), strict=True)]
     (tmp_path / "a.csv").write_text("\ufefft,wheel_speed,speed,sinkage,torque\n" + "\n".join(rows) + "\n\n", "utf-8")
-    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")}
-    changes["time"] = {"column": "t", "unit": unit}
+    changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
     assert found.start == 1_770_000_000 * NS
     assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.channels["speed"].readings == 2
 
 
-COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
-HEADER = "t,wheel_speed,speed,sinkage,torque\n"
-
-
-def lines(times):
-    return [f"{t:g},2,{0.1 * k:.1f},0.02,5\n" for k, t in enumerate(times)]
-
-
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ("", "is empty"),
         ("\n \n", "expected a header"),
         ("t,wheel_sp", "cut off in its header"),
-        (HEADER, "no whole row"),
         (HEADER + "0,2,0.2", "cut off"),
         (HEADER + lines([0.0])[0] + "1e12,2,0.2,0.02,5\n", "row 3, t = '1e12'"),
         (HEADER + lines([0.0])[0] + "nan,2,0.2,0.02,5\n", "row 3, t = 'nan': expected a time"),
@@ -366,26 +336,8 @@ def lines(times):
 )
 def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
     (tmp_path / "a.csv").write_text(content)
-    with pytest.raises(ParameterError, match="a.csv.*" + named) as error:
+    with pytest.raises(ParameterError, match="a.csv.*" + named):
         read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
-    assert "unknown key" not in str(error.value)
-
-
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_cells_that_are_nan_are_counted_as_empty_ones(tmp_path, kind):
-    nan, path = math.nan, tmp_path / f"a.{kind}"
-    columns = {"t": [0.0, 0.1, 0.2], "wheel_speed": [2.0] * 3, "speed": [0.1, nan, nan], "sinkage": [nan, None, 0.02],
-               "torque": [5.0] * 3}  # fmt: skip
-    if kind == "parquet":
-        pyarrow = pytest.importorskip("pyarrow")
-        pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(columns), path)
-    else:
-        rows = zip(*columns.values(), strict=True)
-        path.write_text(HEADER + "".join(",".join("" if x is None else str(x) for x in r) + "\n" for r in rows))
-    found = read_recording(path, read_map(write_map(tmp_path, COLUMNS)))
-    assert found.channels["speed"].readings == found.channels["sinkage"].readings == 1
-    told = [line for line in found.notes if "nan" in line]
-    assert sorted(told) == ["column sinkage: 1 cell nan: taken as empty", "column speed: 2 cells nan: taken as empty"]
 
 
 def test_time_that_goes_back_in_a_table(tmp_path):
@@ -403,13 +355,6 @@ def test_time_that_goes_back_in_a_table(tmp_path):
     found = read_recording(tmp_path / "a.csv", log_map)
     assert found.readings["speed"] == pytest.approx([*(0.1 * k for k in range(10)), 1.2])
     assert any("2 times, first in row 12" in n and "2 of them" in n for n in found.notes)
-
-
-def test_a_column_that_is_not_there(tmp_path):
-    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
-    (tmp_path / "a.csv").write_text("t,wheel_spd,speed,sinkage,torque\n0,1,1,1,1\n")
-    with pytest.raises(ParameterError, match="wheel_speed.*wheel_spd"):
-        read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
 
 
 # --- large ------------------------------------------------------------------------------------------------------------

@@ -37,7 +37,7 @@ class Identifiers(NamedTuple):
     borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
-class Replay(NamedTuple):
+class Outcomes(NamedTuple):
     """Outcome of each of T sets of readings, and the estimate after it."""
 
     outcome: np.ndarray  # [T] `HELD`, `MOVED` or `RENEWED`
@@ -47,10 +47,10 @@ class Replay(NamedTuple):
     best_pull: np.ndarray  # [T, 2]
 
 
-def new_replay(count: int) -> Replay:
-    """For `observe_rows` with `count` sets of readings."""
+def new_outcomes(count: int) -> Outcomes:
+    """Empty `Outcomes` for `observe_rows` with `count` sets of readings."""
     whole = np.zeros((2, count), dtype=np.int64)
-    return Replay(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1], np.zeros((count, 2)))
+    return Outcomes(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1], np.zeros((count, 2)))
 
 
 class IdentifierNumbers(NamedTuple):
@@ -145,14 +145,14 @@ def observe_rows(
     wheels: np.ndarray,
     readings: np.ndarray,
     numbers: IdentifierNumbers,
-    replay: Replay,
+    outcomes: Outcomes,
 ) -> None:
     """`observe` of `readings` [T, 10], in the order of `SensorReading`; row t is of wheel `wheels[t]`."""
     for t in range(wheels.size):
         k, r = wheels[t], readings[t]
         reading = SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
-        replay.outcome[t] = observe(ids, k, reading, numbers)
-        for i in range(replay.estimate.shape[1]):
-            replay.estimate[t, i], replay.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
-        replay.status[t] = ids.status[k]
-        replay.best_pull[t, 0], replay.best_pull[t, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]
+        outcomes.outcome[t] = observe(ids, k, reading, numbers)
+        for i in range(outcomes.estimate.shape[1]):
+            outcomes.estimate[t, i], outcomes.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
+        outcomes.status[t] = ids.status[k]
+        outcomes.best_pull[t, 0], outcomes.best_pull[t, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]

@@ -54,27 +54,30 @@ def below_diagonal(i, j):
 
 
 @compiled_inline
-def _conditional(gaussian, g, prior):
-    """A Gaussian [GAUSSIAN] from offset g on, into a conditional `prior` [PRIOR_SIZE] given ln K."""
-    c = g + SOIL
-    v = max(gaussian[c + 9], 1e-6)
-    prior[PRIOR_K], prior[PRIOR_K + 1] = gaussian[g + 3], v
+def _condition_on_ln_K(gaussian, prior):
+    """Store the Gaussian [GAUSSIAN] of the other unknowns given ln K into the conditional `prior` [PRIOR_SIZE].
+
+    phi stands for its tangent, c for the cohesion, n for the exponent.
+    """
+    covariance = gaussian[SOIL:]
+    phi_K, c_K, n_K, variance = covariance[6], covariance[7], covariance[8], max(covariance[9], 1e-6)
+    prior[PRIOR_K], prior[PRIOR_K + 1] = gaussian[3], variance
     for i in range(3):
-        prior[PRIOR_OTHERS + i] = gaussian[g + i]
-        prior[PRIOR_SLOPES + i] = gaussian[c + 6 + i] / v
-    a = gaussian[c] - gaussian[c + 6] ** 2 / v
-    b = gaussian[c + 1] - gaussian[c + 7] * gaussian[c + 6] / v
-    d = gaussian[c + 2] - gaussian[c + 7] ** 2 / v
-    e = gaussian[c + 3] - gaussian[c + 8] * gaussian[c + 6] / v
-    f = gaussian[c + 4] - gaussian[c + 8] * gaussian[c + 7] / v
-    h = gaussian[c + 5] - gaussian[c + 8] ** 2 / v
-    a, d, h = 1.0001 * abs(a), 1.0001 * abs(d), 1.0001 * abs(h)
-    x, y, z = d * h - f * f, f * e - b * h, b * f - d * e
-    det = max(a * x + b * y + e * z, 1e-300)
-    p = PRIOR_PRECISION
-    prior[p], prior[p + 1], prior[p + 3] = x / det, y / det, z / det
-    prior[p + 2], prior[p + 4], prior[p + 5] = (a * h - e * e) / det, (b * e - a * f) / det, (a * d - b * b) / det
-    prior[PRIOR_LOG] = -math.log(det)
+        prior[PRIOR_OTHERS + i] = gaussian[i]
+        prior[PRIOR_SLOPES + i] = covariance[6 + i] / variance
+    phi_phi, c_phi = covariance[0] - phi_K**2 / variance, covariance[1] - c_K * phi_K / variance
+    c_c, n_phi = covariance[2] - c_K**2 / variance, covariance[3] - n_K * phi_K / variance
+    n_c, n_n = covariance[4] - n_K * c_K / variance, covariance[5] - n_K**2 / variance
+    phi_phi, c_c, n_n = 1.0001 * abs(phi_phi), 1.0001 * abs(c_c), 1.0001 * abs(n_n)
+    # cofactors of the first column, by which the determinant is expanded
+    of_phi, of_c, of_n = c_c * n_n - n_c * n_c, n_c * n_phi - c_phi * n_n, c_phi * n_c - c_c * n_phi
+    determinant = max(phi_phi * of_phi + c_phi * of_c + n_phi * of_n, 1e-300)
+    precision = prior[PRIOR_PRECISION:]
+    precision[0], precision[1], precision[3] = of_phi / determinant, of_c / determinant, of_n / determinant
+    precision[2] = (phi_phi * n_n - n_phi * n_phi) / determinant
+    precision[4] = (c_phi * n_phi - phi_phi * n_c) / determinant
+    precision[5] = (phi_phi * c_c - c_phi * c_phi) / determinant
+    prior[PRIOR_LOG] = -math.log(determinant)
 
 
 @compiled_inline
@@ -92,7 +95,7 @@ def renew_prior(banks, k, numbers):
         for j in range(i + 1):
             n = SOIL + below_diagonal(i, j)
             g[n] = prior.forces[n] - along * r[2 * j] - across * r[2 * j + 1]
-    _conditional(g, 0, banks.prior[k])
+    _condition_on_ln_K(g, banks.prior[k])
 
 
 @compiled_inline
@@ -145,7 +148,7 @@ def begin_soil(banks, k, numbers):
     """Set what is known of the soil of wheel k to its prior."""
     for i in range(GAUSSIAN):
         banks.known[k, i] = numbers.prior.forces[i]
-    _conditional(numbers.prior.forces, 0, banks.prior[k])
+    _condition_on_ln_K(numbers.prior.forces, banks.prior[k])
     _begin(banks, k, COUNT)
 
 
@@ -157,8 +160,8 @@ def begin_next_soil(banks, k, numbers):
         known[OLD + i] = known[i]
     for diagonal in (0, 2, 5):
         known[SOIL + diagonal] += _LOOSER * numbers.prior.forces[SOIL + diagonal]
-    _conditional(known, 0, old)
-    _conditional(numbers.prior.forces, 0, banks.prior[k])
+    _condition_on_ln_K(known, old)
+    _condition_on_ln_K(numbers.prior.forces, banks.prior[k])
     _begin(banks, k, STAYS)
     nodes[LN_K * COUNT + STAYS] = known[OLD + 3]
     for i in range(3):
