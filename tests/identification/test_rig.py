@@ -11,15 +11,9 @@ from scipy.optimize import brentq
 
 from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
-<<<<<<< HEAD
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SoilPriors
 from soil_env.measurement.table import read_table
-from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, table_of
-from tests.terramechanics import reference
-=======
-from soil_env.measurement.table import NoiseLevels, Prior, Setup, SoilPriors, read_table
 from tests.identification.test_table import LOADS, SAND, SD, SLIPS, WHEEL, clean, steady, table_of
->>>>>>> r/tident
 
 KNOWN = {"cohesion": Prior(SAND.cohesion, 0.0), "sinkage_exponent": Prior(SAND.sinkage_exponent, 0.0)}
 
