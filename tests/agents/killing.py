@@ -71,8 +71,8 @@ def load_study() -> None:
     import optuna  # noqa: F401
     import torch
 
-    import agents.study.command
-    import agents.training  # noqa: F401
+    import soil_env_agents.study.command
+    import soil_env_agents.training  # noqa: F401
 
     torch.set_num_threads(1)
     torch.optim.Adam([torch.zeros(1)])  # imports a good deal when it is first used
@@ -80,14 +80,14 @@ def load_study() -> None:
 
 def small_study(folder: Path) -> None:
     """A small study of `agents.study`, whose trainings begin anew after a kill."""
-    from tests.agents.commands import study
+    from soil_env.cli import main as soil_env
     from tests.agents.test_study import config
 
     train = {"timesteps": 192, "ppo": {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}}
     beside = folder.parent / "config"
     beside.mkdir(exist_ok=True)
     path = config(beside, train=train, courses=3, seeds=1)
-    if study(["--config", str(path), "--out", str(folder)]) != 0:
+    if soil_env(["study", "--config", str(path), "--out", str(folder)]) != 0:
         raise RuntimeError("soil-env study failed")
 
 

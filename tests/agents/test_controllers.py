@@ -148,41 +148,7 @@ def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
     np.testing.assert_array_equal(state["slip"], fresh_slip)
 
 
-@pytest.mark.parametrize("name", BY_RIM_SPEED)
-def test_state_is_carried_along(name):
-    """The integral part grows: the same observation twice gives two actions, unless the state is dropped."""
-    controller = make_controller(name, load_scenario("mixed", TORQUE))
-    batch = observations(controller.variant)
-    first, state = controller.predict(batch, None, np.ones(6, dtype=bool))
-    second, _ = controller.predict(batch, state, np.zeros(6, dtype=bool))
-    without, _ = controller.predict(batch, None, np.ones(6, dtype=bool))
-    np.testing.assert_array_equal(first, without)
-    assert (second != first).any()
-
-
-@pytest.mark.parametrize("name", BY_RIM_SPEED)
-def test_batches_are_rows_of_their_own(name):
-    """A row's action does not depend on the rows beside it, over several calls."""
-    controller = make_controller(name, load_scenario("mixed", TORQUE))
-    series = [observations(controller.variant, 5, seed=s) for s in (0, 20, 40)]
-    state, alone = None, None
-    for t, batch in enumerate(series):
-        together, state = controller.predict(batch, state, np.full(5, t == 0))
-        single, alone = controller.predict(batch[3], alone, np.array([t == 0]))
-        assert single[0] == together[3, 0]
-
-
 # --- what each reads --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
-def test_best_slip_depends_on_the_soil_it_sees(name):
-    controller = make_controller(name, load_scenario("mixed", TORQUE))
-    names = [e.name for e in layout(controller.variant)]
-    batch = np.repeat(observations(controller.variant, 1), 2, axis=0)
-    batch[:, names.index("log10_shear_modulus")] = [-2.5, -1.3]
-    _, state = controller.predict(batch)
-    assert state["slip"][1] > state["slip"][0]  # a longer shear displacement needs more slip
 
 
 def test_best_slip_identified_does_not_see_the_true_soil():
@@ -335,13 +301,6 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
                 forks += 1
                 right += margins[lines.taken[k, p]] > 0.0
     assert forks > 20 and right > 0.9 * forks
-
-
-def test_constant_torque_holds_its_command():
-    scenario = load_scenario("mixed", TORQUE)
-    actions, _ = make_controller("constant_torque", scenario, share=0.37).predict(observations("blind", 3))
-    np.testing.assert_allclose(actions, 0.37, atol=1e-7)
-    assert (make_controller("full_throttle", scenario).predict(observations("blind", 3))[0] == 1.0).all()
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if CONTROLLERS[n].bounds])

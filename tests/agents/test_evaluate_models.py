@@ -13,8 +13,8 @@ from agents.evaluate.contestants import digest
 from agents.evaluate.models import load_model
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
+from soil_env.cli import main
 from soil_env.parameters import load_scenario
-from tests.agents.commands import evaluate as main
 from tests.agents.saved import META, rewrite
 
 SMALL = {"net_arch": [4]}
@@ -96,7 +96,7 @@ def test_a_model_of_another_task_is_refused(capsys, tmp_path):
         tmp_path / "p.zip"
     )
     command = [f"--controllers={tmp_path}/p.zip", f"--out={tmp_path}/out"]
-    assert main(command) == 2
+    assert main(["evaluate", *command]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 2 and "another observation layout: shape (3,)" in error
     assert "p.zip: not written by train.py, so parts of it are unpickled" in error.splitlines()[0]

@@ -113,17 +113,6 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, 
     assert courses >= 3 and worst <= 1e-5
 
 
-def test_the_runner_checks_the_recorded_steps(exported):
-    printed, errors = start(exported[1]).communicate()
-    assert errors == "" and printed.startswith("50 steps: largest difference ") and "us a step" in printed
-    course = np.load(exported[1] / "course.npz")
-    np.savez(exported[1].parent / "course.npz", **{**course, "action": course["action"] + 0.5})
-    for name in ("policy.onnx", "run_policy.py"):
-        (exported[1].parent / name).write_bytes((exported[1] / name).read_bytes())
-    printed, _ = start(exported[1].parent).communicate()
-    assert "largest difference 5.0e-01" in printed
-
-
 def test_the_description_says_what_every_number_is(exported, scenario):
     run, out = exported
     content = yaml.safe_load((out / "policy.yaml").read_text(encoding="utf-8"))
@@ -227,13 +216,3 @@ def test_networks_and_files_that_are_not_known_are_named(tmp_path, scenario, exp
     onnx.save(model, tmp_path / "foreign.onnx")
     with pytest.raises(ParameterError, match="not written by agents.export"):
         ExportedAgent(tmp_path / "foreign.onnx")
-
-
-def test_a_folder_or_file_that_is_no_run_is_named_once(tmp_path, capsys):
-    (tmp_path / "no.zip").write_text("text")
-    (tmp_path / "empty").mkdir()
-    for place, words in (("empty", "no model.zip"), ("nowhere", "not there"), ("no.zip", "not a model")):
-        assert main([str(tmp_path / place), "--out", str(tmp_path / "out")]) == 2
-        said = capsys.readouterr().err
-        assert words in said and said.count(place) == 1 and said.count("model.zip") <= 1 and said.count("\n") == 1
-    assert not (tmp_path / "out").exists()

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.spaces import Box
-from stable_baselines3 import PPO
 
 from agents import ppo
-from agents.agent import read_info
-from agents.asymmetric import AsymmetricPolicy
 from agents.config import PPOConfig
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
@@ -18,7 +15,6 @@ from agents.worlds import HIDDEN, SeveralWorlds, hidden_worlds
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import CourseSpec, load_scenario
 from soil_env.simulation.task import layout, truth
-from tests.agents.saved import edit
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}
 NAMES = [e.name for e in layout("blind")]
@@ -125,17 +121,6 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     assert low.shape == high.shape == (len(names) + history.size,)
 
 
-def test_a_change_of_history_or_critic_is_refused(scenario, tmp_path):
-    path = tmp_path / "model.zip"
-    ppo.save(ppo.build(scenario, "blind", PPOConfig(**TINY, history=3), 0), path)
-    for other in ({}, {"history": 2}, {"history": 3, "critic": "true_soil"}):
-        with pytest.raises(ParameterError, match="trained with (history|critic)"):
-            ppo.resume(path, scenario, "blind", PPOConfig(**TINY, **other), 0, None)
-    edit(path, ppo={**TINY, "history": 2})
-    with pytest.raises(ParameterError, match=f"expected {BLIND + 2 * len(READINGS)} finite numbers"):
-        read_info(path)
-
-
 # --- asymmetric critic ------------------------------------------------------------------------------------------------
 
 
@@ -186,19 +171,6 @@ def test_the_action_does_not_depend_on_what_the_value_network_sees(scenario):
     z = x.copy()
     z[:, 0] += 1.0
     assert np.abs(model.policy(torch.from_numpy(z), deterministic=True)[0].detach().numpy() - mean).max() > 1e-6
-
-
-def test_the_policy_works_with_sb3_alone(scenario, tmp_path):
-    """As its docstring shows; saved and loaded by SB3 itself."""
-    env = SoilWheelVecEnv(4, scenario, "blind", critic="true_soil")
-    model = PPO(AsymmetricPolicy, env, n_steps=16, batch_size=32, policy_kwargs={"privileged": TRUE})
-    model.learn(64)
-    model.save(tmp_path / "plain.zip")
-    again = PPO.load(tmp_path / "plain.zip")
-    x = np.ones((3, BLIND + TRUE), dtype=np.float32)
-    np.testing.assert_array_equal(again.predict(x, deterministic=True)[0], model.predict(x, deterministic=True)[0])
-    x[:, BLIND:] = -5.0
-    np.testing.assert_array_equal(again.predict(x, deterministic=True)[0], model.predict(x, deterministic=True)[0])
 
 
 # --- worlds with hidden effects ---------------------------------------------------------------------------------------

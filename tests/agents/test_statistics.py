@@ -53,11 +53,6 @@ def test_draws_of_the_mean_are_those_of_the_scores_written_out(scores):
             assert np.isnan(got[k])
 
 
-def test_mean_without_any_course_is_not_a_number():
-    assert np.isnan(st.mean(np.full((2, 3), np.nan)))
-    assert st.mean(np.array([[1.0, np.nan], [3.0, 8.0]])) == pytest.approx(4.0)
-
-
 @given(SCORES, hs.integers(1, 4), hs.randoms(use_true_random=False))
 def test_probability_of_improvement_is_the_mann_whitney_statistic(a, members, random):
     b = np.array([[random.choice((-1.0, 0.0, 0.5, 2.0)) for _ in range(a.shape[1])] for _ in range(members)])
@@ -94,16 +89,6 @@ def test_the_interval_holds_the_middle_95_percent():
     assert (low, high) == pytest.approx((2.5, 97.5))
     assert st.interval(200.0, np.arange(101.0))[1] == 200.0
     assert st.interval(1.0, np.array([np.nan])) == (1.0, 1.0)
-
-
-def test_one_seed_s_interval_is_that_of_scipy_s_bootstrap():
-    x = np.random.default_rng(0).gamma(2.0, size=(1, 150))
-    members, courses = drawn(x, resamples=6000)
-    low, high = st.interval(st.mean(x), st.mean_samples(x, members, courses))
-    expected = stats.bootstrap(
-        (x[0],), np.mean, n_resamples=6000, method="percentile", rng=np.random.default_rng(1)
-    ).confidence_interval
-    assert (low, high) == pytest.approx((expected.low, expected.high), abs=0.02)
 
 
 def test_two_way_draws_cover_the_luck_of_training():

@@ -1,11 +1,7 @@
 """`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a kill, bad input."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import time
 
 import pytest
 import yaml
@@ -20,7 +16,7 @@ from agents.study.config import Cell, Study, read_config
 from agents.training import open_run
 from soil_env._io.loading import config_dir
 from soil_env.terramechanics.model import WheelSoilModel
-from tests.agents.commands import study as main, typed
+from tests.agents.commands import study as main
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
@@ -111,16 +107,6 @@ def test_trainings_are_those_of_the_config(finished):
     assert by_seed[0] != by_seed[1]
 
 
-def test_the_table_holds_what_the_result_says(finished):
-    text, result = (finished / "study.md").read_text(), read(finished)
-    entry = result["scenarios"]["elsewhere"]
-    m, d = entry["controllers"]["soft_start"]["immobilised"], entry["paired"]["soft_start"]["mine"]["finished"]
-    row = next(line for line in text.splitlines() if line.startswith("| elsewhere | soft_start |"))
-    assert f"{100 * m['value']:.1f} [{100 * m['low']:.1f}, {100 * m['high']:.1f}]" in row
-    assert f"{100 * d['value']:+.1f} [{100 * d['low']:+.1f}, {100 * d['high']:+.1f}]" in row
-    assert (finished / "study.png").read_bytes()[:4] == b"\x89PNG"
-
-
 # --- going on ---------------------------------------------------------------------------------------------------------
 
 
@@ -156,30 +142,6 @@ def test_results_of_an_unfinished_study(finished, tmp_path, capsys):
     assert read(again)["scenarios"]["mixed"]["members"]["true_soil"] == 1
     shutil.rmtree(again / "cells")
     assert "no cell is done" in refused(capsys, "--out", again, "--report")
-
-
-def test_a_killed_study_gives_what_an_undisturbed_one_gives(tmp_path, monkeypatch):
-    """kill -9 of all processes in the middle of a training, after other cells are done."""
-    train = {**CONFIG["train"], "timesteps": 6400, "checkpoint_every": 10_000}
-    path, out = config(tmp_path, train=train, seeds=1, courses=3), tmp_path / "out"
-    command = typed("study", "--config", str(path), "--out", str(out), "--workers", "1")
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
-    run = out / "trained" / "mixed-true_soil-0"
-    try:
-        for _ in range(15000):
-            if (run / "tensorboard").exists() or process.poll() is not None:
-                break
-            time.sleep(0.02)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    assert run.exists() and not (run / "model.zip").exists()
-    before = {p: p.stat().st_mtime_ns for p in (out / "cells").iterdir()}
-    assert len(before) == 5  # all others
-    assert main(["--out", str(out)]) == 0
-    assert {p: p.stat().st_mtime_ns for p in before} == before
-    assert main(["--config", str(path), "--out", str(tmp_path / "calm")]) == 0
-    assert (out / "study.json").read_bytes() == (tmp_path / "calm" / "study.json").read_bytes()
 
 
 # --- worlds -----------------------------------------------------------------------------------------------------------
@@ -321,9 +283,3 @@ def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
     (tmp_path / "empty.yaml").write_text("")
     assert "is empty" in refused(capsys, "--config", tmp_path / "empty.yaml", "--out", tmp_path / "o")
     assert not (tmp_path / "o").exists()
-
-
-def test_a_class_that_fails_is_named(tmp_path, capsys):
-    path = config(tmp_path, controllers=[], arms={"mine": {"controller": "tests.agents.drivers:LateNaN"}})
-    said = refused(capsys, "--config", path, "--out", tmp_path / "out")
-    assert "arms.mine, on mixed: action nan in step 3 of course 5: expected a finite number" in said

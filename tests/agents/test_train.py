@@ -14,7 +14,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
-from agents import cli, comparison, plots, ppo, training
+from agents import cli, comparison, plots, training
 from agents.agent import load_agent, read_info
 from agents.config import PPOConfig, TrainConfig, load_config
 from agents.controllers import CONTROLLERS
@@ -128,23 +128,6 @@ def test_the_comparison_has_all_controllers(finished):
         assert 0.0 <= row["immobilised"]["low"] <= row["immobilised"]["value"] <= row["immobilised"]["high"] <= 1.0
 
 
-def test_tensorboard_has_the_curve(finished):
-    events = EventAccumulator(str(next(finished.glob("tensorboard/*/events*"))))
-    events.Reload()
-    assert {"courses/immobilised", "courses/return", "rollout/ep_rew_mean"} <= set(events.Tags()["scalars"])
-    assert [e.step for e in events.Scalars("courses/return")][-1] == 8192
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("variant, name", [("blind", "ppo_blind"), ("true_soil", "ppo_true")])
-def test_other_observations_are_trained_under_their_names(capsys, tmp_path, variant, name):
-    code, out, err = run(capsys, *TINY, "--runs", tmp_path, "--observation", variant)
-    assert code == 0, err
-    (folder,) = tmp_path.iterdir()
-    assert folder.name.startswith(f"{variant}-two_lines-")
-    assert set(json.loads((folder / "comparison.json").read_text())["controllers"]) == {*CONTROLLERS, name}
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_line_goes_over_the_file(capsys, tmp_path):
     file = tmp_path / "my.yaml"
@@ -159,15 +142,6 @@ def test_the_command_line_goes_over_the_file(capsys, tmp_path):
     scenario = load_scenario(tmp_path / "r/n/scenario.yaml")
     assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
     assert scenario.control.time_limit == 5.0
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
-    more = ["--ppo.history=3", "--ppo.critic=true_soil", "--hidden_worlds=2"]
-    for name in "ab":
-        assert run(capsys, *tiny(*more), "--runs", tmp_path, "--name", name)[0] == 0
-    a, b = ((tmp_path / name / "comparison.json").read_text() for name in "ab")
-    assert a == b
 
 
 @pytest.mark.parametrize(
@@ -263,15 +237,6 @@ def test_any_text_is_a_name(tmp_path, value):
         assert folder == tmp_path / value and training.open_run(folder)[0] == config
 
 
-def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
-    def fill(*args, **kwargs):
-        raise MemoryError("Unable to allocate 288. GiB")
-
-    monkeypatch.setattr(ppo, "build", fill)
-    err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert "memory" in err and "288. GiB" in err and "num_envs" in err and "n_steps" in err
-
-
 def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     folder = tmp_path / "n"
     folder.mkdir()
@@ -302,20 +267,6 @@ def test_resume_of_a_finished_run_does_nothing_and_without_its_result_compares_a
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_failure_while_comparing_does_not_lose_the_model(capsys, tmp_path, monkeypatch):
-    def fail(*args, **kwargs):
-        raise OSError(28, "No space left on device", "comparison.json")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(comparison, "compare", fail)
-        err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert "No space left" in err and "comparison.json" in err
-    assert load_agent(tmp_path / "n").timesteps == 256
-    code, _, err = run(capsys, "--resume", tmp_path / "n")
-    assert code == 0, err
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, monkeypatch):
     """Ctrl-C in the middle of the third of four rollouts."""
     from agents.sb3 import SoilWheelVecEnv
@@ -342,34 +293,6 @@ def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, mon
     assert load_agent(folder).timesteps >= 512
     steps = sum(steps_logged(folder), [])
     assert steps == sorted(set(steps)) and steps[-1] > reached
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_interrupt_before_any_training_can_be_resumed(capsys, tmp_path, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(training, "train", interrupt)
-        code, _, err = run(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert code == 130 and "--resume" in err
-    code, _, err = run(capsys, "--resume", tmp_path / "n")
-    assert code == 0, err
-    assert load_agent(tmp_path / "n").timesteps == 256
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
-    saved, original = [], ppo.save
-
-    def spy(model, path):
-        saved.append((Path(path).name, model.num_timesteps))
-        original(model, path)
-
-    monkeypatch.setattr(ppo, "save", spy)
-    code, _, err = run(capsys, *tiny("--timesteps=640", "--checkpoint_every=256"), "--runs", tmp_path, "--name", "n")
-    assert code == 0, err
-    assert saved == [("checkpoint.zip", 256), ("checkpoint.zip", 512), ("model.zip", 640)]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -75,11 +75,6 @@ def test_the_sdist_holds_what_a_contributor_needs(tmp_path):
     assert not {n for n in names if n.endswith((".pyc", ".nbi", ".nbc"))}
 
 
-def test_the_version_of_the_citation_is_that_of_the_package():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert soil_env.__version__ == citation["version"]
-
-
 def environment(folder):
     """Python of a new virtual environment that also sees the packages of this one."""
     venv.create(folder, with_pip=False, symlinks=os.name != "nt")

@@ -259,15 +259,5 @@ def test_the_page_of_effects_has_the_catalogue():
     assert EFFECTS.read_text(encoding="utf-8") == effects_page(), "run python -m tests.project.test_pages"
 
 
-def test_the_raw_results_that_pages_name_exist():
-    results = DOCS / "results"
-    if not (results / "README.md").is_file():
-        pytest.skip("no raw results")
-    for page in (DOCS / "results.md", *GUIDE):
-        for name in re.findall(r"`(?:docs/results/)?(\w+\.json)`", page.read_text(encoding="utf-8")):
-            if "results" in name_of(page) or f"docs/results/{name}" in page.read_text(encoding="utf-8"):
-                assert (results / name).is_file(), f"{name_of(page)}: {name}"
-
-
 if __name__ == "__main__":
     EFFECTS.write_text(effects_page(), encoding="utf-8")
