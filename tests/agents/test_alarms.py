@@ -82,13 +82,6 @@ def test_nothing_is_judged_during_halts(scenario):
     assert lead == pytest.approx([0.15, 4.5])  # a halt ends no warning
 
 
-def test_slip_beyond_the_stable_branch_is_warned_of(scenario):
-    _, lead, _ = play(scenario, drive(seconds=2) + drive(slip=0.95, seconds=2) + drive(slip=0.95, clock=1.0))
-    assert lead[1] == pytest.approx(1.5)
-    _, lead, _ = play(scenario, drive(seconds=2) + drive(slip=0.4, seconds=2) + drive(slip=0.4, clock=1.0))
-    assert np.isnan(lead).all()
-
-
 def test_foresight_stays_on_over_half_of_its_threshold(scenario, monkeypatch):
     foresight, threshold = Foresight(scenario, 2), Foresight(scenario, 2).threshold
     worlds = SimpleNamespace(state=WheelState(2), recent=None, ids=SimpleNamespace(estimate=None, sd=None))

@@ -22,11 +22,6 @@ def test_a_killed_worker_loses_nothing(tmp_path, engine):
     assert (tmp_path / "mark").exists()
 
 
-def test_processes_that_always_die_are_given_up(importable):
-    with pytest.raises(ParameterError, match="died 4 times"):
-        list(cells.processes(work.always_die, [(0, "")], workers=1))
-
-
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
     """And an idle worker beside it is left alone."""
     monkeypatch.chdir(tmp_path)
@@ -67,7 +62,3 @@ def test_a_worker_with_other_code_is_refused(monkeypatch):
 def test_options_that_fit_no_engine_are_refused(given, said):
     with pytest.raises(ParameterError, match=said):
         cells.choose(**given)
-
-
-def test_ray_uses_both_nodes(connected):
-    assert len({node for _, node in cells.on_ray(work.where, range(8))}) == 2

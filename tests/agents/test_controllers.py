@@ -77,9 +77,6 @@ def observations(variant, n=6, seed=0, scenario="mixed"):
     return out
 
 
-# --- the registry -----------------------------------------------------------------------------------------------------
-
-
 # --- SB3's predict ----------------------------------------------------------------------------------------------------
 
 
@@ -130,24 +127,6 @@ def test_episode_start_resets_only_its_row(name):
     assert reset[1, 0] != kept[1, 0]
 
 
-@pytest.mark.parametrize("name", ["best_slip_identified", "best_slip_true"])
-def test_a_restarted_row_forgets_the_best_slip_of_the_last_episode(name):
-    """Same soil, other load: the restarted row must work out its slip as a fresh controller does."""
-    scenario = load_scenario("mixed", TORQUE)
-    controller = make_controller(name, scenario)
-    load = [e.name for e in layout(controller.variant)].index("load")
-    light = observations(controller.variant, 12, seed=3)
-    heavy = light.copy()
-    light[:, load], heavy[:, load] = 0.5, 2.5
-    _, fresh = controller.predict(heavy, None, np.ones(12, dtype=bool))
-    fresh_slip = fresh["slip"].copy()
-    _, state = controller.predict(light, None, np.ones(12, dtype=bool))
-    light_slip = state["slip"].copy()
-    _, state = controller.predict(heavy, state, np.ones(12, dtype=bool))
-    assert (fresh_slip != light_slip).any()  # the load matters to these soils
-    np.testing.assert_array_equal(state["slip"], fresh_slip)
-
-
 # --- what each reads --------------------------------------------------------------------------------------------------
 
 
@@ -189,16 +168,6 @@ def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     assert cause == Cause.FINISHED and between.sum() >= 5
     assert np.abs(out["slip"][between] - slip).mean() < 0.02
     assert np.abs(out["slip"][-50:] - slip + 0.05).max() < 0.02  # at the top the slope decides
-
-
-@pytest.mark.parametrize("action", ACTIONS)
-def test_fixed_slip_on_easy_ground_runs_at_the_top_speed_of_the_motor(action):
-    scenario = uniform(action=action)
-    out, _, _ = drive(make_controller("fixed_slip", scenario, slip=0.3), scenario, 200)
-    late = out["x"] > 4.0
-    assert late.sum() * scenario.control.duration > 3.0
-    top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    assert out["rim"][late].min() > 0.75 * top and out["slip"][late].max() < 0.3
 
 
 def seen(controller, speed, slip=0.0, halted=0.0):
@@ -332,16 +301,6 @@ def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):
     best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).slip
     assert state["slip"][0] in SLIPS
     assert state["slip"][0] == best
-
-
-def test_true_soil_is_read_in_the_units_of_the_soil():
-    """The row `SoilState` that the controller reads is the soil under the wheel."""
-    scenario = uniform("dry_sand")
-    sim = Simulation(1, scenario, "true_soil", threads=1)
-    sim.seed(0, np.random.default_rng(0))
-    sim.restart(0)
-    read = make_controller("best_slip_true", scenario).soils(sim.worlds.observation.astype(float))[0]
-    np.testing.assert_allclose(read, soils()["dry_sand"].state(scenario.wheel.width), rtol=2e-5)
 
 
 @pytest.mark.parametrize("action", ACTIONS)

@@ -70,15 +70,6 @@ def test_a_comparison_of_known_runs():
     assert found == comparing.comparison(scenario, 3, runs, resamples=400)
 
 
-def test_pairing_removes_what_courses_have_in_common():
-    """Returns that scatter by 10 over courses and differ by 0.1 everywhere: told apart on the same courses alone."""
-    x = np.random.default_rng(1).normal(0.0, 10.0, 60)
-    found = comparing.comparison(load_scenario(), 0, {"a": runs_of(x + 0.1), "b": runs_of(x)}, resamples=300)
-    alone, paired = found["controllers"], found["paired"]["a"]["b"]["return"]
-    assert alone["a"]["return"]["low"] < alone["b"]["return"]["high"]
-    assert paired["low"] == pytest.approx(0.1) and paired["high"] == pytest.approx(0.1)
-
-
 @pytest.mark.parametrize("n", [1, 9, 500])
 def test_one_outcome_for_all_courses_gives_intervals_that_contain_it(n):
     """At 0 % and 100 %, and with equal courses, rounding may not put the value outside its interval."""

@@ -1,5 +1,6 @@
 """`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a kill, bad input."""
 
+import dataclasses
 import json
 import shutil
 
@@ -15,8 +16,9 @@ from agents.study import work
 from agents.study.config import Cell, Study, read_config
 from agents.training import open_run
 from soil_env._io.loading import config_dir
+from soil_env.cli import main as soil_env
+from soil_env.parameters import soils
 from soil_env.terramechanics.model import WheelSoilModel
-from tests.agents.commands import study as main
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
@@ -43,10 +45,15 @@ def config(folder, **changes):
     return path
 
 
+def main(arguments):
+    """Exit status of `soil-env study`."""
+    return soil_env(["study", *map(str, arguments)])
+
+
 def refused(capsys, *arguments):
     """stderr of a command that has to be refused: one line, status 2."""
     capsys.readouterr()
-    assert main(list(map(str, arguments))) == 2
+    assert main(arguments) == 2
     err = capsys.readouterr().err
     assert err.startswith("soil-env study: error: ") and err.count("\n") == 1, err
     return err
@@ -224,29 +231,17 @@ def test_shipped_worlds_can_be_played(path, tmp_path):
     [
         ({"scenarios": {"mixd": {}}}, "study.yaml: scenarios.mixd: scenario: unknown value"),
         ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
-        ({"scenarios": {"mixed": ["sticky"]}}, "study.yaml: scenarios.mixed = ['sticky']: expected a mapping"),
-        ({"scenarios": {"mixed": {"changes": 5}}}, "study.yaml: scenarios.mixed.changes = 5: expected a mapping"),
-        ({"scenarios": {"mixed": {"model": 5}}}, "study.yaml: scenarios.mixed.model = 5: expected text"),
         ({"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}}, "study.yaml: scenarios.mixed.changes"),
         ({"scenarios": {"mixed": {"model": "none.yaml"}}}, "none.yaml"),
-        ({"scenarios": {}}, "at least one scenario"),
         ({"arms": {}, "controllers": []}, "one arm"),
         ({"arms": {"a-b": {}}}, "a-b"),
         ({"arms": {"a": {"train": {"ppo": {"critic": "soil"}}}}}, "critic = 'soil'"),
-        ({"arms": {"a": {"train": {"hidden_worlds": -1}}}}, "hidden_worlds"),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
         ({"arms": {"a": {"controller": "soft_strat"}}}, "did you mean 'soft_start'"),
-        ({"arms": {"a": {"controller": "soft_start", "settings": {"sped": 1}}}}, "did you mean 'speed'"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
         ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown key 'nowhere'"),
-        ({"arms": {"a": {"observation": "blind"}}}, "study.yaml: arms.a: unknown key 'observation'"),
-        ({"worlds": {"a": {"model": "effect.yaml", "log_of": "effect.yaml"}}}, "not both"),
-        ({"controllers": ["soft_strt"]}, "soft_start"),
         ({"baseline": "nobody"}, "baseline: unknown key 'nobody'"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
-        ({"targets": {}}, "study.yaml: unknown key 'targets'"),
-        ({"version": "1"}, "study.yaml: unknown key 'version'"),
-        ({"courses": 0}, "courses = 0"),
     ],
 )
 def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
@@ -256,19 +251,14 @@ def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
 
 
 @pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        ("effects: {}", "no effects"),
-        ("effects: {bulldosing: {hegedus: 1.0}}", "bulldozing"),
-        ("wheel: {radius: 0.3, width: 0.15}\neffects: {bulldozing: {hegedus: 1.0}}", "that of scenario"),
-        ("soil: {friction_angle_deg: 30, cohesion: 0, shear_modulus: 0.01, sinkage_exponent: 1, "
-         "sinkage_coefficient: 1.0e+6}\neffects: {bulldozing: {hegedus: 1.0}}", "expected no soil"),
-    ],
+    ("changes", "expected"),
+    [({"effects": {}}, "no effects"), ({"wheel": {"radius": 0.3, "width": 0.15}}, "that of scenario"),
+     ({"soil": dataclasses.asdict(soils()["dry_sand"])}, "expected no soil")],
 )  # fmt: skip
-def test_bad_worlds_are_refused_in_one_line(content, expected, tmp_path, capsys):
-    world = tmp_path / "world.yaml"
-    world.write_text(("" if "wheel" in content else "wheel: {radius: 0.15, width: 0.15}\n") + content + "\n")
+def test_bad_worlds_are_refused_in_one_line(changes, expected, tmp_path, capsys):
     path = config(tmp_path, scenarios={"mixed": {"model": "world.yaml"}})
+    world = yaml.safe_load((tmp_path / "effect.yaml").read_text()) | changes
+    (tmp_path / "world.yaml").write_text(yaml.safe_dump(world))
     assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -278,8 +268,3 @@ def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
     assert "only with --config" in refused(capsys, "--out", finished, "--train.timesteps", "3")
     assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
-    said = refused(capsys, "--config", path, "--out", tmp_path / "o", "--seeds", "0")
-    assert "'--seeds': '0': expected a whole number" in said
-    (tmp_path / "empty.yaml").write_text("")
-    assert "is empty" in refused(capsys, "--config", tmp_path / "empty.yaml", "--out", tmp_path / "o")
-    assert not (tmp_path / "o").exists()
