@@ -153,7 +153,8 @@ def test_the_verdict_follows_from_the_intervals(agent, words, overlap):
     rates = {"ppo_blind": agent, "soft_start": (0.89, 0.87, 0.91), "best_slip_true": (0.93, 0.91, 0.95)}
     rows = {n: {"finished": dict(zip(("value", "low", "high"), m, strict=True))} for n, m in rates.items()}
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
-    text = comparison.verdict(
+    result = {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
+    text = comparison.verdict(result, "ppo_blind")
         {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}, "ppo_blind"
     )
     assert re.search(f"ppo_blind .*{words}.* soft_start", text) and "+5.0 [+2.0, +8.0]" in text
