@@ -155,8 +155,6 @@ def test_the_verdict_follows_from_the_intervals(agent, words, overlap):
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
     result = {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
     text = comparison.verdict(result, "ppo_blind")
-        {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}, "ppo_blind"
-    )
     assert re.search(f"ppo_blind .*{words}.* soft_start", text) and "+5.0 [+2.0, +8.0]" in text
     assert ("overlap" in text) == overlap and not (overlap and re.search("more|fewer", text))
 
