@@ -54,7 +54,7 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     video = out is not None and out.suffix != ".png"
     frames, info, steps = _drive(env, driver, seed, frame if out and not video else None, every if video else 0)
     if out is not None:
-        _save(out, frames or [env.render()], every * env.unwrapped.scenario.control.period)
+        _save(out, frames or [env.render()])
     env.close()
     state = info["state"]
     print(f"{controller}: {info['cause']} at {state['x']:.2f} m after {steps} control periods")
@@ -75,16 +75,16 @@ def _drive(env: gymnasium.Env, driver: Any, seed: int, last: int | None, every: 
     return frames, info, steps
 
 
-def _save(path: Path, frames: list[np.ndarray], duration: float) -> None:
-    """Save one frame as a picture, several as a video in which each lasts `duration` [s]."""
+def _save(path: Path, frames: list[np.ndarray]) -> None:
+    """Save one frame as a picture, several as a video of ten frames a second."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".mp4":
         from moviepy import ImageSequenceClip
 
-        ImageSequenceClip(frames, fps=1.0 / duration).write_videofile(str(path), logger=None)
+        ImageSequenceClip(frames, fps=10).write_videofile(str(path), logger=None)
         return
     from PIL import Image
 
     images = [Image.fromarray(frame).quantize(64) if len(frames) > 1 else Image.fromarray(frame) for frame in frames]
-    more = {"save_all": True, "append_images": images[1:], "duration": 1000.0 * duration, "loop": 0}
+    more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     images[0].save(path, **(more if path.suffix == ".gif" else {}))

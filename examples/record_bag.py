@@ -21,21 +21,16 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import yaml
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
 from soil_env.parameters import to_dict
-<<<<<<< HEAD
 
 try:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 except ImportError:
     raise SystemExit("record_bag.py needs the extra logs: pip install 'soil_env[logs]'") from None
-=======
->>>>>>> r/train
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types

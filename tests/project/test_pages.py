@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import gymnasium
 import numpy as np
@@ -78,6 +79,26 @@ def test_the_python_of_a_page_runs(page, tmp_path):
 def test_the_python_of_a_page_compiles(page):
     for block in blocks(page, "python"):
         compile(block["code"], name_of(page), "exec")
+
+
+def test_the_ros_node_of_the_page_identifies(monkeypatch):
+    """The node of the online identifier against a stand-in for rclpy, which is not on PyPI."""
+    rclpy = mock.MagicMock()
+    for name in ("rclpy", "nav_msgs", "nav_msgs.msg", "sensor_msgs", "sensor_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, rclpy)
+    code = next(b["code"] for b in blocks(DOCS / "guide" / "online.md", "python") if "rclpy" in b["code"])
+    exec(compile(code, "online.md", "exec"), {})
+    node = rclpy.create_node.return_value
+    receive = {call.args[1]: call.args[2] for call in node.create_subscription.call_args_list}
+    period, identify = node.create_timer.call_args.args
+    assert period == 0.1
+    for k in range(40):
+        receive["/joint_states"](mock.Mock(velocity=[2.0], effort=[5.0]))
+        receive["/odom"](mock.Mock(**{"twist.twist.linear.x": 0.27 - 0.004 * k}))
+        receive["/range"](mock.Mock(range=0.13))
+        identify()
+    shown = [call.args[0] for call in node.get_logger.return_value.info.call_args_list]
+    assert len(shown) == 40 and shown[-1].startswith("phi ") and shown[-1] != shown[0]
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
