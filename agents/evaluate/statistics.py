@@ -33,7 +33,7 @@ class Draws:
     seed: int
 
     def members(self, name: str, count: int) -> np.ndarray:
-        """How often each of `count` members of controller `name` was drawn [resamples, count]."""
+        """Counts of the draws of each of `count` members of controller `name` [resamples, count]."""
         rng = np.random.default_rng([self.seed, 1, *name.encode()])
         return _counts(rng, len(self.courses), count)
 

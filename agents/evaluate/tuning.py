@@ -30,7 +30,7 @@ from .driving import TUNING_SET, run_courses
 
 SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
-_COURSES_A_TRIAL = 5  # fewer courses cannot tell more settings apart
+_COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
 
 Progress = Callable[[int, str], None]
@@ -41,7 +41,7 @@ Progress = Callable[[int, str], None]
 
 @dataclass(frozen=True)
 class Range(Checked):
-    """What one setting is drawn from."""
+    """Range that one setting is drawn from."""
 
     low: float = quantity("", 0.0, 1e6)
     high: float = quantity("", 0.0, 1e6)

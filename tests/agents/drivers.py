@@ -1,4 +1,4 @@
-"""Controllers of somebody else, as `python -m agents.evaluate` takes them by module:Thing."""
+"""Controllers of a user, as `soil-env evaluate` takes them by module:Thing."""
 
 import os
 import signal

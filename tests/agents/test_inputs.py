@@ -124,7 +124,7 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
 
 
 def test_the_critic_sees_the_lines_ahead_too():
-    """What `true_soil` observes of them, but for the error of the camera in where the patch begins."""
+    """Entries as `true_soil` observes them, but for the error of the camera in where the patch begins."""
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
     seeing, plain = SoilWheelVecEnv(8, scenario, "blind", critic="true_soil"), SoilWheelVecEnv(8, scenario, "true_soil")
     names, blind = plain.observation_names, {e.name for e in layout("blind", scenario.course)}

@@ -121,7 +121,7 @@ SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--cha
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory):
-    """What `python train.py --config rover.yaml` leaves, small."""
+    """Run folder of `soil-env train --config rover.yaml`, small."""
     out = tmp_path_factory.mktemp("rover")
     assert main(["train", "--config", "rover.yaml", "--name", "small", "--runs", str(out), *SMALL]) == 0
     return out / "small"

@@ -12,9 +12,6 @@ import zipfile
 from pathlib import Path
 
 import pytest
-import yaml
-
-import soil_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -101,7 +98,7 @@ def run(python, *arguments, cwd):
 
 
 def test_it_is_installed_beside_openai_agents(wheel, tmp_path):
-    """That distribution owns the name `agents`: its files stay as they are and are what is imported, and ours runs.
+    """The distribution openai-agents keeps the name `agents` and its files, and our command runs.
 
     Without what it needs itself, which is much and has no such name.
     """
