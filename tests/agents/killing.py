@@ -33,7 +33,7 @@ def status_of(work) -> int:
 
 
 def killed_until_done(work) -> int:
-    """Number of processes that it took to do `work`; RuntimeError where one failed otherwise, or they come to no end."""
+    """Number of processes that `work` took; RuntimeError where one failed otherwise, or they come to no end."""
 
     def killed_work():
         kill_at_a_file(*MOMENTS[count % len(MOMENTS)])

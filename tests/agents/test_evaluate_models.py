@@ -1,4 +1,4 @@
-"""Models of other origin: every algorithm of Stable-Baselines3 with a continuous action, recognised by its zip alone."""
+"""Models of other origin: algorithms of Stable-Baselines3 with a continuous action, recognised by their zip."""
 
 import pickle
 

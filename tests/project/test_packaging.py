@@ -12,6 +12,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
+
+import soil_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -70,6 +73,14 @@ def test_the_sdist_holds_what_a_contributor_needs(tmp_path):
     for folder in ("soil_env", "agents", "tests", "benchmarks"):
         assert {f"{folder}/{name}" for name in sources(folder, "*.py")} <= names
     assert not {n for n in names if n.endswith((".pyc", ".nbi", ".nbc"))}
+
+
+def test_versions_that_are_written_twice_agree():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert soil_env.__version__ == citation["version"]
+    major, minor = re.search(r"^numba==(\d+)\.(\d+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE).groups()
+    (numba,) = (d for d in PROJECT["dependencies"] if d.startswith("numba"))
+    assert numba.endswith(f"<{major}.{int(minor) + 1}")  # the newest that was run
 
 
 def environment(folder):
