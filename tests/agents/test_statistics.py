@@ -102,16 +102,6 @@ def test_two_way_draws_cover_the_luck_of_training():
     assert covered / trials > 0.85
 
 
-def test_the_stratified_interval_is_that_of_seeds_drawn_within_each_course():
-    rng = np.random.default_rng(4)
-    scores = rng.normal(size=(4, 9))
-    low, high = st.stratified(scores, 1, 4000)
-    chosen = rng.integers(0, 4, (4000, 4, 9))
-    samples = stats.trim_mean(scores[chosen, np.arange(9)].reshape(4000, -1), 0.25, axis=1)
-    assert (low, high) == pytest.approx(np.quantile(samples, [0.025, 0.975]), abs=0.03)
-    assert st.stratified(np.tile(np.arange(9.0), (3, 1)), 1, 50) == pytest.approx((4.0, 4.0))  # courses stay
-
-
 @pytest.mark.parametrize("n", [1, 5, 20, 1000])
 def test_wilson_agrees_with_scipy(n):
     for k in sorted({0, 1, n // 3, n - 1, n}):

@@ -24,7 +24,6 @@ RUNS = {  # script -> (arguments, picture, pattern of the output, module it need
     "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
     "live_identifier": ("--steps 120", "", r"\d+ sets of readings; Soil\(", "gymnasium"),
     "find_missing_effect": ("", "gap.png", r"verdict: named\n  slip_sinkage: ", "scipy"),
-    "compare_controllers": ("--courses 4 --tuning-courses 2", "compared.png", r"best_slip_true +immob.*%", "gymnasium"),
     "own_controller": ("", "own_controller.png", "written", "gymnasium"),
     "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
     "vector_env": ("--wheels 16 --steps 200", "vector_env.png", r"second; courses that ended: \{'", "gymnasium"),
