@@ -1,4 +1,4 @@
-"""A study killed with SIGKILL over and over and begun again, until it ends: `python -m tests.agents.killing FOLDER`.
+"""Work killed with SIGKILL over and over and begun again, until it ends: `python -m tests.agents.killing NAME FOLDER`.
 
 Each process is a fork of this one, which has imported all that the work imports and started no thread: a fork of a
 process with threads (of autograd, of TensorBoard's writer) may crash. It is killed where it puts a file in its place
@@ -91,19 +91,35 @@ def small_study(folder: Path) -> None:
         raise RuntimeError("soil-env study failed")
 
 
-def main(folder: Path) -> None:
-    """Do the study in folder/calm, and killed and begun again in folder/killed.
+def load_discovery() -> None:
+    """Import what the benchmark imports."""
+    import benchmarks.discovery.__main__  # noqa: F401
+
+
+def discovery(folder: Path) -> None:
+    """Three small cases of `benchmarks.discovery`, drawn, answered and scored."""
+    from benchmarks.discovery.__main__ import main as discovery
+
+    groups = (word for name in ("none-few-10", "one-few-10", "one-poor-10") for word in ("--group", name))
+    asked = ["--entrant", "bic", "--seed", "100007", "--limit", "30", *groups]
+    if discovery(["run", *asked, "--out", str(folder)]) != 0:
+        raise RuntimeError("benchmarks.discovery failed")
+
+
+def main(name: str, folder: Path) -> None:
+    """Do the work of that name in folder/calm, and killed and begun again in folder/killed.
 
     Both are done in folder/work, whose name some results have in them.
     """
     faulthandler.enable()
-    load_study()
-    if (status := status_of(lambda: small_study(folder / "work"))) != 0:
+    load, work = {"study": (load_study, small_study), "discovery": (load_discovery, discovery)}[name]
+    load()
+    if (status := status_of(lambda: work(folder / "work"))) != 0:
         raise RuntimeError(f"undisturbed work ended with status {status}")
     (folder / "work").rename(folder / "calm")
-    print(killed_until_done(lambda: small_study(folder / "work")))
+    print(killed_until_done(lambda: work(folder / "work")))
     (folder / "work").rename(folder / "killed")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(sys.argv[1], Path(sys.argv[2]))

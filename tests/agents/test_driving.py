@@ -2,11 +2,9 @@
 
 import json
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from agents import plots
 from agents.controllers import CONTROLLERS, make_controller
 from agents.evaluate import Runs, course_rng, run_courses
 from agents.evaluate.driving import MEANINGS, METRICS
@@ -174,15 +172,3 @@ def test_nan_for_a_course_that_has_ended_is_allowed(scenario):
 
     a, b = (run_courses(Careless(flag), scenario, SEED, 6) for flag in (True, False))
     assert a.columns() == b.columns()
-
-
-def test_the_trace_of_a_course_is_that_of_the_comparison(scenario, runs, tmp_path):
-    """course.png shows the course that was judged: same end, same distance, same length."""
-    controllers = {name: make_controller(name, scenario) for name in ("full_throttle", "best_slip_identified")}
-    for name, controller in controllers.items():
-        columns, cause = plots.trace(controller, scenario, SEED, 4)
-        assert Cause[cause].value == runs[name].cause[4]
-        assert columns["t"][-1] == pytest.approx(runs[name].time[4])
-        assert columns["x"].max() == pytest.approx(runs[name].distance[4])
-    plots.course_figure(scenario, SEED, 4, controllers, tmp_path / "course.png")
-    assert plt.imread(tmp_path / "course.png").std() > 0.01

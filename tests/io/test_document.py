@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 import jinja2
 import pytest
 
-from soil_env._io.document import Table, html_image, html_page, render, renewed, wrapped
+from soil_env._io.document import Table, html_image, html_page, render, renewed
 from soil_env._io.loading import ParameterError
 
 TABLE = Table(("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils")
@@ -22,14 +22,6 @@ def test_a_table_as_markdown_html_and_text():
         " Two soils", " soil         pull [N]", " <sand> & co      12.5", " loam|clay          -3",
         "                     -",
     ]  # fmt: skip
-
-
-def test_a_table_without_rows_and_one_with_a_short_row():
-    assert Table(("a", "b"), []).text() == "a  b"
-    assert Table(("a", "b"), []).markdown() == "| a | b |\n|---|---|"
-    assert "<tbody></tbody>" in Table(("a",), []).html()
-    with pytest.raises(ValueError, match="2 cells: a, b"):
-        Table(("a", "b"), [("1",)])
 
 
 def test_a_page_is_well_formed_and_loads_nothing():
@@ -55,12 +47,6 @@ def test_a_template_escapes_text_but_not_a_table_and_refuses_a_missing_name(monk
     assert own.render(t=TABLE) == TABLE.html()
 
 
-def test_paragraphs_are_broken_into_lines_and_nothing_else_is():
-    text = "# A heading\n\n" + "word " * 40 + "\n\n| a | b |\n|---|---|\n\n- one\n- two\n\n\n**Bold** " + "word " * 40
-    blocks = wrapped(text, 60).split("\n\n")
-    assert [b.count("\n") for b in blocks] == [0, 3, 1, 1, 4] and max(map(len, wrapped(text, 60).splitlines())) <= 60
-
-
 def test_marked_parts_are_renewed_and_others_stay():
     text = "x\n<!-- a -->\nold\n<!-- end -->\n<!-- b -->\nkept\n<!-- end -->\ny\n"
     assert renewed(text, {"a": "new"}, "page.md") == text.replace("old", "new")
@@ -68,8 +54,3 @@ def test_marked_parts_are_renewed_and_others_stay():
     for bad in ("no markers", text + text):
         with pytest.raises(ParameterError, match="page.md: expected one pair of markers <!-- a -->"):
             renewed(bad, {"a": "new"}, "page.md")
-
-
-def test_an_empty_marked_part_is_renewed():
-    page = "a\n<!-- x -->\n<!-- end -->\nb\n<!-- y -->\nold\n<!-- end -->\n"
-    assert renewed(page, {"x": "new"}, "page.md") == page.replace("<!-- x -->\n", "<!-- x -->\nnew\n")
