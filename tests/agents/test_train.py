@@ -74,7 +74,7 @@ def start(*arguments):
     )  # fmt: skip
 
 
-def wait_for(path, process, seconds=90.0):
+def wait_for(path, process, seconds=300.0):
     """Until `path` exists; fails if the process ends before."""
     end = time.monotonic() + seconds
     while not path.exists():
