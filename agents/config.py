@@ -92,6 +92,8 @@ class TrainConfig(OfWorld):
             raise ParameterError(
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
+        if self.rover and self.ppo.critic:
+            raise ParameterError(f"ppo.critic = {self.ppo.critic!r}: expected none for a rover")
         if self.hidden_worlds >= self.ppo.num_envs:
             raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
