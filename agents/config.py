@@ -22,7 +22,7 @@ def _text(default: str, doc: str):
 class PPOConfig(Checked):
     """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %.
 
-    docs/training.md says how these defaults were chosen.
+    docs/guide/training.md says how these defaults were chosen.
     """
 
     num_envs: int = quantity("", 1, 65536, default=256, doc="wheels stepped together")
@@ -72,20 +72,14 @@ class TrainConfig(OfWorld):
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in the world"})
     observation: Literal["blind", "identified", "true_soil"] = _text("identified", "blind, identified or true_soil")
     algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo of sb3-contrib")
-    hidden_worlds: int = quantity(
-        "",
-        0,
-        1000,
-        default=0,
-        doc="worlds with a hidden effect, mixed into the training",
-    )
+    hidden_worlds: int = quantity("", 0, 1000, default=0, doc="worlds with a hidden effect, mixed into the training")
     name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
     timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
-    tuning_courses: int = quantity("", 1, 10**6, default=200, doc="courses to tune the classical controllers on")
+    tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
     oracle_courses: int | None = quantity(
         "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, or none for a rover"
     )
@@ -98,6 +92,8 @@ class TrainConfig(OfWorld):
             raise ParameterError(
                 f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
             )
+        if self.rover and self.ppo.critic:
+            raise ParameterError(f"ppo.critic = {self.ppo.critic!r}: expected none for a rover")
         if self.hidden_worlds >= self.ppo.num_envs:
             raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 

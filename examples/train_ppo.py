@@ -52,10 +52,7 @@ def main() -> None:
     model = ppo.build(scenario, "identified", ppo.PPOConfig(), seed=0)
     model.learn(options.steps, callback=seen)
     ppo.save(model, options.save)
-    for name, who in (
-        ("ppo", load_agent(options.save)),
-        ("full throttle", make_controller("full_throttle", scenario)),
-    ):
+    for name, who in (("ppo", load_agent(options.save)), ("full throttle", make_controller("full_throttle", scenario))):
         runs = run_courses(who, scenario, HELD_OUT_SET, options.courses)
         print(f"{name:14s} return {runs.returns.mean():6.2f}   finished {runs.metric('finished').mean():.1%}")
 

@@ -1,6 +1,6 @@
 """Controllers of a rover: a rim speed for each wheel, or a torque, from the observation of the whole rover.
 
-| name | what each wheel is told | observation |
+| name | command of each wheel | observation |
 |------|-------------------------|-------------|
 | equal_speed | one constant rim speed, as most rovers drive | blind |
 | soft_start | one rim speed that rises from rest | blind |

@@ -1,4 +1,4 @@
-"""Controllers on the same courses: paired runs, rates and means with 95 % intervals; `python -m agents.evaluate`."""
+"""Controllers on the same courses: paired runs, rates and means with 95 % intervals; `soil-env evaluate`."""
 
 from .comparing import comparison, save
 from .driving import HELD_OUT_SET, METRICS, RATES, TUNING_SET, ControllerError, Runs, course_rng, drive, run_courses

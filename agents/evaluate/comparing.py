@@ -81,6 +81,9 @@ def comparison(
     def difference(a: str, b: str, m: str) -> dict:
         return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
 
+    def iqm(own: np.ndarray, weights: np.ndarray) -> dict:
+        return st.bounds(st.iqm(own), st.iqm_samples(own, weights, drawn.courses))
+
     def improvement(a: str, b: str) -> dict:
         x, y = scores[a]["return"], scores[b]["return"]
         drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
@@ -96,7 +99,7 @@ def comparison(
         "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
         "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in rows},
         "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in rows},
-        "iqm": {n: _iqm(scores[n]["return"], members[n], drawn) for n in rows},
+        "iqm": {n: iqm(scores[n]["return"], members[n]) for n in rows},
         "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
         **({"limit": limit(oracle, rows, _alone(oracle, names, seed, resamples))} if oracle else {}),
@@ -110,15 +113,6 @@ def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
     if name in RATES:
         return st.rate_bounds(st.mean(scores), samples, known / len(scores), len(scores))
     return st.bounds(st.mean(scores), samples)
-
-
-def _iqm(scores: np.ndarray, members: np.ndarray, drawn: st.Draws) -> dict:
-    out: dict = st.bounds(st.iqm(scores), st.iqm_samples(scores, members, drawn.courses))
-    if len(scores) > 1:
-        out["stratified"] = dict(
-            zip(("low", "high"), st.stratified(scores, drawn.seed, len(drawn.courses)), strict=True)
-        )
-    return out
 
 
 def _alone(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:

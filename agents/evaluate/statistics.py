@@ -6,10 +6,6 @@ one row), one column a course. All controllers drive the same courses. NaN: not 
 Intervals draw whole training seeds and whole courses with replacement, the courses once for all controllers (the
 pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). They hold for another training and other courses. With one
 training seed only the courses are drawn. They are computed from weights: how often a member and a course were drawn.
-
-The *stratified* interval draws the training seeds anew within each course, and the courses stay (Agarwal et al. 2021,
-"Deep reinforcement learning at the edge of the statistical precipice", Sec. 4, with courses as tasks). It takes the
-luck of a training seed on different courses for independent, so it is narrower; it is for comparison with papers.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ class Draws:
     seed: int
 
     def members(self, name: str, count: int) -> np.ndarray:
-        """How often each of `count` members of controller `name` was drawn [resamples, count]."""
+        """Counts of the draws of each of `count` members of controller `name` [resamples, count]."""
         rng = np.random.default_rng([self.seed, 1, *name.encode()])
         return _counts(rng, len(self.courses), count)
 
@@ -115,19 +111,6 @@ def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) ->
         )  # scores of the draw up to each of `ordered`
         out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
     return np.concatenate(out) / (n - 2 * cut)
-
-
-def stratified(scores: np.ndarray, seed: int, resamples: int = 2000) -> tuple[float, float]:
-    """Interval of the `iqm` by draws of the members within each course."""
-
-    def statistic(*columns, axis: int):
-        return stats.trim_mean(np.concatenate(columns, axis=axis), 0.25, axis=axis)
-
-    found = stats.bootstrap(
-        list(scores.T), statistic, n_resamples=resamples, confidence_level=LEVEL, method="percentile", batch=_CHUNK,
-        vectorized=True, rng=np.random.default_rng([seed, 2]),
-    ).confidence_interval  # fmt: skip
-    return float(found.low), float(found.high)
 
 
 def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -98,10 +98,7 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 
 
 def draw_intervals(
-    axis: Axes,
-    values: Iterable[Mapping],
-    factor: float = 1.0,
-    colours: Iterable[str] | str = "#0072b2",
+    axis: Axes, values: Iterable[Mapping], factor: float = 1.0, colours: Iterable[str] | str = "#0072b2"
 ) -> None:
     """Draw values with their intervals, one above the other from the bottom; those not defined are left out."""
     values = list(values)

@@ -30,7 +30,7 @@ from .driving import TUNING_SET, run_courses
 
 SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
-_COURSES_A_TRIAL = 5  # fewer courses cannot tell more settings apart
+_COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
 
 Progress = Callable[[int, str], None]
@@ -41,7 +41,7 @@ Progress = Callable[[int, str], None]
 
 @dataclass(frozen=True)
 class Range(Checked):
-    """What one setting is drawn from."""
+    """Range that one setting is drawn from."""
 
     low: float = quantity("", 0.0, 1e6)
     high: float = quantity("", 0.0, 1e6)
@@ -127,8 +127,11 @@ def tuned_settings(
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
     they are good enough (`shipped_settings`), unless `anew`; they have no trials here. `progress` receives a number of
     courses and the name of the controller that has driven them; without it a bar is shown. Controllers without settings
-    are left out. `model` has the effects of the world. With a `log`, Optuna's journal, an interrupted tuning goes on.
+    are left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
+    interrupted tuning goes on.
     """
+    if courses == 0:
+        return {}, {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
     spaces = _spaces_of(scenario, load_spaces())
     names = [name for name in (spaces if names is None else names) if name in spaces]

@@ -1,1 +1,1 @@
-"""A study over arms, training seeds and scenarios, driven by a YAML file; `python -m agents.study`."""
+"""A study over arms, training seeds and scenarios, driven by a YAML file; `soil-env study`."""

@@ -87,7 +87,7 @@ class Study(Checked):
     seeds: int = quantity("trainings of each agent on each scenario", 1, 1000, default=5)
     courses: int = quantity("held-out courses of each scenario", 2, 10**6, default=1000)
     held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
-    tuning_courses: int = quantity("courses to tune the classical controllers on", 1, 10**6, default=200)
+    tuning_courses: int = quantity("to tune classical controllers on; 0: do not tune", 0, 10**6, default=200)
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     commissioning: Commissioning = Commissioning()
     version: str = field(default_factory=code_version)

@@ -1,1 +1,1 @@
-"""The source paper recomputed beside its printed values: `python -m soil_env.paper`."""
+"""The source paper recomputed beside its printed values: `soil-env paper`."""

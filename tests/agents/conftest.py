@@ -1,4 +1,4 @@
-"""What the tests of `python -m agents.evaluate` look at: models, and a finished evaluation of them."""
+"""Models, and a finished evaluation of them by `soil-env evaluate`."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Controllers of somebody else, as `python -m agents.evaluate` takes them by module:Thing."""
+"""Controllers of a user, as `soil-env evaluate` takes them by module:Thing."""
 
 import os
 import signal
@@ -72,26 +72,18 @@ class Raises:
         raise OSError("no such device\nand more")
 
 
-class Late(Half):
-    """Fails after a while: with an exception, or with an action that is no number."""
-
-    value = None
+class LateNaN(Half):
+    """Fails after a while: its last action is no number."""
 
     def __init__(self):
         self.calls = 0
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
         self.calls += 1
-        if self.calls > 3 and self.value is None:
-            raise ZeroDivisionError("late")
         action = np.full((len(obs), 1), 0.4)
         if self.calls > 3:
-            action[-1] = self.value
+            action[-1] = np.nan
         return action, state
-
-
-class LateNaN(Late):
-    value = np.nan
 
 
 class OneNaN(Half):

@@ -3,8 +3,8 @@
 import json
 
 from agents import ppo
+from soil_env.cli import main
 from soil_env.parameters import load_scenario
-from tests.agents.commands import evaluate as main
 
 CLASSES = "half=tests.agents.drivers:Half,tests.agents.drivers:Counting"
 SHORT = (
@@ -29,7 +29,7 @@ def evaluate(out, controllers, *more):
     """Status of a short evaluation; an option in `more` replaces the usual one."""
     later = {option.partition("=")[0] for option in more}
     short = [option for option in SHORT if option.partition("=")[0] not in later]
-    return main(["--controllers", controllers, "--out", str(out), *short, *more])
+    return main(["evaluate", "--controllers", controllers, "--out", str(out), *short, *more])
 
 
 def result_of(folder):

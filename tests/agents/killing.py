@@ -33,7 +33,7 @@ def status_of(work) -> int:
 
 
 def killed_until_done(work) -> int:
-    """How many processes it took to do `work`; RuntimeError where one failed otherwise, or they come to no end."""
+    """Number of processes that `work` took; RuntimeError where one failed otherwise, or they come to no end."""
 
     def killed_work():
         kill_at_a_file(*MOMENTS[count % len(MOMENTS)])
@@ -71,8 +71,8 @@ def load_study() -> None:
     import optuna  # noqa: F401
     import torch
 
-    import agents.study.command
-    import agents.training  # noqa: F401
+    import soil_env_agents.study.command
+    import soil_env_agents.training  # noqa: F401
 
     torch.set_num_threads(1)
     torch.optim.Adam([torch.zeros(1)])  # imports a good deal when it is first used
@@ -80,23 +80,23 @@ def load_study() -> None:
 
 def small_study(folder: Path) -> None:
     """A small study of `agents.study`, whose trainings begin anew after a kill."""
-    from tests.agents.commands import study
+    from soil_env.cli import main as soil_env
     from tests.agents.test_study import config
 
     train = {"timesteps": 192, "ppo": {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}}
     beside = folder.parent / "config"
     beside.mkdir(exist_ok=True)
     path = config(beside, train=train, courses=3, seeds=1)
-    if study(["--config", str(path), "--out", str(folder)]) != 0:
+    if soil_env(["study", "--config", str(path), "--out", str(folder)]) != 0:
         raise RuntimeError("soil-env study failed")
 
 
-def load_blind() -> None:
+def load_discovery() -> None:
     """Import what the benchmark imports."""
     import benchmarks.discovery.__main__  # noqa: F401
 
 
-def blind_cases(folder: Path) -> None:
+def discovery(folder: Path) -> None:
     """Three small cases of `benchmarks.discovery`, drawn, answered and scored."""
     from benchmarks.discovery.__main__ import main as discovery
 
@@ -112,7 +112,7 @@ def main(name: str, folder: Path) -> None:
     Both are done in folder/work, whose name some results have in them.
     """
     faulthandler.enable()
-    load, work = {"study": (load_study, small_study), "blind": (load_blind, blind_cases)}[name]
+    load, work = {"study": (load_study, small_study), "discovery": (load_discovery, discovery)}[name]
     load()
     if (status := status_of(lambda: work(folder / "work"))) != 0:
         raise RuntimeError(f"undisturbed work ended with status {status}")

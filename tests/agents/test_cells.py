@@ -1,6 +1,5 @@
 """Cells of a study: every engine does each once, a worker that is killed loses nothing, a damaged file is named."""
 
-import sys
 from functools import partial
 
 import pytest
@@ -23,11 +22,6 @@ def test_a_killed_worker_loses_nothing(tmp_path, engine):
     assert (tmp_path / "mark").exists()
 
 
-def test_processes_that_always_die_are_given_up(importable):
-    with pytest.raises(ParameterError, match="died 4 times"):
-        list(cells.processes(work.always_die, [(0, "")], workers=1))
-
-
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
     """And an idle worker beside it is left alone."""
     monkeypatch.chdir(tmp_path)
@@ -40,19 +34,6 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
 def test_bad_input_found_by_a_worker_comes_back(engine):
     with pytest.raises(ParameterError, match="^no 5$"):
         list(engine(work.refuse, [(5, "")]))
-
-
-def test_a_folder_is_filled_once(tmp_path):
-    done, seen = [], []
-
-    def double(x):
-        done.append(x)
-        return {"value": 2 * x}
-
-    cells.fill(double, [1, 2], tmp_path, cells.in_process, seen.append)
-    cells.fill(double, [1, 2, 3], tmp_path, cells.in_process, seen.append)
-    assert done == [1, 2, 3] and seen == [1, 2, 1, 2, 3]
-    assert [cells.read_cell(tmp_path, x, lambda content: content["value"]) for x in (1, 2, 3)] == [2, 4, 6]
 
 
 @pytest.mark.parametrize("content", ["{", "{}", "[1]"])
@@ -81,20 +62,3 @@ def test_a_worker_with_other_code_is_refused(monkeypatch):
 def test_options_that_fit_no_engine_are_refused(given, said):
     with pytest.raises(ParameterError, match=said):
         cells.choose(**given)
-
-
-def test_ray_that_is_absent_is_one_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ParameterError, match=r"pip install 'soil_env\[ray\]'"):
-        cells.choose("ray")
-
-
-@pytest.mark.parametrize("address", ["127.0.0.1:9", "nonsense"])
-def test_a_cluster_that_is_not_there_is_one_line(address):
-    pytest.importorskip("ray")
-    with pytest.raises(ParameterError, match=f"no cluster at {address}"):
-        cells.choose("ray", address=address)
-
-
-def test_ray_uses_both_nodes(connected):
-    assert len({node for _, node in cells.on_ray(work.where, range(8))}) == 2

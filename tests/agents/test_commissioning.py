@@ -77,16 +77,6 @@ def test_a_window_that_scatters_or_stands_is_not_steady():
     assert not steady(standing, rows, SCENARIO, PLAN)
 
 
-def test_points_lie_after_the_run_in_and_last_long_enough(drives):
-    _, whole, points = drives
-    for p in points:
-        until = (whole.run == p.run) & (whole.stretch == p.stretch) & whole.ran_in & (whole.time <= p.time)
-        assert until.sum() * SCENARIO.control.period >= 0.5 * PLAN.hold
-        torque = whole.readings["torque"][until]
-        assert torque.min() <= p.mean["torque"] <= torque.max()
-    assert len({(p.run, p.stretch) for p in points}) == len(points)
-
-
 def test_repeat_noise_is_that_of_the_readings_and_of_slip():
     """y = 100 i + noise of 0.5, slip off by 0.004: the noise of y at its slip is hypot(0.5, 0.4)."""
     rng, plan = np.random.default_rng(5), dataclasses.replace(PLAN, repeats=20)

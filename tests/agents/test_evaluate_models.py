@@ -1,4 +1,4 @@
-"""Models of other origin: every algorithm of Stable-Baselines3 with a continuous action, told from its zip alone."""
+"""Models of other origin: algorithms of Stable-Baselines3 with a continuous action, recognised by their zip."""
 
 import pickle
 
@@ -7,15 +7,12 @@ import pytest
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents import ppo
-from agents.agent import load_agent
 from agents.evaluate.contestants import digest
 from agents.evaluate.models import load_model
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
+from soil_env.cli import main
 from soil_env.parameters import load_scenario
-from tests.agents.commands import evaluate as main
-from tests.agents.saved import META, rewrite
 
 SMALL = {"net_arch": [4]}
 
@@ -43,7 +40,7 @@ def scaled(variant, observations):
 @pytest.mark.parametrize("to_order_one", [True, False])
 @pytest.mark.parametrize(
     "algorithm, variant",
-    [(PPO, "blind"), (PPO, "identified"), (PPO, "true_soil"), (A2C, "blind"), (SAC, "blind"), (TD3, "blind"),
+    [(PPO, "blind"), (PPO, "true_soil"), (A2C, "blind"), (SAC, "blind"), (TD3, "blind"),
      (DDPG, "blind")],
 )  # fmt: skip
 def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant, to_order_one):
@@ -78,42 +75,13 @@ def test_normalisation_that_lies_beside_is_used(tmp_path, scenario):
         load_model(tmp_path / "any.zip", scenario)
 
 
-def test_our_models_are_loaded_as_load_agent_does(tmp_path, scenario):
-    config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4, history=0)
-    model = ppo.build(scenario, "identified", config, 0)
-    model.learn(96)
-    ppo.save(model, tmp_path / "model.zip")
-    loaded, expected = load_model(tmp_path / "model.zip", scenario), load_agent(tmp_path)
-    x = observations("identified")
-    np.testing.assert_array_equal(loaded.predict(x)[0], expected.predict(x)[0])
-    rewrite(tmp_path / "model.zip", None)  # without its normalisation it is a plain model
-    plain = load_model(tmp_path / "model.zip", scenario)
-    assert META and plain.variant == "identified" and (plain.predict(x)[0] != expected.predict(x)[0]).any()
-
-
 def test_a_model_of_another_task_is_refused(capsys, tmp_path):
     PPO("MlpPolicy", "Pendulum-v1", n_steps=8, batch_size=8, policy_kwargs=dict(SMALL), device="cpu").save(
         tmp_path / "p.zip"
     )
     command = [f"--controllers={tmp_path}/p.zip", f"--out={tmp_path}/out"]
-    assert main(command) == 2
+    assert main(["evaluate", *command]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 2 and "another observation layout: shape (3,)" in error
     assert "p.zip: not written by train.py, so parts of it are unpickled" in error.splitlines()[0]
     assert not (tmp_path / "out").exists()
-
-
-def test_recurrent_models_keep_their_memory(tmp_path, scenario):
-    contrib = pytest.importorskip("sb3_contrib")
-    env = SoilWheelVecEnv(2, observation="blind")
-    kwargs = {"net_arch": [4], "lstm_hidden_size": 4}
-    model = contrib.RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8, policy_kwargs=kwargs, device="cpu")
-    model.save(tmp_path / "r.zip")
-    loaded, x = load_model(tmp_path / "r.zip", scenario), observations("blind")
-    first, memory = loaded.predict(x, None, np.ones(6, dtype=bool))
-    second, _ = loaded.predict(x, memory, np.zeros(6, dtype=bool))
-    seen = scaled("blind", x)
-    expected, state = model.predict(seen, None, np.ones(6, dtype=bool), deterministic=True)
-    np.testing.assert_array_equal(first, expected)
-    np.testing.assert_array_equal(second, model.predict(seen, state, np.zeros(6, dtype=bool), deterministic=True)[0])
-    assert (first != second).any()

@@ -1,4 +1,4 @@
-"""Commands that are killed with SIGKILL and begun again, many times, give what they give undisturbed, to the byte."""
+"""Work killed with SIGKILL over and over gives what it gives undisturbed, to the byte."""
 
 import json
 import os
@@ -11,50 +11,37 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="fork and SIGKILL")]
 ROOT = Path(__file__).resolve().parents[2]
+WORK = {  # name: (least number of kills, some of its files)
+    "study": (8, {"study.json", "study.md", "study.png", "cells/mixed-true_soil-0.json"}),
+    "discovery": (3, {"study.json", "discovery.md", "truth/none-few-10-000.json"}),
+}
 
 
-def killed(name, folder, least):
-    """{file: content} of the undisturbed work and of the one that was killed, at least `least` times."""
-    command = [sys.executable, "-m", "tests.agents.killing", name, str(folder)]
+@pytest.mark.parametrize("name", WORK)
+def test_killed_work_gives_what_calm_work_gives(name, tmp_path):
+    command = [sys.executable, "-m", "tests.agents.killing", name, str(tmp_path)]
     env = {**os.environ, "MPLBACKEND": "Agg"}
     done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert int(done.stdout.split()[-1]) >= least
-    return [
-        {f.relative_to(part).as_posix(): f.read_bytes() for f in sorted(part.rglob("*")) if f.is_file()}
-        for part in (folder / "calm", folder / "killed")
-    ]
+    kills, some = WORK[name]
+    assert int(done.stdout.split()[-1]) >= kills
+    calm, killed = tmp_path / "calm", tmp_path / "killed"
+    assert files(calm) == files(killed) >= some
+    for file in files(calm):
+        if name == "study" or file.startswith(("cases/", "truth/", "answers/bic/")):  # the others hold times
+            assert content(calm / file) == content(killed / file), file
 
 
-def test_study(tmp_path):
-    """TensorBoard's logs and Optuna's journals apart; of a model the weights."""
-    calm, again = killed("study", tmp_path, 8)
-    calm, again = (
-        {f: c for f, c in files.items() if "/tensorboard/" not in f and not f.startswith("tuned/")}
-        for files in (calm, again)
-    )
-    assert sorted(calm) == sorted(again)
-    assert {"study.json", "study.md", "study.png", "cells/mixed-true_soil-0.json"} <= set(calm)
-    for file in calm:
-        if file.endswith("model.zip"):
-            first, second = (zipfile.ZipFile(tmp_path / part / file) for part in ("calm", "killed"))
-            assert first.read("policy.pth") == second.read("policy.pth"), file
-        else:
-            assert calm[file] == again[file], file
+def files(folder):
+    """Names of the files, the logs of TensorBoard and Optuna apart."""
+    found = (f.relative_to(folder) for f in folder.rglob("*") if f.is_file())
+    return {f.as_posix() for f in found if not {"tensorboard", "tuned"} & set(f.parts)}
 
 
-def test_blind(tmp_path):
-    """Times apart."""
-    calm, again = killed("blind", tmp_path, 3)
-    assert {"study.json", "discovery.md", "truth/none-few-10-000.json"} <= set(calm)
-    assert sorted(calm) == sorted(again)
-    for file in calm:
-        if file.startswith(("cases/", "truth/")):
-            assert calm[file] == again[file], file
-        elif file.startswith("answers/bic/"):
-            assert timeless(calm[file]) == timeless(again[file]), file
-
-
-def timeless(content):
-    """Answer without the time that it took."""
-    return {key: value for key, value in json.loads(content).items() if key != "seconds"}
+def content(file):
+    """Content that has to be the same: of a model the weights, of an answer all but the time that it took."""
+    if file.name == "model.zip":
+        return zipfile.ZipFile(file).read("policy.pth")
+    if file.parent.name == "bic":
+        return {key: value for key, value in json.loads(file.read_text()).items() if key != "seconds"}
+    return file.read_bytes()

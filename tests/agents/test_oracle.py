@@ -61,13 +61,6 @@ def test_the_oracle_has_to_be_shown_the_simulation_that_it_drives_in():
         oracle.predict(started(scenario).worlds.observation)
 
 
-def test_the_same_courses_give_the_same_drive():
-    scenario = load_scenario("mixed", SHORT)
-    a, b = (run_courses(Oracle(scenario, horizon=2.0), scenario, SEED, 3) for _ in range(2))
-    for name in ("cause", "distance", "time", "energy", "returns"):
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("action", ["torque", "rim_acceleration"])
 def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
@@ -98,14 +91,3 @@ def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
     assert avoidable(oracle, [runs_of(np.ones(4, dtype=bool))]) == {
         "failures": 0, "value": None, "low": None, "high": None,
     }  # fmt: skip
-
-
-def test_more_oracle_courses_than_courses_and_its_name_for_another_are_refused(tmp_path, capsys):
-    from tests.agents.commands import evaluate as main
-
-    rest = ["--courses=3", "--out", str(tmp_path / "x"), "--changes.course.length=1.5", "--tuning-courses=0"]
-    assert main(["--controllers=soft_start", "--oracle-courses=4", *rest]) == 2
-    assert "--oracle-courses = 4" in capsys.readouterr().err
-    for name in ("oracle", "oracle=soft_start"):
-        assert main([f"--controllers={name}", *rest]) == 2
-        assert "--oracle-courses N" in capsys.readouterr().err

@@ -1,8 +1,5 @@
 """PPO agents: a loaded agent acts as the saved one, training goes on after a stop, bad files are refused."""
 
-import os
-import struct
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.agent import INFO, load_agent, read_info
-from agents.config import NAMES, PPOConfig, load_config
+from agents.config import NAMES, PPOConfig
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.ppo import build, resume, save
@@ -19,7 +16,7 @@ from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import VARIANTS, layout
-from tests.agents.saved import edit, rewrite
+from tests.agents.saved import edit
 
 TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0)
 ROLLOUT = TINY.num_envs * TINY.n_steps
@@ -82,12 +79,6 @@ def test_build_takes_the_config(scenario):
     assert isinstance(model.get_env(), VecNormalize) and model.get_env().gamma == 0.9
 
 
-@pytest.mark.parametrize("num_envs, n_steps, batch_size", [(4, 10, 39), (4, 10, 80)])
-def test_a_batch_that_does_not_divide_the_rollout_is_refused(num_envs, n_steps, batch_size):
-    keys = {"num_envs": num_envs, "n_steps": n_steps, "batch_size": batch_size}
-    refused(lambda: load_config({"ppo": keys}, "x.yaml"), "x.yaml", "batch_size", batch_size, num_envs * n_steps)
-
-
 def test_training_is_reproducible(scenario):
     a, b, other = (trained(scenario, "blind", rollouts=2, seed=s) for s in (3, 3, 4))
     x = raw_observations(scenario, "blind")
@@ -118,29 +109,6 @@ def test_the_zip_is_one_of_sb3_too(saved, model, scenario):
     raw = raw_observations(scenario, "identified").astype(np.float32)
     plain = PPO.load(saved, device="cpu")
     np.testing.assert_array_equal(plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0])
-
-
-@pytest.mark.parametrize("moment", ["half a model", "replace"])
-def test_a_save_that_fails_half_way_leaves_the_old_agent(saved, scenario, monkeypatch, moment):
-    """As on a full disk or at a kill: the old file is untouched, and the next save succeeds."""
-    content, newer = saved.read_bytes(), trained(scenario, rollouts=1, seed=9)
-
-    class Killed(BaseException):
-        pass
-
-    def killed(stream, *args, **kwargs):
-        if moment != "replace":
-            stream.write(b"PK half")
-        raise Killed
-
-    monkeypatch.setattr(*((os, "replace", killed) if moment == "replace" else (newer, "save", killed)))
-    with pytest.raises(Killed):
-        save(newer, saved)
-    monkeypatch.undo()
-    assert saved.read_bytes() == content
-    save(newer, saved)
-    assert load_agent(saved).timesteps == ROLLOUT
-    assert [p.name for p in saved.parent.iterdir()] == ["model.zip"]
 
 
 def test_an_agent_with_a_memory_is_saved_loaded_driven_and_resumed(tmp_path, scenario):
@@ -222,57 +190,14 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
     names = [e.name for e in layout("identified")]
     edit(saved, observation_names=[*names[:4], "wheel_torque", *names[5:]])
     refused(lambda: load_agent(saved), "wheel_torque", "torque", "layout")
-    edit(saved, observation_names=names[:-1], mean=[0.0] * (len(names) - 1), var=[1.0] * (len(names) - 1))
-    refused(lambda: load_agent(saved), names[-1], len(names) - 1, len(names))
     edit(saved, observation_names=[names[1], names[0], *names[2:]], mean=[0.0] * len(names), var=[1.0] * len(names))
     refused(lambda: load_agent(saved), "order")
 
 
-def test_a_file_that_is_missing_or_not_of_train_py(saved, model, scenario):
-    model.save(saved)  # as SB3's own save leaves it
-    refused(lambda: load_agent(saved), "model.zip", INFO)
-    refused(lambda: resume(saved, scenario, "identified", TINY, 0, None), "model.zip", INFO)
-    saved.unlink()
-    refused(lambda: load_agent(saved.parent), "model.zip")
-    for path in (None, 3, b"runs/x"):
-        refused(
-            lambda path=path: load_agent(path), f"path = {path!r}: expected that of a run folder or of its model.zip"
-        )
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
-def test_a_zip_that_is_cut_off(saved, share):
-    saved.write_bytes(saved.read_bytes()[: int(share * saved.stat().st_size)])
-    refused(lambda: load_agent(saved), "model.zip")
-
-
-@pytest.mark.parametrize("member", [INFO, "policy.pth"])
-@pytest.mark.parametrize("where", [0.0, 0.9])
-def test_a_zip_with_damaged_bytes(saved, member, where):
-    """A disk error within one member, whose place in the file is still listed."""
-    with zipfile.ZipFile(saved) as archive:
-        info = archive.getinfo(member)
-    content = bytearray(saved.read_bytes())
-    lengths = struct.unpack_from("<HH", content, info.header_offset + 26)  # of the member's name and its extra field
-    begin = info.header_offset + 30 + sum(lengths)
-    at = begin + int(where * info.compress_size)
-    for k in range(at, min(at + 12, begin + info.compress_size)):
-        content[k] ^= 0xFF
-    saved.write_bytes(content)
-    refused(lambda: load_agent(saved), "model.zip")
-
-
-@pytest.mark.parametrize("content", [b"{", b"[]", b"\xff\xfe\x00binary"])
-def test_a_description_that_is_no_mapping(saved, content):
-    rewrite(saved, content)
-    refused(lambda: load_agent(saved), "model.zip", INFO)
-
-
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", [0.0] * 5), ("var", [[1.0]] * 22), ("var", [-1.0] * 22), ("clip", "ten"), ("observation", "identifed"),
-     ("timesteps", 1.5), ("algorithm", "sac"), ("scenario", {"course": {"lenght": 3}}), ("ppo", {"layers": 3}),
-     ("new", 3), ("mean", None)],
+    [("mean", [0.0] * 5), ("var", [-1.0] * 22), ("clip", "ten"), ("observation", "identifed"), ("timesteps", 1.5),
+     ("scenario", {"course": {"lenght": 3}}), ("ppo", {"layers": 3}), ("new", 3)],
 )  # fmt: skip
 def test_a_description_with_a_wrong_entry(saved, key, value):
     edit(saved, **{key: value})
@@ -295,27 +220,6 @@ def agents(scenario, tmp_path_factory):
     return made
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_values_in_their_units_are_taken_and_scaled_ones_mostly_refused(scenario, variant, tmp_path):
-    save(build(scenario, variant, TINY, 0), tmp_path / "model.zip")
-    agent = load_agent(tmp_path / "model.zip")
-    plain, scaled = (SoilWheelVecEnv(20, scenario, variant, scaled=s) for s in (False, True))
-    for env in (plain, scaled):
-        env.seed(5)
-    seen, other = plain.reset(), scaled.reset()
-    refusals = 0
-    for k in range(60):
-        np.testing.assert_allclose(agent.predict(scaled.scaling.physical(other))[0], agent.predict(seen)[0], atol=1e-4)
-        try:
-            agent.predict(other)
-        except ParameterError as error:
-            assert "values in their units, as scaled=False observes them" in str(error) and "\n" not in str(error)
-            refusals += 1
-        action = np.full((20, 1), (1.0, -1.0, 0.3)[k % 3], np.float32)
-        seen, other = (env.step(action)[0] for env in (plain, scaled))
-    assert refusals > 40
-
-
 @pytest.mark.parametrize("which", ["none", "history", "lstm"])
 def test_an_argument_that_predict_cannot_take_is_named(agents, which):
     agent = agents[which]
@@ -323,16 +227,12 @@ def test_an_argument_that_predict_cannot_take_is_named(agents, which):
     rows[:, 3] = 1.0
     rows[1, 3] = np.nan
     refused(lambda: agent.predict(rows), "observation[1]: load = nan: expected -10 to 10 (of weight)")
-    refused(lambda: agent.predict(rows[1]), "observation: load = nan")
     rows[1, 3], rows[2, 10] = 1.0, 1.5
     refused(lambda: agent.predict(rows), "observation[2]: halted = 1.5: expected 0 to 1")
     refused(lambda: agent.predict("xyz"), "observation = 'xyz': expected numbers")
-    refused(lambda: agent.predict(np.zeros((2, 3, 14))), "shape (2, 3, 14): expected 14 numbers")
     refused(lambda: agent.predict(np.zeros((3, 24))), "expected 14 numbers, those of observation 'blind'")
     rows[2, 10] = 0.0
     refused(lambda: agent.predict(rows, None, [True]), "episode_start: 1 values: expected 3")
-    refused(lambda: agent.predict(rows, None, "yes"), "episode_start = 'yes': expected True or False")
-    refused(lambda: agent.predict(rows, deterministic="no"), "deterministic = 'no': expected True or False")
     _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
     assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
     if which != "none":

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.sb3 import SoilWheelVecEnv
-from soil_env._io.loading import ParameterError
 from soil_env.env import SoilWheelEnv
 from soil_env.simulation.task import VARIANTS
 
@@ -53,33 +51,6 @@ def test_every_number_equals_the_scalar_env(variant):
     assert ends >= wheels
 
 
-def test_the_time_limit_ends_an_episode_at_the_scenario_s_last_step():
-    env = SoilWheelVecEnv(4, **SHORT)
-    env.seed(0)
-    env.reset()
-    for t in range(1, 7):
-        _, _, dones, infos = env.step(np.zeros((4, 1), dtype=np.float32))
-        assert dones.all() == dones.any() == (t == 6)
-    assert [i["TimeLimit.truncated"] for i in infos] == [False] * 4
-    assert [i["cause"] for i in infos] == ["TIME_LIMIT"] * 4
-
-
-def test_finished_and_stuck_wheels_are_not_truncated():
-    stuck = {"ENTRAPPED", "STALLED", "BOGGED"}
-    for changes, action, expected in ((FINISH, 0.5, {"FINISHED"}), (QUICK_END, 1.0, stuck)):
-        env = SoilWheelVecEnv(8, **changes)
-        env.seed(1)
-        env.reset()
-        seen = {}
-        for _ in range(600):
-            _, _, dones, infos = env.step(np.full((8, 1), action, dtype=np.float32))
-            for k in np.flatnonzero(dones):
-                seen.setdefault(infos[k]["cause"], []).append(infos[k]["TimeLimit.truncated"])
-        stated = {cause for cause in seen if cause in expected}
-        assert stated, seen
-        assert not any(truncated for cause in stated for truncated in seen[cause])
-
-
 def test_episode_info_equals_the_sums_of_rewards_and_steps():
     wheels, steps = 6, 150
     env = SoilWheelVecEnv(wheels, **QUICK_END, **SHORT)
@@ -97,18 +68,6 @@ def test_episode_info_equals_the_sums_of_rewards_and_steps():
             returns[k], lengths[k] = 0.0, 0
             ends += 1
     assert ends >= wheels * (steps // 30)
-
-
-def test_results_are_not_overwritten_by_later_steps():
-    env = SoilWheelVecEnv(2)
-    env.seed(0)
-    first, results = drive(env, 5, random_actions(5, 2))
-    kept = [first, *(r[0] for r in results)]
-    copies = [x.copy() for x in kept]
-    env.step(np.ones((2, 1), dtype=np.float32))
-    for now, then in zip(kept, copies, strict=True):
-        np.testing.assert_array_equal(now, then)
-    assert len({x.tobytes() for x in copies}) == len(copies)  # the observation is not constant
 
 
 @pytest.mark.parametrize("bad, match", [
@@ -130,20 +89,3 @@ def test_actions_are_cut_to_the_bounds():
         env.reset()
         results.append(env.step(np.full((2, 1), value, dtype=np.float32))[0])
     np.testing.assert_array_equal(*results)
-
-
-def test_attributes_and_methods_come_once_a_wheel():
-    env = SoilWheelVecEnv(4)
-    assert env.get_attr("observation_names") == [env.observation_names] * 4
-    assert len(env.get_attr("scenario", indices=[0, 2])) == 2
-    assert env.env_is_wrapped(VecNormalize, indices=[3]) == [False]
-    env.set_attr("note", "x")
-    assert env.env_method("get_attr", "note", indices=[1, 2]) == [["x"] * 4] * 2
-    assert env.has_attr("scenario") and not env.has_attr("no_such_thing")
-
-
-def test_a_misspelt_keyword_is_named():
-    with pytest.raises(ParameterError, match="unexpected keyword argument 'autoreset_mode'.*num_envs.*threads"):
-        SoilWheelVecEnv(1, autoreset_mode="NextStep")
-    with pytest.raises(ParameterError, match="unexpected keyword argument 'thread'; did you mean 'threads'"):
-        SoilWheelVecEnv(1, thread=1)

@@ -14,7 +14,7 @@ import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import train
-from agents import cli, comparison, plots, ppo, training
+from agents import cli, comparison, plots, training
 from agents.agent import load_agent, read_info
 from agents.config import PPOConfig, TrainConfig, load_config
 from agents.controllers import CONTROLLERS
@@ -74,7 +74,7 @@ def start(*arguments):
     )  # fmt: skip
 
 
-def wait_for(path, process, seconds=90.0):
+def wait_for(path, process, seconds=300.0):
     """Until `path` exists; fails if the process ends before."""
     end = time.monotonic() + seconds
     while not path.exists():
@@ -128,23 +128,6 @@ def test_the_comparison_has_all_controllers(finished):
         assert 0.0 <= row["immobilised"]["low"] <= row["immobilised"]["value"] <= row["immobilised"]["high"] <= 1.0
 
 
-def test_tensorboard_has_the_curve(finished):
-    events = EventAccumulator(str(next(finished.glob("tensorboard/*/events*"))))
-    events.Reload()
-    assert {"courses/immobilised", "courses/return", "rollout/ep_rew_mean"} <= set(events.Tags()["scalars"])
-    assert [e.step for e in events.Scalars("courses/return")][-1] == 8192
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("variant, name", [("blind", "ppo_blind"), ("true_soil", "ppo_true")])
-def test_other_observations_are_trained_under_their_names(capsys, tmp_path, variant, name):
-    code, out, err = run(capsys, *TINY, "--runs", tmp_path, "--observation", variant)
-    assert code == 0, err
-    (folder,) = tmp_path.iterdir()
-    assert folder.name.startswith(f"{variant}-two_lines-")
-    assert set(json.loads((folder / "comparison.json").read_text())["controllers"]) == {*CONTROLLERS, name}
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_the_command_line_goes_over_the_file(capsys, tmp_path):
     file = tmp_path / "my.yaml"
@@ -161,38 +144,19 @@ def test_the_command_line_goes_over_the_file(capsys, tmp_path):
     assert scenario.control.time_limit == 5.0
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_the_same_seed_gives_the_same_comparison(capsys, tmp_path):
-    more = ["--ppo.history=3", "--ppo.critic=true_soil", "--hidden_worlds=2"]
-    for name in "ab":
-        assert run(capsys, *tiny(*more), "--runs", tmp_path, "--name", name)[0] == 0
-    a, b = ((tmp_path / name / "comparison.json").read_text() for name in "ab")
-    assert a == b
-
-
 @pytest.mark.parametrize(
     "agent, words, overlap",
-    [((0.97, 0.95, 0.98), "ppo_blind finishes more courses than soft_start", False),
-     ((0.90, 0.87, 0.92), "ppo_blind against soft_start", True),
-     ((0.60, 0.57, 0.63), "ppo_blind finishes fewer courses than soft_start", False)],
-)  # fmt: skip
+    [((0.97, 0.95, 0.98), "more", False), ((0.90, 0.87, 0.92), "against", True), ((0.60, 0.57, 0.63), "fewer", False)],
+)
 def test_the_verdict_follows_from_the_intervals(agent, words, overlap):
-    """Against the best of the controllers that do not know the true soil; those that do are named beside it.
-
-    Where the intervals of the two overlap the paired difference, which may exclude 0, is stated without a claim.
-    """
-    rates = {"ppo_blind": agent, "constant_speed": (0.80, 0.77, 0.83), "soft_start": (0.89, 0.87, 0.91),
-             "best_slip_true": (0.93, 0.91, 0.95)}  # fmt: skip
+    """Against the best controller that does not know the true soil; no claim where the intervals overlap."""
+    rates = {"ppo_blind": agent, "soft_start": (0.89, 0.87, 0.91), "best_slip_true": (0.93, 0.91, 0.95)}
     rows = {n: {"finished": dict(zip(("value", "low", "high"), m, strict=True))} for n, m in rates.items()}
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
     result = {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}
     text = comparison.verdict(result, "ppo_blind")
-    assert words in text and "+5.0 [+2.0, +8.0] percentage points" in text
+    assert re.search(f"ppo_blind .*{words}.* soft_start", text) and "+5.0 [+2.0, +8.0]" in text
     assert ("overlap" in text) == overlap and not (overlap and re.search("more|fewer", text))
-    assert "best_slip_true 93.0 % [91.0, 95.0]" in text and "oracle" not in text
-    oracle = {"finished": {"value": 0.98, "low": 0.9, "high": 1.0}}
-    result["limit"] = {"courses": 50, "metrics": oracle, "avoidable": {}}
-    assert "oracle (first 50 courses) 98.0 % [90.0, 100.0]" in comparison.verdict(result, "ppo_blind")
 
 
 # --- the command line -------------------------------------------------------------------------------------------------
@@ -206,38 +170,26 @@ def test_overrides_are_read_as_yaml():
 
 REFUSED = [  # (options, parts of the message)
     (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
-    (["--config", "smoke.yaml", "--out", "x"], ["error: smoke.yaml, command line: unknown key 'out'"]),
     (["--ppo.gamma.x", "0.9"], ["ppo", "gamma"]),
     (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
     (["--changes.course.lenght", "5"], ["lenght", "did you mean 'length'"]),
     (["--seed", "-1"], ["seed", "-1", "[0, 2147483647]"]),
-    (["--ppo.critic", "true"], ["critic = True", "true_soil"]),
     (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
     (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
-    (["--scenario", "5"], ["unknown value '5'", "mixed"]),
-    (["--observation", "seen"], ["observation", "seen", "identified"]),
     (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
     (["--courses"], ["courses", "value"]),
-    (["--rover", ""], ["error: --rover: is empty: expected a value"]),
-    (["--timesteps", "1" + 400 * "0"], ["timesteps = 1e+400: expected a number"]),
-    (["5"], ["'5'", "--key value"]),
     (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
     (["--ppo.gamma", "1", "--ppo.gamma=0.9"], ["--ppo.gamma: given twice: expected one value"]),
-    (["--e-f", "1", "--e_f", "1"], ["--e_f: given twice"]),
-    (["--conf", "x.yaml"], ["unknown key 'conf'"]),  # no abbreviations: a misspelt key is no other option
-    (["--resum=x.yaml"], ["unknown key 'resum'"]),
+    (["--resum=x.yaml"], ["unknown key 'resum'"]),  # no abbreviations: a misspelt key is no other option
     (["--name", "a/b"], ["a/b", "name"]),
     (["--config", "smoke.yaml", "--rover", "mars_rover"], ["smoke.yaml, command line: oracle_courses = 2: expected"]),
-    (["--rover", "mars_rovr"], ["'mars_rovr'; did you mean 'mars_rover'?"]),
+    (["--config", "rover.yaml", "--ppo.critic", "true_soil"], ["expected none for a rover"]),
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
-    (["--config"], ["config"]),
-    (["--config", "a.yaml"], ["a.yaml", "not valid YAML"]),
-    (["--config", "b.yaml"], ["b.yaml", "expected a mapping"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
     (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),  # it would be the default training of hours
 ]
-FILES_OF_CONFIG = {"a.yaml": "a: [", "b.yaml": "- 1\n- 2\n", "c.yaml": "cources: 5\n", "d.yaml": "# nothing yet\n"}
+FILES_OF_CONFIG = {"c.yaml": "cources: 5\n", "d.yaml": "# nothing yet\n"}
 
 
 @pytest.mark.parametrize("arguments, parts", REFUSED)
@@ -254,22 +206,9 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, argumen
 
 
 @pytest.mark.parametrize("value", ["7", "2026-11-20", "on", "null", "[a", ""])
-def test_any_text_is_a_name(tmp_path, value):
+def test_any_text_is_a_name(value):
     """A number, a date or a switch of YAML is text where text is expected."""
     assert load_config(cli.overrides(["--name", value]), "command line").name == value
-    config = load_config(cli.overrides([f"--name={value}", "--runs", str(tmp_path)]), "command line")
-    if value:
-        folder = training.make_run_folder(config, load_scenario())
-        assert folder == tmp_path / value and training.open_run(folder)[0] == config
-
-
-def test_too_little_memory_gives_one_line(capsys, tmp_path, monkeypatch):
-    def fill(*args, **kwargs):
-        raise MemoryError("Unable to allocate 288. GiB")
-
-    monkeypatch.setattr(ppo, "build", fill)
-    err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert "memory" in err and "288. GiB" in err and "num_envs" in err and "n_steps" in err
 
 
 def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
@@ -292,27 +231,11 @@ def test_resume_of_a_finished_run_does_nothing_and_without_its_result_compares_a
         patch.setattr(comparison, "compare", None)  # would be a TypeError
         assert run(capsys, "--resume", folder)[0] == 0
     before, model = (folder / "comparison.json").read_text(), (folder / "model.zip").read_bytes()
-    assert "--resume" in refused(capsys, "--resume", folder, "--courses", "5")
-    assert "n" in refused(capsys, "--resume", tmp_path / "y").split("found:")[1]
     (folder / "comparison.json").unlink()
     code, out, err = run(capsys, "--resume", folder)
     assert code == 0, err
     assert (folder / "comparison.json").read_text() == before
     assert (folder / "model.zip").read_bytes() == model
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_failure_while_comparing_does_not_lose_the_model(capsys, tmp_path, monkeypatch):
-    def fail(*args, **kwargs):
-        raise OSError(28, "No space left on device", "comparison.json")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(comparison, "compare", fail)
-        err = refused(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert "No space left" in err and "comparison.json" in err
-    assert load_agent(tmp_path / "n").timesteps == 256
-    code, _, err = run(capsys, "--resume", tmp_path / "n")
-    assert code == 0, err
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -342,34 +265,6 @@ def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, mon
     assert load_agent(folder).timesteps >= 512
     steps = sum(steps_logged(folder), [])
     assert steps == sorted(set(steps)) and steps[-1] > reached
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_interrupt_before_any_training_can_be_resumed(capsys, tmp_path, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(training, "train", interrupt)
-        code, _, err = run(capsys, *TINY, "--runs", tmp_path, "--name", "n")
-    assert code == 130 and "--resume" in err
-    code, _, err = run(capsys, "--resume", tmp_path / "n")
-    assert code == 0, err
-    assert load_agent(tmp_path / "n").timesteps == 256
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_checkpoints_come_as_often_as_asked(capsys, tmp_path, monkeypatch):
-    saved, original = [], ppo.save
-
-    def spy(model, path):
-        saved.append((Path(path).name, model.num_timesteps))
-        original(model, path)
-
-    monkeypatch.setattr(ppo, "save", spy)
-    code, _, err = run(capsys, *tiny("--timesteps=640", "--checkpoint_every=256"), "--runs", tmp_path, "--name", "n")
-    assert code == 0, err
-    assert saved == [("checkpoint.zip", 256), ("checkpoint.zip", 512), ("model.zip", 640)]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -42,13 +42,3 @@ def test_the_written_file_serves_as_settings_of_the_package(tmp_path, small, mon
         scenario = load_scenario("mixed", {"control": {"action": action}})
         assert shipped_settings(scenario, 2) == content["settings"][action]
     assert shipped_settings(load_scenario("mixed", {"control": {"action": "rim_acceleration"}}), 2) == {}
-
-
-@pytest.mark.parametrize(
-    "asked, said", [(["--actions=torqe"], "torque"), (["--scenario=mixd"], "mixed"), (["--courses=1e9"], "--courses")]
-)
-def test_bad_input_is_refused_with_one_line(tmp_path, capsys, asked, said):
-    assert run(tune.command, [*asked, f"--out={tmp_path / 'x'}"], "soil-env tune") == 2
-    err = capsys.readouterr().err.strip()
-    assert said in err and "\n" not in err
-    assert not (tmp_path / "x").exists()

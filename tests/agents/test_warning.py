@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from agents import warning
-from agents.evaluate.driving import HELD_OUT_SET, TUNING_SET
 from agents.warning import DRIVERS, FAMILIES, Drives, drives, make_driver, probabilities
 from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, shipped, shipped_network
 from soil_env.parameters import load_scenario
@@ -84,14 +83,6 @@ def test_the_fit_learns_both_hazards():
 # --- drives -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_driver_s_course_and_settings_follow_from_their_seeds():
-    a, b = (drives("mixed", "soft_start", warning.TEST_SET, 0, 6) for _ in range(2))
-    for field in ("inputs", "best", "driving", "cause"):
-        np.testing.assert_array_equal(getattr(a, field), getattr(b, field))
-    other = drives("mixed", "soft_start", warning.TRAINING_SET, 0, 6)
-    assert not np.array_equal(a.best[50], other.best[50])
-
-
 def test_the_random_drivers_take_either_line_and_blind_ones_the_less_steep():
     task = load_scenario("two_lines", {"control": {"action": "torque"}})
     column = {e.name: i for i, e in enumerate(layout("blind", task.course))}
@@ -104,10 +95,6 @@ def test_the_random_drivers_take_either_line_and_blind_ones_the_less_steep():
             assert beside.mean() == pytest.approx(0.5 if family.startswith("random") else 1.0, abs=0.1) or (
                 family == "full_throttle" and not beside.any()
             )
-
-
-def test_course_sets_are_disjoint():
-    assert len({warning.TRAINING_SET, warning.TUNING_SET, warning.TEST_SET, HELD_OUT_SET, TUNING_SET}) == 5
 
 
 def test_the_shipped_weights_tell_stops_ahead_on_a_sample():

@@ -21,10 +21,6 @@ def refuse(x):
     raise ParameterError(f"no {x[0]}")
 
 
-def always_die(x):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
 def waiting(name):
     """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
     if name == "short":
@@ -37,13 +33,3 @@ def waiting(name):
     except KeyboardInterrupt:
         Path("interrupted").touch()
         raise
-
-
-def where(x):
-    """The node that a task ran on."""
-    import time
-
-    import ray
-
-    time.sleep(0.3)
-    return ray.get_runtime_context().get_node_id()

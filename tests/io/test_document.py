@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 import jinja2
 import pytest
 
-from soil_env._io.document import Table, html_image, html_page, render, wrapped
+from soil_env._io.document import Table, html_image, html_page, render
 
 TABLE = Table(("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils")
 
@@ -21,14 +21,6 @@ def test_a_table_as_markdown_html_and_text():
         " Two soils", " soil         pull [N]", " <sand> & co      12.5", " loam|clay          -3",
         "                     -",
     ]  # fmt: skip
-
-
-def test_a_table_without_rows_and_one_with_a_short_row():
-    assert Table(("a", "b"), []).text() == "a  b"
-    assert Table(("a", "b"), []).markdown() == "| a | b |\n|---|---|"
-    assert "<tbody></tbody>" in Table(("a",), []).html()
-    with pytest.raises(ValueError, match="2 cells: a, b"):
-        Table(("a", "b"), [("1",)])
 
 
 def test_a_page_is_well_formed_and_loads_nothing():
@@ -54,7 +46,3 @@ def test_a_template_escapes_text_but_not_a_table_and_refuses_a_missing_name(monk
     assert own.render(t=TABLE) == TABLE.html()
 
 
-def test_paragraphs_are_broken_into_lines_and_nothing_else_is():
-    text = "# A heading\n\n" + "word " * 40 + "\n\n| a | b |\n|---|---|\n\n- one\n- two\n\n\n**Bold** " + "word " * 40
-    blocks = wrapped(text, 60).split("\n\n")
-    assert [b.count("\n") for b in blocks] == [0, 3, 1, 1, 4] and max(map(len, wrapped(text, 60).splitlines())) <= 60

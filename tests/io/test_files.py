@@ -48,7 +48,7 @@ def test_several_files_all_or_none(tmp_path):
     assert {p.name: p.read_text() for p in (tmp_path / "new").iterdir()} == {"a": "one", "b": "two"}
 
 
-def test_outputs_that_could_not_be_written_are_told_and_nothing_is_made(tmp_path):
+def test_outputs_that_could_not_be_written_are_named_and_nothing_is_made(tmp_path):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "a.md").mkdir()
     check_outputs(tmp_path / "new", ("a.md", "plots/b.png"))

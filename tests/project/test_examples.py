@@ -14,7 +14,6 @@ import yaml
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 pytestmark = pytest.mark.documents
 RUNS = {  # script -> (arguments, picture, pattern of the output, module it needs)
-    "drive": ("--frame 40 --out wheel.png", "wheel.png", r"best_slip_identified: RUNNING at 0\.\d+ m", "gymnasium"),
     "drive_rover": (
         "--rover mars_rover --frame 30 --out rover.png",
         "rover.png",
@@ -25,7 +24,6 @@ RUNS = {  # script -> (arguments, picture, pattern of the output, module it need
     "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
     "live_identifier": ("--steps 120", "", r"\d+ sets of readings; Soil\(", "gymnasium"),
     "find_missing_effect": ("", "gap.png", r"verdict: named\n  slip_sinkage: ", "scipy"),
-    "compare_controllers": ("--courses 4 --tuning-courses 2", "compared.png", r"best_slip_true +immob.*%", "gymnasium"),
     "own_controller": ("", "own_controller.png", "written", "gymnasium"),
     "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
     "vector_env": ("--wheels 16 --steps 200", "vector_env.png", r"second; courses that ended: \{'", "gymnasium"),
@@ -85,7 +83,7 @@ def make_export(folder):
 
 @pytest.mark.parametrize(
     "name, arguments, said",
-    [("drive", "--scenario nowhere.yaml", "nowhere"), ("drive", "--seed -1", "-1"), ("own_soil", "--phi 95", "95"),
+    [("own_soil", "--phi 95", "95"), ("vector_env", "--wheels 0", "0"),
      ("find_missing_effect", "nowhere.csv", "nowhere"), ("identify_soil", "nowhere.csv", "nowhere"),
      ("live_identifier", "--udp 65536", "--udp 65536: expected a port, from 1 to 65535")],
 )  # fmt: skip

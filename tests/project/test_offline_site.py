@@ -68,12 +68,6 @@ def test_formulas_are_drawn_without_a_script(site):
         assert 'class="arithmatex"' not in text and not re.search(r"<m[a-z]+>\\[a-z]", text), page
 
 
-def test_a_formula_with_a_number_and_one_that_is_escaped():
-    shown = mkdocs_hooks.on_page_content('<div class="arithmatex">\\[a &lt; \\frac{b}{c} \\tag{7}\\]</div>')
-    assert shown.startswith('<div class="formula"><math') and "<mfrac>" in shown and shown.endswith("(7)</span></div>")
-    assert mkdocs_hooks.on_page_content("<p>\\(no formula\\)</p>") == "<p>\\(no formula\\)</p>"
-
-
 @pytest.mark.parametrize("name", ["torch", "soil_env"])
 def test_a_build_that_imports_what_it_must_not_need_fails(monkeypatch, name):
     for other in mkdocs_hooks.UNNEEDED:

@@ -75,12 +75,6 @@ def test_the_python_of_a_page_runs(page, tmp_path):
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_the_python_of_a_page_compiles(page):
-    for block in blocks(page, "python"):
-        compile(block["code"], name_of(page), "exec")
-
-
 def test_the_ros_node_of_the_page_identifies(monkeypatch):
     """The node of the online identifier against a stand-in for rclpy, which is not on PyPI."""
     rclpy = mock.MagicMock()
@@ -146,7 +140,6 @@ def test_the_commands_of_a_page_exist(page):
             check_options(words[2:], help_of(words[1]))
 
 
-@pytest.mark.skipif(not (ROOT / "soil_env" / "cli").is_dir(), reason="no command soil-env")
 @pytest.mark.parametrize("page", [p for p in PAGES if any(w[0] == "soil-env" for w in commands(p))], ids=name_of)
 def test_the_soil_env_commands_of_a_page_parse(page):
     """Subcommands and options are those of the parser, as its help lists them."""
@@ -278,16 +271,6 @@ def effects_page() -> str:
 def test_the_page_of_effects_has_the_catalogue():
     pytest.importorskip("soil_env.terramechanics.effects.text")
     assert EFFECTS.read_text(encoding="utf-8") == effects_page(), "run python -m tests.project.test_pages"
-
-
-def test_the_raw_results_that_pages_name_exist():
-    results = DOCS / "results"
-    if not (results / "README.md").is_file():
-        pytest.skip("no raw results")
-    for page in (DOCS / "results.md", *GUIDE):
-        for name in re.findall(r"`(?:docs/results/)?(\w+\.json)`", page.read_text(encoding="utf-8")):
-            if "results" in name_of(page) or f"docs/results/{name}" in page.read_text(encoding="utf-8"):
-                assert (results / name).is_file(), f"{name_of(page)}: {name}"
 
 
 if __name__ == "__main__":
