@@ -125,11 +125,6 @@ def test_any_configuration_and_any_command(number):
     assert not broken
 
 
-def test_a_case_is_the_same_again():
-    a, b = (draw_case(Random(np.random.default_rng([0, 5]))) for _ in range(2))
-    assert a == b
-
-
 # --- planted faults ---------------------------------------------------------------------------------------------------
 
 

@@ -144,15 +144,3 @@ def test_one_processor_and_no_home(tmp_path):
     for _ in range(5):
         out = env.step(np.full((40, 1), 0.45))
     assert text.strip() == out[0].tobytes().hex()[:64] and error == ""
-
-
-def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
-    """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
-    from soil_env._numba import cache
-
-    def refuses(function):
-        raise RuntimeError("cannot cache function '_nothing': no locator available")
-
-    assert cache._folder() == cache._FOLDER
-    monkeypatch.setattr(cache, "FunctionCache", refuses)
-    assert cache._folder() is None

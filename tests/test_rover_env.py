@@ -5,12 +5,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import soil_env
-from soil_env.env import SoilWheelEnv
-from soil_env.parameters import load_scenario
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
-from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import load_rover, rover_names
 
@@ -145,43 +142,3 @@ def test_a_hidden_effect_acts(effects):
 
 
 # --- bad arguments ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"rove": "x"}, "unexpected keyword argument 'rove'; did you mean 'rover'?"),
-    ({"scenario": "mixed"}, "unexpected keyword argument 'scenario'"),
-    ({"rover": "mixed"}, "rover: 'mixed' is one of configs/scenarios"),
-    ({"rover": load_scenario("mixed")}, "expected a name, the path of a YAML file, or a RoverScenario"),
-    ({"rover": ""}, "rover = '': expected a name or the path of a YAML file"),
-    ({"action": "torqe"}, "control.action = 'torqe': expected one of"),
-    ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
-    ({"wheel": {"body_mass": 3.0}}, "keyword: wheel.body_mass: expected vehicle.mass"),
-    ({"vehicle": {"mass": -1.0}}, "keyword: vehicle.mass = -1.0: expected a number in"),
-    ({"vehicle": {"bogie": "front"}}, "vehicle.bogie = 'front': expected 'none' with two axles"),
-    ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
-    ({"wheel": {"stall_torque": 0.001}}, "no passable course found for this rover on these soils"),
-])  # fmt: skip
-@pytest.mark.parametrize("make", [SoilRoverEnv, SoilRoverVectorEnv])
-def test_bad_arguments_are_named_in_one_line(make, arguments, message):
-    with pytest.raises(soil_env.ParameterError) as raised:
-        make(**arguments)
-    said = str(raised.value)
-    if arguments == {"render_mode": "x"} and make is SoilRoverVectorEnv:
-        message = "render_mode: the vector env does not render"
-    assert message in said and "\n" not in said and len(said) < 400
-
-
-def test_the_wheel_takes_no_rover():
-    for arguments in ({"scenario": load_rover()}, {"scenario": "lunar_micro_rover"}, {"vehicle": {"mass": 10.0}}):
-        with pytest.raises(soil_env.ParameterError, match="vehicle|lunar_micro_rover") as raised:
-            SoilWheelEnv(**arguments)
-        assert "\n" not in str(raised.value)
-
-
-def test_causes_of_an_end_are_told():
-    """Every info names one of `Cause`, and only the last one is not RUNNING."""
-    _, rewards, infos = held(SoilRoverEnv(course={"length": 1.0}), 0, 400, 0.6)
-    causes = [i["cause"] for i in infos]
-    assert set(causes) <= set(Cause.__members__) and causes[:-1] == ["RUNNING"] * (len(causes) - 1) != causes
-    for reward, info in zip(rewards, infos[1:], strict=True):
-        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)

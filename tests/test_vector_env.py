@@ -16,8 +16,9 @@ from soil_env.parameters import ParameterError
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vector_env import SoilWheelVectorEnv
-from soil_env.vehicle import load_rover, rover_names
+from soil_env.vehicle import rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 ROVERS = 11  # a block of eight and a part of one
@@ -38,6 +39,11 @@ WHEEL = Kind(SoilWheelEnv, SoilWheelVectorEnv, "SoilWheel-v0", 1, {
 })  # fmt: skip
 ROVER = Kind(SoilRoverEnv, SoilRoverVectorEnv, "SoilRover-v0", 2, {
     "course": {"length": 1.0}, "control": {"time_limit": 5.0},
+})  # fmt: skip
+WORLD = WheelSoilModel.from_content({
+    "wheel": {"radius": 0.15, "width": 0.15, "grouser_height": 0.012},
+    "effects": {"grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3}},
+    "residual": [{"channel": "drawbar_pull", "coefficient": -0.05, "powers": {"slip": 1}}],
 })  # fmt: skip
 KINDS = pytest.mark.parametrize("kind", [WHEEL, ROVER], ids=["wheel", "rover"])
 
@@ -77,7 +83,7 @@ def same_nested(info, k, scalar):
     ("kind", "variant", "changes"),
     [(WHEEL, variant, {"action": mode, "reward": {"information": 2.0 * i}, "scenario": "mixed"})
      for i, (variant, mode) in enumerate(zip(VARIANTS, MODES, strict=True))]
-    + [(WHEEL, "identified", {"action": "torque"})]
+    + [(WHEEL, "identified", {"action": "torque"}), (WHEEL, "true_soil", {"scenario": "mixed", "model": WORLD})]
     + [(ROVER, variant, {"rover": rover, "action": mode, "reward": {"information": 2.0}})
        for rover, variant, mode in zip(rover_names(), VARIANTS, MODES, strict=True)],
 )  # fmt: skip
@@ -278,39 +284,7 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
 
 
-@KINDS
-def test_completing_courses_changes_no_trajectory(kind):
-    """One env draws patches as its vehicles come to them, the other all at once, and some on the way."""
-    changes = {"course": {"length": 40.0, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]}}
-    lazy, whole = (kind.many(6, observation="true_soil", **changes) for _ in range(2))
-    for env in (lazy, whole):
-        env.reset(seed=11)
-    for k in range(3):
-        whole.simulation.complete(k)
-    started = lazy.simulation.worlds.courses.patches.copy()
-    for step, a in enumerate(np.clip(actions(90, 6, kind.motors), 0.2, 0.7)):
-        if step == 40:
-            whole.simulation.complete(4)
-        for x, y in zip(lazy.step(a)[:4], whole.step(a)[:4], strict=True):
-            np.testing.assert_array_equal(x, y)
-    drawn, all_drawn = (env.simulation.worlds.courses.patches for env in (lazy, whole))
-    assert np.any(drawn > started) and np.all(drawn[:3] < all_drawn[:3])
-    for k in range(6):
-        lazy.simulation.complete(k)
-        whole.simulation.complete(k)
-    for name in ("edges", "soils", "grades", "margins", "patches"):
-        np.testing.assert_array_equal(*(getattr(env.simulation.worlds.courses, name) for env in (lazy, whole)), name)
-
-
 # --- registration, errors ---------------------------------------------------------------------------------------------
-
-
-@KINDS
-def test_make_vec(kind):
-    env = gymnasium.make_vec(f"soil_env:{kind.name}", num_envs=3, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, kind.many) and env.num_envs == 3
-    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    env.close()
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -327,11 +301,6 @@ def test_bad_arguments_are_named(kind, arguments, words):
     with pytest.raises(ParameterError) as raised:
         kind.many(**arguments)
     assert words in str(raised.value) and "\n" not in str(raised.value)
-
-
-def test_a_scenario_is_taken_as_it_is():
-    scenario = load_rover("field_rover", {"course": {"length": 4.0}})
-    assert SoilRoverVectorEnv(2, scenario).scenario == scenario
 
 
 @pytest.mark.parametrize(("bad", "words"), [

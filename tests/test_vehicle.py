@@ -47,11 +47,6 @@ def test_a_preset_is_sized_for_its_weight(name, tmp_path):
     assert load_rover(path, {"vehicle": {"mass": 12.0}}).wheel.body_mass == pytest.approx(6.0 / rover.axles)
 
 
-def test_the_mass_on_a_wheel_follows_the_vehicle():
-    assert load_rover("lunar_micro_rover", {"vehicle": {"mass": 14.0}}).wheel.body_mass == 3.5
-    assert load_rover("lunar_micro_rover", {"wheel": "planetary_rover"}).wheel.body_mass == 2.5
-
-
 @pytest.mark.parametrize(("changes", "message"), [
     ({"vehicle": {"mass": -1.0}}, "vehicle.mass = -1.0: expected a number in [0.6, 400000] kg"),
     ({"vehicle": {"mass": math.nan}}, "vehicle.mass = nan: expected a number"),

@@ -90,21 +90,6 @@ def test_a_process_waits_for_another_that_compiles_the_same(tmp_path, monkeypatc
     assert out.split() == ["2.0", "1", "0"] and rest == ""
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_who_compiles_says_so_once_and_who_loads_does_not(tmp_path, call):
-    out, told = call(tmp_path / "cache").communicate(timeout=60)
-    assert out.split() == ["2.0", "0", "1"] and len(told.splitlines()) == 1
-    assert call(tmp_path / "cache").communicate(timeout=60) == ("2.0 1 0\n", "")
-
-
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_a_folder_that_cannot_be_made_is_one_line(tmp_path, call):
-    (tmp_path / "file").touch()
-    folder = tmp_path / "file" / "cache"
-    out, told = call(folder).communicate(timeout=60)
-    assert out.startswith("2.0") and len(told.splitlines()) == 1 and str(folder) in told
-
-
 def test_code_that_cannot_be_saved_is_one_line_and_runs(tmp_path, monkeypatch, capsys):
     """A disk that is full, or a folder that somebody has taken the rights of."""
 
@@ -117,9 +102,3 @@ def test_code_that_cannot_be_saved_is_one_line_and_runs(tmp_path, monkeypatch, c
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
     assert compiled_root(tripled)(2.0) == 6.0
     assert sum("No space left" in line for line in capsys.readouterr().err.splitlines()) == 1
-
-
-def test_the_line_before_compiling_says_how_often_it_comes(monkeypatch, tmp_path):
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    monkeypatch.setattr(cache, "_FOLDER", tmp_path)
-    assert "about 30 s for each kind of environment" in cache._announcement()

@@ -13,7 +13,6 @@ import pytest
 from numba import njit
 from numba.core.errors import NumbaError
 
-from soil_env._numba import compiling
 from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root, take
 
 
@@ -66,12 +65,6 @@ def test_a_part_is_called_from_python_like_a_function():
     assert pickle.loads(pickle.dumps(squared)) is squared
 
 
-def test_a_part_called_by_plain_njit_says_so():
-    """Its own parts would be missing there."""
-    with pytest.raises(TypeError, match="squared: a part called by a function of numba's `njit`"):
-        njit(lambda x: squared(x))(2.0)
-
-
 def test_a_root_is_called_by_plain_njit_and_by_roots():
     values, pair = np.ones(3), Pair(2.0, 5.0)
     assert njit(lambda v, p: summed(v, p)[0])(values, pair) == summed(values, pair)[0]
@@ -83,17 +76,6 @@ def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
         compiled_root(make)(3)
     compiled_root(allocates=True)(make)(3)
-
-
-def test_what_a_root_raises_is_raised():
-    def refuse(x):
-        if x < 0.0:
-            raise ValueError("expected a number >= 0")
-        return x
-
-    assert compiled_root(refuse)(1.0) == 1.0
-    with pytest.raises(ValueError, match="expected a number >= 0"):
-        compiled_root(refuse)(-1.0)
 
 
 # --- calls from Python ------------------------------------------------------------------------------------------------
@@ -151,20 +133,3 @@ def test_an_interrupt_while_results_are_made_into_tuples_is_no_crash():
         child.send_signal(signal.SIGINT)
         assert child.wait(60) == 130
         child.stdout.close()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no masks of signals")
-def test_an_interrupt_just_before_leaves_nothing_held_back(monkeypatch):
-    """`pthread_sigmask` raises what has come already once the mask is set."""
-    true = signal.pthread_sigmask
-
-    def raises(how, which):
-        before = true(how, which)
-        if how == signal.SIG_BLOCK and which:
-            raise KeyboardInterrupt
-        return before
-
-    monkeypatch.setattr(compiling, "_mask", raises)
-    with pytest.raises(KeyboardInterrupt):
-        compiling._uninterrupted(lambda: pytest.fail("called"), (), {})
-    assert signal.SIGINT not in true(signal.SIG_BLOCK, ())

@@ -87,10 +87,6 @@ def test_asin_of_a_root():
     np.testing.assert_allclose(of(3, [-0.1, 1.2])[0], [0.0, 0.5 * math.pi])
 
 
-def test_copysign():
-    np.testing.assert_array_equal(of(4, [3.0, -1e-300, 0.0, -0.0])[0], [2.0, -2.0, 2.0, -2.0])
-
-
 def test_of_two_numbers():
     x = np.concatenate([RNG.normal(size=4000), [0.0, 0.5]])
     np.testing.assert_allclose(of(5, x)[0], np.tanh(x), atol=3e-16)
@@ -121,47 +117,6 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
     out = np.empty(4000)
     law_in_lanes(x, y, out)
     np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
-
-
-_nodes = lanes.over_eight([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0])
-
-
-@compiled_inline
-def over_nodes(x):
-    """Sum over eight nodes of node times x^node, for one x with its nodes in lanes or for eight x."""
-    total = lanes.fill(0.0)
-    for k in range(lanes.turns(x)):
-        node = _nodes(x, k)
-        total = total + node * elementary.power(x, 0.01 * node)
-    return lanes.summed(total, x)
-
-
-@compiled_root
-def over_nodes_in_lanes(x, out):
-    lanes.to_array(over_nodes(lanes.from_array(x, 0)), out, 0)
-
-
-def test_one_loop_serves_one_arc_and_eight():
-    x, out = RNG.uniform(0.1, 3.0, 8), np.empty(8)
-    over_nodes_in_lanes(x, out)
-    nodes = 2.0 ** np.arange(8)
-    expected = [np.sum(nodes * v ** (0.01 * nodes)) for v in x]
-    np.testing.assert_allclose(out, expected, rtol=1e-14)
-    np.testing.assert_allclose([over_nodes(v) for v in x], expected, rtol=1e-14)
-
-
-@compiled_root
-def flags(x):
-    """Bits of the lanes that are not 0; of eight floats."""
-    a = lanes.from_array(x, 0)
-    made = lanes.made_of(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
-    return lanes.bits(a), lanes.lane(made, 5), lanes.total(made)
-
-
-@pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
-def test_bits_of_lanes(pattern):
-    x = np.array([float(pattern >> i & 1) for i in range(8)])
-    assert flags(x) == (pattern, 5.0, 28.0)
 
 
 @compiled_root

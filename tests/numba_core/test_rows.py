@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import compiled_part, compiled_root
+from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import from_array, to_array
 from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
 
@@ -38,13 +38,6 @@ def test_rows_by_name_and_columns_as_dicts():
     counts = Counts(2)
     counts.steps[1] += 3
     assert counts[1] == {"patch": 0, "steps": 3} and type(counts[1]["steps"]) is int
-
-
-def test_rows_are_padded_to_whole_lanes_and_the_padding_stays_zero():
-    state = filled()
-    assert state.data.shape == (3, 16) and not state.data[:, 11:].any()
-    assert state.x.base is state.data and state.x.flags.c_contiguous
-    assert State(8).data.shape == (3, 8) and State(1).data.shape == (3, 8)
 
 
 def test_an_unknown_name_is_an_error():
@@ -98,20 +91,6 @@ def test_compiled_code_reads_and_writes_the_same_memory():
     assert last_of(state, 2) == (2.0, -5.0, 202.0)
 
 
-@compiled_part
-def length_of(row):
-    return row.size
-
-
-@compiled_root
-def sizes(state):
-    return length_of(state.x), length_of(_scratch().x), length_of(_counts().steps)
-
-
-def test_a_row_is_as_long_as_its_padding_in_compiled_code():
-    assert sizes(filled()) == (16, 16, 8)
-
-
 @compiled_root
 def through_scratch(state, k, other):
     """Column k of `state` by way of scratch memory into column 0 of `other`; its column 1 to zero."""
@@ -138,8 +117,3 @@ def test_rows_of_another_class_are_another_type():
     turned.x, turned.load = 1.0, 3.0
     assert last_of(turned, 5) == (1.0, 0.0, 3.0)
     assert last_of(filled(), 5) == (5.0, 105.0, 205.0)
-
-
-def test_scratch_has_whole_lanes():
-    with pytest.raises(ValueError, match="multiple of 8"):
-        scratch_rows(State, 12)

@@ -9,7 +9,7 @@ import pytest
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, charts, rover_view as rendering
+from soil_env.rendering import canvas, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
 from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
@@ -167,44 +167,6 @@ def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(rover):
             drawn.render()
     np.testing.assert_array_equal(first, kept)
     assert not np.array_equal(drawn.render(), first)
-
-
-def test_history_starts_anew_with_the_episode():
-    simulation, view = started("mars_rover")
-    drive(simulation, view, 30)
-    assert len(view._history) == 31 and np.all(view._angles != 0.0)
-    simulation.restart(0)
-    view.record(simulation, 0)
-    assert len(view._history) == 1 and not view._angles.any()
-    fresh = RoverRenderer(simulation.scenario, "rgb_array")
-    fresh.record(simulation, 0)
-    assert np.array_equal(view.draw(simulation, 0), fresh.draw(simulation, 0))
-    view.clear()
-    view.draw(simulation, 0)
-
-
-def test_every_axle_has_its_lines_in_the_charts():
-    simulation, view = started("mars_rover")
-    drive(simulation, view, 120)
-    picture = view.draw(simulation, 0)
-    (x, y, w, h), below = charts.CHARTS[2], charts.CHARTS[3]
-    for dark, _ in rendering._COLOURS.values():  # loads lie apart
-        assert near(picture[y : y + h, x + 2 : x + w], dark, 30).sum() > 40
-    x, y, w, h = below  # friction angles that are pooled lie on each other
-    drawn = [near(picture[y : y + h, x + 2 : x + w], dark, 30).sum() for dark, _ in rendering._COLOURS.values()]
-    assert max(drawn) > 40
-
-
-@pytest.mark.parametrize("variant", ["identified", "blind"])
-def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
-    """Another prior then leaves the picture as it is."""
-    pictures = []
-    for prior in (30.0, 40.0):
-        belief = {"soils": {}, "friction_angle_deg": prior}
-        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant=variant)
-        drive(simulation, view, 20)
-        pictures.append(view.draw(simulation, 0))
-    assert np.array_equal(*pictures) == (variant == "blind")
 
 
 @pytest.mark.parametrize("size", [(960, 540), (801, 500)])

@@ -1,12 +1,10 @@
 """What an action means, and how long it lasts."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from soil_env.driving.wheels import Simulation
-from soil_env.parameters import HELD, Control, ParameterError, load_scenario
+from soil_env.parameters import HELD, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import REVERSE
 
@@ -23,19 +21,6 @@ def simulation(action, repeat=None, seed=0, wheels=1, **changes):
         sim.seed(k, np.random.default_rng([seed, k]))
     sim.restart_where(np.ones(wheels, dtype=bool))
     return sim
-
-
-def test_an_action_lasts_as_long_as_its_kind_says_unless_told_otherwise():
-    for mode, periods in HELD.items():
-        assert Control(action=mode).held == periods and Control(action=mode, repeat=3).held == 3
-    assert HELD["torque"] == 1
-    s = load_scenario("mixed", {"control": {"repeat": 7, "time_limit": 5.0}})
-    assert (s.periods, s.steps) == (50, 8)  # the last action is cut short
-    for bad in (0, 2.5, "x"):
-        with pytest.raises(ParameterError, match="repeat"):
-            load_scenario("mixed", {"control": {"repeat": bad}})
-    with pytest.raises(ParameterError, match="repeat = 2.5: expected a whole number"):
-        Control(repeat=2.5)
 
 
 def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
@@ -134,8 +119,3 @@ def test_information_is_discounted_once_a_step():
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
     assert most > 1.0
-
-
-def test_the_kind_of_action_changes_nothing_else_of_the_scenario():
-    a, b = load_scenario("mixed"), load_scenario("mixed", {"control": {"action": "rim_acceleration"}})
-    assert dataclasses.replace(b, control=a.control) == a

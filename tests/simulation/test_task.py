@@ -1,14 +1,12 @@
 """The task: the documented layout, the reward, the ways an episode ends, and what the agent may see."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 
 from soil_env.driving.estimator import Results, knowledge, show_estimate
 from soil_env.driving.wheels import Simulation
-from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
@@ -19,7 +17,6 @@ from soil_env.simulation.world.camera import Sight
 
 SENSORS = len(layout("blind"))  # entries that every variant has
 NOTHING_SEEN = Sight(0, 0.0, 0.0)
-ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
 
 
 def simulation(variant="identified", seed=0, changes=None):
@@ -46,36 +43,6 @@ def rollout(variant, seeds=range(6), steps=250, changes=None):
 
 
 # --- layout -----------------------------------------------------------------------------------------------------------
-
-
-def documented(variant):
-    """Rows (name, unit, min, max) of the tables in the docstring of the environment that apply to a variant."""
-    tables, previous = [], None
-    for match in ROW.finditer(SoilWheelEnv.__doc__):
-        number, row = int(match[1]), (match[2], match[3], float(match[4]), float(match[5]))
-        if previous is None or number != previous + 1:  # a new table
-            tables.append({})
-        tables[-1][number] = row
-        previous = number
-    (blind_and_identified, true_soil) = tables  # two tables count on, the last one starts where the second does
-    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k < SENSORS}
-    if variant == "true_soil":
-        rows |= true_soil
-    assert sorted(rows) == list(range(len(rows)))
-    return [rows[k] for k in range(len(rows))]
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_layout_is_the_documented_one(variant):
-    rows, entries = documented(variant), layout(variant)
-    assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
-    for e, (_, unit, _, _) in zip(entries, rows, strict=True):
-        assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
-    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
-    assert env.observation_names == tuple(e.name for e in entries)
-    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
-    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
-    assert env.observation_space.dtype == np.float32
 
 
 # --- observation ------------------------------------------------------------------------------------------------------
@@ -341,15 +308,6 @@ def test_information_is_shaping_by_the_knowledge_of_the_identifier():
             endings.add(rows[-1][5])
             won += first is not None and first > 0.0
     assert won >= 6 and {Cause.FINISHED, Cause.TIME_LIMIT} < endings and len(endings) > 2
-
-
-def test_information_changes_nothing_but_its_own_term():
-    paid, free = drives({"information": 3.0}), drives({})
-    for a, b in zip(sum(paid, []), sum(free, []), strict=True):
-        np.testing.assert_array_equal(a[0][:3], b[0][:3])
-        np.testing.assert_array_equal(a[6], b[6])
-        assert b[0][3] == 0.0 and b[1] == b[0][0] + b[0][1] + b[0][2] and a[5] == b[5]
-    assert any(a[0][3] != 0.0 for a in sum(paid, []))
 
 
 @pytest.mark.parametrize(("shares", "nats"), [

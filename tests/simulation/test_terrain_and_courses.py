@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env._numba.random_streams import seed_stream
-from soil_env.parameters import ParameterError, SoilState, load_scenario, soils
+from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
 from soil_env.terramechanics.model import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
@@ -35,14 +35,6 @@ def scenario():
 @pytest.fixture(scope="module")
 def drawn(scenario):
     return [draw(seed, scenario) for seed in SEEDS]
-
-
-def test_same_seed_same_course(scenario):
-    a, b, c = (draw(seed, scenario) for seed in (3, 3, 4))
-    assert a[1] == b[1]
-    for name, array in arrays(a[0]).items():
-        np.testing.assert_array_equal(array, arrays(b[0])[name], name)
-    assert a[1] != c[1] and not np.array_equal(a[0].soils, c[0].soils)
 
 
 def test_patches_cover_the_course(drawn, scenario):
@@ -121,21 +113,6 @@ def test_cells_are_cleared_with_their_patch():
         assert np.all(courses.rut_factors[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
         courses.rut[0, :drawn] = 0.0
         drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
-
-
-def test_where_no_soil_is_passable_the_patch_before_goes_on(scenario):
-    courses, mass, numbers = started(3, scenario)
-    p = courses.patches[0]
-    mud = numbers._replace(
-        drawn=numbers.drawn._replace(library=numbers.drawn.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
-    )
-    assert not drawing.extend_course(0, courses, mass, np.inf, mud)
-    n = courses.patches[0]
-    assert n > p and courses.edges[0, n] >= scenario.course.length
-    assert np.all(courses.soils[0, p:n] == courses.soils[0, p - 1]) and np.all(
-        courses.grades[0, p:n] == courses.grades[0, p - 1]
-    )
-    assert drawing.draw_course(0, courses, np.zeros(1, dtype=np.uint64), mud) == -1.0
 
 
 # --- passable by construction -----------------------------------------------------------------------------------------
@@ -232,23 +209,6 @@ def test_ground_is_continuous(drawn, scenario):
         assert max(jumps(courses, border, suspects(courses, border))) < 1e-5
 
 
-def test_a_sudden_border_would_be_seen(drawn):
-    """The judge of `test_ground_is_continuous` sees the jump that a border of no width makes."""
-    courses, _ = drawn[0]
-    assert max(jumps(courses, 1e-12, suspects(courses, 1e-12))) > 0.05
-
-
-def test_wide_borders_are_refused_or_continuous():
-    """A passage longer than a patch must not make the ground jump in the middle of that patch."""
-    try:
-        wide = load_scenario("mixed", {"course": {"border": 2.0}})
-    except ParameterError:
-        return
-    for seed in range(5):
-        courses, _ = draw(seed, wide)
-        assert max(jumps(courses, 2.0, suspects(courses, 2.0))) < 1e-5
-
-
 def test_ground_does_not_depend_on_the_guessed_patch(drawn, scenario):
     courses, _ = drawn[0]
     for x in np.linspace(-0.5, 12.0, 60):
@@ -257,12 +217,6 @@ def test_ground_does_not_depend_on_the_guessed_patch(drawn, scenario):
 
 
 # --- soils ------------------------------------------------------------------------------------------------------------
-
-
-def test_drawn_soils_are_positive(drawn):
-    for courses, _ in drawn:
-        rows = courses.soils[0, : courses.patches[0]]
-        assert np.all(np.isfinite(rows)) and np.all(rows > 0.0)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35])
@@ -338,15 +292,6 @@ def test_rolling_compacts_digging_loosens_within_bounds(scenario):
         terrain.leave_rut(courses, 0, 1, 0.06, 3.0, terrain.COMPACTION)
     low, high = terrain.RUT_FACTOR_BOUNDS
     assert courses.rut_factors[0, 0] == pytest.approx(high) and courses.rut_factors[0, 1] == pytest.approx(low)
-
-
-def test_cells(scenario):
-    courses = terrain.new_courses(1, scenario)
-    assert terrain.cell_at(courses, -3.0) == 0
-    start = terrain.cell_at(courses, 0.0)
-    assert terrain.cell_at(courses, 0.12) == start + 2
-    assert terrain.cell_at(courses, -0.01) == start - 1 and terrain.cell_at(courses, -terrain.BEHIND) == 0
-    assert terrain.cell_at(courses, 1e6) == courses.rut_factors.shape[1] - 1
 
 
 def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):
