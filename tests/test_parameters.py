@@ -1,6 +1,5 @@
 """Presets, strict loading and its one-line errors."""
 
-import copy
 import math
 
 import numpy as np
@@ -11,7 +10,7 @@ from soil_env import parameters
 from soil_env._io.loading import check, config_dir, load, read_yaml, to_dict
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
-from soil_env.parameters import ParameterError, Scenario, Soil, SoilSpread, load_scenario
+from soil_env.parameters import ParameterError, Scenario, Soil, load_scenario
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 
@@ -116,11 +115,6 @@ def test_bad_scenario(changes, words):
     assert_one_line(caught.value, words)
 
 
-def test_correlations_that_contradict_each_other():
-    with pytest.raises(ParameterError, match="positive definite"):
-        SoilSpread(friction_stiffness=0.9, friction_shear_modulus=0.9, stiffness_shear_modulus=-0.9)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [("- a\n- b\n", ["mapping", "list"]), ("3\n", ["mapping"]), ("a: [1\n", ["YAML"]), (None, ["cannot be read"])],
@@ -142,17 +136,6 @@ def assert_one_line(error, words):
 
 
 # --- good input -------------------------------------------------------------------------------------------------------
-
-
-def test_changes_are_not_modified_and_presets_stay():
-    changes = {"wheel": {"preset": "paper_vehicle", "radius": 0.5}, "soils": {"snow": 1}, "course": {"length": 7}}
-    before = copy.deepcopy(changes)
-    scenario = load_scenario("mixed", changes)
-    assert changes == before
-    assert scenario.wheel.radius == 0.5 and scenario.wheel.width == 0.1524
-    assert scenario.soils == {"snow": 1.0} and scenario.course.length == 7.0
-    assert parameters.wheels()["paper_vehicle"].radius == 0.6274
-    assert load_scenario("mixed").wheel.radius == 0.15
 
 
 @pytest.mark.parametrize("name", parameters.scenario_names())

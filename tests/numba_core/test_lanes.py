@@ -73,28 +73,10 @@ def test_half_angles():
     np.testing.assert_allclose(c, np.cos(0.5 * x), atol=3e-16)
 
 
-def test_sine_of_an_angle():
-    x = np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000)])
-    np.testing.assert_allclose(of(9, x)[0], np.sin(x), rtol=4e-15, atol=4e-16)
-    s, c = of(2, x)
-    np.testing.assert_array_equal(of(9, x)[0], 2.0 * s * c)
-    np.testing.assert_array_equal(of(9, [0.0, -0.0])[0], [0.0, 0.0])
-
-
 def test_asin_of_a_root():
     t = np.concatenate([RNG.uniform(0.0, 1.0, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000), [0.0, 0.25, 1.0]])
     np.testing.assert_allclose(of(3, t)[0], np.arcsin(np.sqrt(t)), rtol=2e-15)
     np.testing.assert_allclose(of(3, [-0.1, 1.2])[0], [0.0, 0.5 * math.pi])
-
-
-def test_of_two_numbers():
-    x = np.concatenate([RNG.normal(size=4000), [0.0, 0.5]])
-    np.testing.assert_allclose(of(5, x)[0], np.tanh(x), atol=3e-16)
-    np.testing.assert_array_equal(of(6, x)[0], np.sqrt(np.abs(x)))
-    np.testing.assert_allclose(of(6, x)[1], np.abs(x) ** 0.7, rtol=1e-14, atol=1e-200)
-    np.testing.assert_array_equal(of(7, x), [np.minimum(x, 0.5), np.maximum(x, 0.5)])
-    np.testing.assert_array_equal(of(8, x)[0], np.where(x < 0.5, 1.0, x))
-    np.testing.assert_allclose(of(8, x)[1], 2.0 * x - 1.0, atol=1e-15)
 
 
 @compiled_inline

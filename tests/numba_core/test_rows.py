@@ -1,14 +1,10 @@
 """Rows: named arrays in Python and in compiled code."""
 
-import copy
-import pickle
-
 import numpy as np
-import pytest
 
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import from_array, to_array
-from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
+from soil_env._numba.rows import copy_column, rows, scratch_rows, zero_column
 
 State = rows("State", "x", "speed", "load")
 Counts = rows("Counts", "patch", "steps", kind=np.int64)
@@ -38,31 +34,6 @@ def test_rows_by_name_and_columns_as_dicts():
     counts = Counts(2)
     counts.steps[1] += 3
     assert counts[1] == {"patch": 0, "steps": 3} and type(counts[1]["steps"]) is int
-
-
-def test_an_unknown_name_is_an_error():
-    state = State(2)
-    with pytest.raises(AttributeError, match="State has no row 'sped'"):
-        _ = state.sped
-    with pytest.raises(ValueError):
-        _ = state["sped"]
-    with pytest.raises(ValueError):
-        state["sped"] = 1.0
-    with pytest.raises(AttributeError):
-        state.sped = 1.0  # a row that is misspelt must not become something else
-
-
-@pytest.mark.parametrize("made", [Rows.copy, copy.deepcopy, copy.copy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_have_the_numbers_and_memory_of_their_own(made):
-    state = filled()
-    other = made(state)
-    assert type(other) is State and len(other) == 11
-    np.testing.assert_array_equal(other.data, state.data)
-    assert other.tobytes() == state.tobytes()
-    if made is not copy.copy:
-        other.x[0] = -1.0
-        assert state.x[0] == 0.0
-    assert last_of(other, 10) == (10.0, 110.0, 210.0)  # and compiled code reads those, not the original's
 
 
 # --- in compiled code -------------------------------------------------------------------------------------------------

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import Simulation
-from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
-from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
@@ -169,17 +166,6 @@ def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(rover):
     assert not np.array_equal(drawn.render(), first)
 
 
-@pytest.mark.parametrize("size", [(960, 540), (801, 500)])
-def test_extreme_states_are_drawn_in_any_size(size):
-    for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.09, -0.3, -3.0), (0.05, 0.2, -6.0)):
-        simulation, view = started("lunar_micro_rover", size=size)
-        rovers = simulation.worlds.rovers
-        rovers.wheels["sinkage"], rovers.wheels["speed"], rovers.wheels["wheel_speed"] = sinkage, speed, wheel_speed
-        rovers.body["pitch"], rovers.axles["floor"] = 0.8, 0.05
-        view.record(simulation, 0)
-        assert view.draw(simulation, 0).shape == (size[1], size[0], 3)
-
-
 def test_a_video_is_recorded(tmp_path):
     pytest.importorskip("moviepy")
     env = gymnasium.make("SoilRover-v0", render_mode="rgb_array", action="wheel_speed", control={"time_limit": 1.0})
@@ -190,21 +176,3 @@ def test_a_video_is_recorded(tmp_path):
         over = env.step(np.array([0.5, 0.5], np.float32))[2]
     env.close()
     assert (tmp_path / "video" / "rl-video-episode-0.mp4").stat().st_size > 2000
-
-
-def test_windows_of_wheel_and_rover_share_one_queue(dummy_display):  # noqa: F811
-    fast = {"control": {"period": 0.01, "substep": 0.01, "action": "wheel_speed"}}
-    simulation, view = started("lunar_micro_rover", mode="human", changes=fast)
-    wheel = Simulation(1, load_scenario("mixed", {"control": {"period": 0.01, "substep": 0.01}}), "blind")
-    wheel.seed(0, np.random.default_rng(0))
-    wheel.restart(0)
-    other = Renderer(wheel.scenario, "human")
-    assert view.draw(simulation, 0) is None and other.draw(wheel, 0) is None
-    assert RoverRenderer._windows is Renderer._windows == {view._id, other._id}
-    dummy_display.event.post(dummy_display.event.Event(dummy_display.WINDOWCLOSE, window=view._window))
-    other.draw(wheel, 0)  # takes the event meant for the rover's
-    assert view._id not in Renderer._windows and other._id in Renderer._windows
-    view.draw(simulation, 0)
-    for v in (view, other, view):
-        v.close()
-    assert not Renderer._windows

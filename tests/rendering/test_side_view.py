@@ -68,17 +68,6 @@ def ring(picture, simulation):
     return near(scene(picture)[rows, columns], canvas.RIM, 40).mean()
 
 
-@pytest.mark.parametrize("size", [(960, 540), (801, 500)])
-def test_frame_has_the_size_asked_for(size):
-    simulation, renderer = start(size=size)
-    drive(simulation, renderer, 30)
-    picture = renderer.draw(simulation, 0)
-    assert picture.shape == (size[1], size[0], 3)
-    assert picture.dtype == np.uint8
-    assert picture.flags.writeable and picture.flags.c_contiguous
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
-
-
 def test_wheel_is_drawn_where_it_is_and_nowhere_else():
     simulation, renderer = start()
     for _ in range(4):

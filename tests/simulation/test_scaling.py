@@ -9,6 +9,8 @@ from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.parameters import Belief, load_scenario
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -31,13 +33,20 @@ def test_centres_and_scales_are_the_documented_ones():
     assert {name: (c, s) for c, s, names in rows for name in names} == CENTRE_AND_SCALE
 
 
+def documented(env):
+    """Rows (number, name, low, high) of the tables in the docstring of an environment."""
+    return [(n + number, name, float(low), float(high)) for n, number, name, low, high in ENTRY.findall(env.__doc__)]
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
     """Name and bounds of every entry, and the numbers of those that scenarios without a camera have."""
-    rows = [(n + number, name, float(low), float(high)) for n, number, name, low, high
-            in ENTRY.findall(SoilWheelEnv.__doc__)]  # fmt: skip
+    rows = documented(SoilWheelEnv)
     bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
     assert {(e.name.replace("beside", "ahead"), e.low, e.high) for e in layout(variant, COURSE)} <= bounds
+    assert {(re.sub("^(middle|rear)", "front", e.name), e.low, e.high) for e in rover_layout(variant, 3)} <= {
+        row[1:] for row in documented(SoilRoverEnv)
+    }
     assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
     env = SoilWheelEnv("mixed", observation=variant, scaled=False)
     assert env.observation_names == tuple(e.name for e in layout(variant))

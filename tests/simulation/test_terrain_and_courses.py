@@ -118,12 +118,6 @@ def test_cells_are_cleared_with_their_patch():
 # --- passable by construction -----------------------------------------------------------------------------------------
 
 
-def reserve(soil, grade, load, wheel):
-    """Drawbar pull in reserve at best slip, as a share of the load; the wheel carries W cos(grade)."""
-    pull = best_working_point(load * math.cos(grade), soil, wheel.radius, wheel.width, wheel.stall_torque).drawbar_pull
-    return pull / load - math.sin(grade)
-
-
 def test_margins_at_patch_centres(drawn, scenario):
     wheel, low = scenario.wheel, scenario.course.margin[0]
     for courses, mass in drawn:
@@ -154,15 +148,6 @@ def test_margins_at_border_midpoints(margin):
             # the mean of two angles has not quite the mean of their tangents
             assert best.drawbar_pull / load - math.tan(grade) >= margin[0] - 1e-3
     assert lowered > 0 or margin != (0.1, 0.1)
-
-
-def test_some_reserve_everywhere(drawn, scenario):
-    """Between the checked points and with the true load W cos(grade) there is still a pull to spare."""
-    for courses, mass in drawn:
-        load = mass * scenario.gravity
-        for x in np.arange(0.0, scenario.course.length, 0.05):
-            soil, grade, _ = terrain.ground_at(courses, 0, x, 0, scenario.course.border)
-            assert reserve(soil, grade, load, scenario.wheel) > 0.0, x
 
 
 def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):

@@ -10,9 +10,8 @@ from soil_env.driving.wheels import Simulation
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import Soil, SoilState, load_scenario, soils
 from soil_env.simulation.task.rules import task_numbers
-from soil_env.simulation.world import courses as drawing, dynamics, terrain
+from soil_env.simulation.world import courses as drawing, terrain
 from soil_env.simulation.world.sensors import sense
-from soil_env.simulation.world.terrain import rut_factor
 from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
 from soil_env.terramechanics.model import Conditions, Rim, WheelSoilModel, steady_with
 from soil_env.terramechanics.reaction import ground_under
@@ -21,7 +20,6 @@ from soil_env.terramechanics.traversability import best_working_point_with
 from soil_env.vector_env import SoilWheelVectorEnv
 from tests.simulation import wheels as bench
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, WHEEL
-from tests.terramechanics.reactions import react
 
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
 
@@ -136,34 +134,6 @@ def test_a_wheel_at_rest_has_settled():
 
 
 # --- reaction ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("case", [*ACTING, "together"])
-def test_recorded_forces_are_those_of_the_motion(case):
-    """The last iteration is taken to first order: its forces are still those of `react`, as far as speeds are known."""
-    effects = TOGETHER if case == "together" else CASES[case]
-    soil, h, met = soils()["lete_sand"].state(0.15), 2e-3, dynamics.TOLERANCE  # short: nothing but the speeds changes
-    wheels = on_uniform_ground(effects, soil, 0.05, "torque")
-    wheels = wheels._replace(world=wheels.world._replace(substeps=1, period=h))
-    courses, world, rng = wheels.courses, wheels.world, np.random.default_rng(1)
-    r, gravity, judged = world.wheel.radius, world.wheel.gravity, 0
-    for k in range(600):
-        if k % 25 == 0:
-            command = rng.uniform(-0.5, 1.0)
-        before = wheels.now()
-        stiffer = rut_factor(courses, 0, before.x)
-        here = soil._replace(sinkage_coefficient=soil.sinkage_coefficient * stiffer)
-        passes = 2.0 if courses.rut[0, before.cell] > 0.0 else 1.0
-        wheels.step(command)
-        w = wheels.now()
-        ground, weight = ground_of(before, here, w.grade, passes, world), w.mass * gravity
-        if max(abs(w.speed - before.speed), r * abs(w.wheel_speed - before.wheel_speed)) > 2e-3:
-            continue  # the slip that some effects go by has changed within the step
-        f = react(ground, w.speed, w.wheel_speed * r, weight * math.cos(w.grade), world.wheel)
-        assert w.drawbar_pull - f.drawbar_pull == pytest.approx(0.0, abs=5.0 * met * w.mass / h)
-        assert w.torque - f.torque == pytest.approx(0.0, abs=5.0 * met * world.inertia / r / h)
-        judged += 1
-    assert judged > 60
 
 
 def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
