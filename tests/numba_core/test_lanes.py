@@ -102,23 +102,13 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
 
 
 @compiled_root
-def rearranged(x, out):
-    """Sums, single lanes, first lanes, smallest of x [64] into out [2, 8]."""
-    rows = (
-        lanes.from_array(x, 0), lanes.from_array(x, 8), lanes.from_array(x, 16), lanes.from_array(x, 24),
-        lanes.from_array(x, 32), lanes.from_array(x, 40), lanes.from_array(x, 48), lanes.from_array(x, 56),
-    )  # fmt: skip
-    sums = lanes.totals(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
-    for i in range(8):
-        out[0, i] = sums[i]
-    lanes.to_array(lanes.first(3, rows[0], rows[1]), out[1], 0)
-    return lanes.total(rows[2]), lanes.lane(rows[3], 5), lanes.smallest(rows[4])
+def reduced(x):
+    """Total, bits of the lanes that are not 0, one lane and the smallest of x [8]."""
+    a = lanes.from_array(x, 0)
+    return lanes.total(a), lanes.bits(a), lanes.lane(a, 5), lanes.smallest(a)
 
 
-def test_moving_lanes():
-    x, out = RNG.normal(size=64), np.empty((2, 8))
-    rows = x.reshape(8, 8)
-    total, single, smallest = rearranged(x, out)
-    np.testing.assert_allclose(out[0], rows.sum(axis=1), atol=1e-14)
-    np.testing.assert_array_equal(out[1], [*rows[0, :3], *rows[1, 3:]])
-    assert total == pytest.approx(rows[2].sum()) and single == rows[3, 5] and smallest == rows[4].min()
+@pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
+def test_reductions_of_lanes(pattern):
+    x = RNG.normal(size=8) * np.array([float(pattern >> i & 1) for i in range(8)])
+    assert reduced(x) == (pytest.approx(x.sum()), pattern, x[5], x.min())
