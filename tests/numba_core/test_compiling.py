@@ -4,16 +4,14 @@ import pickle
 import signal
 import subprocess
 import sys
-import threading
 import time
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
 from numba.core.errors import NumbaError
 
-from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root
 
 
 class Pair(NamedTuple):
@@ -65,12 +63,6 @@ def test_a_part_is_called_from_python_like_a_function():
     assert pickle.loads(pickle.dumps(squared)) is squared
 
 
-def test_a_root_is_called_by_plain_njit_and_by_roots():
-    values, pair = np.ones(3), Pair(2.0, 5.0)
-    assert njit(lambda v, p: summed(v, p)[0])(values, pair) == summed(values, pair)[0]
-    assert compiled_root(lambda v, p: summed(v, p)[0] + squared(2.0))(values, pair) == summed(values, pair)[0] + 4.0
-
-
 @pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
 def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
@@ -88,25 +80,6 @@ def test_a_fast_call_gives_the_same_and_pickles_by_name():
     assert other._function is summed and other(values, pair) == summed(values, pair)
     of_a_part = FastCall(squared)
     assert of_a_part(3.0) == 9.0 and pickle.loads(pickle.dumps(of_a_part))(3.0) == 9.0
-
-
-@compiled_root(nogil=True)
-def shared_out(counter, taken):
-    """Count each number that `take` gives."""
-    number = take(counter, 1)
-    while number < taken.size:
-        taken[number] += 1
-        number = take(counter, 1)
-
-
-def test_threads_take_each_number_once():
-    counter, taken = np.zeros(1, dtype=np.int64), np.zeros(200_000, dtype=np.int64)
-    threads = [threading.Thread(target=shared_out, args=(counter, taken)) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert np.all(taken == 1) and counter[0] == taken.size + 4
 
 
 _LOOP = """

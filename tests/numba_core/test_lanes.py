@@ -23,18 +23,6 @@ def over(which, x, out):
             a, b = elementary.half_sin_cos(a)
         elif which == 3:
             a = elementary.asin_root(a)
-        elif which == 4:
-            a = elementary.copysign(lanes.fill(2.0), a)
-        elif which == 5:
-            a = elementary.tanh(a)
-        elif which == 6:
-            a, b = elementary.sqrt(abs(a)), elementary.power(abs(a), 0.7)
-        elif which == 7:
-            a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
-        elif which == 8:
-            a, b = elementary.where_less(a, 0.5, 1.0, a), elementary.fma(a, 2.0, -1.0)
-        elif which == 9:
-            a = elementary.sine_of(a)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 

@@ -92,33 +92,6 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     assert np.ptp(loads) > 0.05 * loads.mean()
 
 
-@pytest.mark.parametrize("rover", rover_names())
-def test_the_body_stands_on_its_wheels(rover):
-    """Drawn hubs are as far apart as the axles, and the body is pitched as the simulation has it."""
-    simulation, view = started(rover)
-    for _ in range(3):
-        drive(simulation, view, 30)
-        view.draw(simulation, 0)
-        p, v, r = (
-            posture_of(simulation, 0, view._profile),
-            simulation.scenario.vehicle,
-            0.2 * simulation.numbers.world.wheel.radius,
-        )
-        on_body = np.array([p.on_body(place, 0.0) for place in v.axles])
-        if v.bogie == "none":
-            assert math.dist(*p.hubs) == pytest.approx(v.base, rel=0.03)
-            np.testing.assert_allclose(p.hubs, on_body, atol=r)
-            level = math.atan2(*(p.hubs[0] - p.hubs[1])[::-1])
-            assert p.pitch == pytest.approx(level, abs=0.03)
-        else:
-            first, alone = v.first_on_bogie, 2 if v.bogie == "front" else 0
-            np.testing.assert_allclose(p.hubs[alone], on_body[alone], atol=2.0 * r)
-            np.testing.assert_allclose(p.pivot, p.on_body(v.pivot, v.pivot_height), atol=1e-9)
-            arms = [math.dist(p.pivot, p.hubs[i]) for i in (first, first + 1)]
-            expected = [math.hypot(v.axles[i] - v.pivot, v.pivot_height) for i in (first, first + 1)]
-            assert arms == pytest.approx(expected, rel=0.05)
-
-
 def test_a_wheel_behind_is_drawn_on_the_floor_of_the_rut():
     simulation, view = started("field_rover", changes={"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)

@@ -101,20 +101,6 @@ def test_ground_up_to_ready_is_final():
     assert changed > 10
 
 
-def test_cells_are_cleared_with_their_patch():
-    scenario = load_scenario("mixed", LONG)
-    courses, _ = draw(3, scenario)
-    courses.rut_factors[:], courses.rut[:] = 0.5, 0.1
-    words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
-    numbers = drawing.course_numbers(scenario)
-    mass = drawing.start_course(0, courses, words, numbers)
-    for _ in range(8):
-        drawn = terrain.cell_at(courses, courses.edges[0, courses.patches[0]]) + 1
-        assert np.all(courses.rut_factors[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
-        courses.rut[0, :drawn] = 0.0
-        drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
-
-
 # --- passable by construction -----------------------------------------------------------------------------------------
 
 

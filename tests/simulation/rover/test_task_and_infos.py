@@ -1,14 +1,12 @@
 """What a rover's agent observes and is told: documented layout, readings, soils, ends, infos."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names
-from soil_env.simulation.task.scaling import CENTRE_AND_SCALE
 from soil_env.vehicle import rover_names
 
 # --- on the way -------------------------------------------------------------------------------------------------------
@@ -120,10 +118,3 @@ def test_the_information_term_is_the_mean_over_the_axles():
     sd = w.known.sd[env.simulation.wheels[0]][:, : precision.size]
     known = -np.log(np.clip(sd * np.sqrt(precision), 1e-6, 1.0)).sum(axis=1)
     assert paid == pytest.approx(known.mean(), abs=1e-9) and paid > 0.5
-
-
-def test_scales_are_those_of_the_wheel():
-    scaling = SoilRoverEnv("mars_rover").scaling
-    for entry, centre, scale in zip(scaling.entries, scaling.centre, scaling.scale, strict=True):
-        name = re.sub("^(front|middle|rear)_", "", entry.name)
-        assert (centre, scale) == pytest.approx(CENTRE_AND_SCALE.get(name, (0.0, 1.0)))
