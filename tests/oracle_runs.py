@@ -1,4 +1,4 @@
-"""What the cases of the oracle (tests/oracle_cases.py) run, through the public interface: {quantity: array or text}."""
+"""Runs of the cases of the oracle (tests/oracle_cases.py), through the public interface: {quantity: array or text}."""
 
 import itertools
 import math
@@ -43,7 +43,7 @@ _LEFT_OUT = ("torque_available", "immobilised_within")
 
 
 def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
-    """What a wheel sees and does, every `EVERY` control periods; it starts again where an episode ends."""
+    """Observations and states of a wheel every `EVERY` control periods; it starts again where an episode ends."""
     env = make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
     out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
@@ -86,7 +86,7 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
 
 
 def drive_rover(steps: int = 200, seed: int = 3, **options) -> dict:
-    """What a rover sees and does, every `EVERY` steps; each axle has its own command."""
+    """Observations and states of a rover every `EVERY` steps; each axle has its own command."""
     env = gymnasium.make("SoilRover-v0", disable_env_checker=True, **options)
     env.reset(seed=seed)
     axles, ends = env.action_space.shape[0], []

@@ -333,9 +333,9 @@ def test_traversability_is_that_of_the_estimate():
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             assert found["best_slip"] == best.slip and found["torque_required"] == best.torque
-            told = info["estimate"]
-            assert found["drawbar_margin"] == pytest.approx(told["best_pull"] - math.tan(observation[7]))
-            assert found["drawbar_margin_sd"] == told["best_pull_sd"]
+            estimate = info["estimate"]
+            assert found["drawbar_margin"] == pytest.approx(estimate["best_pull"] - math.tan(observation[7]))
+            assert found["drawbar_margin_sd"] == estimate["best_pull_sd"]
             assert found["torque_available"] == wheel.stall_torque
         if ended:
             break

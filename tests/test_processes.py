@@ -125,7 +125,7 @@ print(out[0].tobytes().hex()[:64])
 
 
 def poor(folder, **changes):
-    """What CODE prints in a process that has one processor, no home and no cache it could write."""
+    """Output of CODE in a process that has one processor, no home and no cache it could write."""
     nowhere = "/proc/nowhere"
     env = {**os.environ, "HOME": nowhere, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **changes}
     before = (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})) if sys.platform == "linux" else None

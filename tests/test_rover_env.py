@@ -58,7 +58,7 @@ def test_registration():
 
 @pytest.mark.parametrize("action", ACTIONS)
 def test_each_axle_has_its_own_action(action):
-    """What is commanded of an axle turns its wheels, and values outside are cut."""
+    """The command of an axle turns its wheels, and values outside are cut."""
     env = SoilRoverEnv("mars_rover", action=action, scaled=False, course={"halt_interval": [1e5, 1e5]})
     env.reset(seed=0)
     for _ in range(12):
@@ -72,11 +72,11 @@ def test_each_axle_has_its_own_action(action):
         expected = np.minimum(wheel.stall_torque * np.array([0.1, 1.0, 0.4]), line)
         assert [s["motor_torque"] for s in of] == pytest.approx(expected)
     else:
-        told = [seen[f"{a}_rim_command"] for a in ("front", "middle", "rear")]
+        commanded = [seen[f"{a}_rim_command"] for a in ("front", "middle", "rear")]
         if action == "rim_acceleration":  # 12 steps of 0.5 s at 0.1 m/s2, of 0.425 m/s
-            assert told == pytest.approx([0.6 * 0.1 / 0.425, 1.0, 0.6 * 0.4 / 0.425], rel=1e-5)
+            assert commanded == pytest.approx([0.6 * 0.1 / 0.425, 1.0, 0.6 * 0.4 / 0.425], rel=1e-5)
         else:
-            assert told == pytest.approx([0.1, 1.0, 0.4])
+            assert commanded == pytest.approx([0.1, 1.0, 0.4])
         assert of[0]["wheel_speed"] < of[2]["wheel_speed"] < of[1]["wheel_speed"]
 
 

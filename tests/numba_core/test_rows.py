@@ -3,11 +3,10 @@
 import numpy as np
 
 from soil_env._numba.compiling import compiled_root
-from soil_env._numba.rows import rows, scratch_rows
+from soil_env._numba.rows import rows
 
 State = rows("State", "x", "speed", "load")
 Counts = rows("Counts", "patch", "steps", kind=np.int64)
-_scratch, _counts = scratch_rows(State, 16), scratch_rows(Counts, 8)
 
 
 def filled(count=11):

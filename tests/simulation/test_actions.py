@@ -1,4 +1,4 @@
-"""What an action means, and how long it lasts."""
+"""Meaning and duration of actions."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Terrain classes, two lines over a patch, the choice between them at halts, and what the camera tells of them."""
+"""Terrain classes, two lines over a patch, the choice between them at halts, and the view of the camera."""
 
 import math
 
@@ -238,7 +238,7 @@ def test_averaging_images_leaves_the_fixed_error_of_a_border():
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_only_true_soil_shows_the_soils_ahead(variant):
-    """Of two worlds that differ in nothing but soils and capacities of the lines ahead."""
+    """Observations of two worlds that differ in nothing but soils and capacities of the lines ahead."""
     rows = []
     for change in (1.0, 1.1):
         sim = simulation(variant, seed=9)

@@ -45,7 +45,7 @@ def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=()):
 
 
 def readings(wheels, effects):
-    """What the sensors read of the wheel."""
+    """Readings of the sensors of the wheel."""
     model = None if effects is None else model_of(effects)
     task = task_numbers(load_scenario("mixed", STILL), "blind", model)
     return sense(wheels.state, 0, np.ones(1, dtype=np.uint64), task.sensors)

@@ -1,4 +1,4 @@
-"""What a rover's agent observes and is told: documented layout, readings, soils, ends, infos."""
+"""Observation of a rover's agent: readings, true soils, halts, reward."""
 
 import math
 
