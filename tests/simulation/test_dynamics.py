@@ -56,7 +56,7 @@ def test_the_steps_converge():
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_laws_of_motion(mode):
-    """Balances of a step with two stages: m dV = (DP - m g sin) h and the balance of energy, with the forces of the motion.
+    """Momentum and energy of a step with two stages: m dV = (DP - m g sin) h, and the balance of energy.
 
     The speed after the first stage follows from the distance. Met as closely as the iteration promises in V and r w.
     """
