@@ -48,9 +48,6 @@ def run(env, seed, steps, actions=None):
     return np.array(rows), np.array(rewards), infos, False
 
 
-# --- registration, determinism, copies --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", MODES)
 @BOTH
 def test_a_seed_is_a_course_and_its_noise(make, mode):
@@ -119,9 +116,6 @@ def test_returned_arrays_are_not_overwritten(make):
     assert repr(info) == kept_info
 
 
-# --- actions ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("bad", [
     lambda shape: 0.5, lambda shape: [], lambda shape: "x", lambda shape: np.zeros((4, 4, *shape)),
     lambda shape: np.full(shape, math.nan), lambda shape: np.full(shape, math.inf), lambda shape: np.zeros((1, *shape)),
@@ -168,9 +162,6 @@ def test_order_is_enforced(make):
     env.step(action)
 
 
-# --- commanded halts --------------------------------------------------------------------------------------------------
-
-
 def test_halts_happen_and_ignore_the_action():
     halts = []
     for action_in_halt in (0.5, -1.0):
@@ -193,9 +184,6 @@ def test_halts_happen_and_ignore_the_action():
         SoilWheelEnv(action="torque", course={"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}), 1, 80
     )[0]
     assert not with_no_halts[:, 10].any()
-
-
-# --- arguments --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
@@ -253,9 +241,6 @@ def test_yaml_file_as_scenario(tmp_path):
     path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
     with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
         SoilWheelEnv(path)
-
-
-# --- info -------------------------------------------------------------------------------------------------------------
 
 
 def check_info(info, observation, env):

@@ -18,9 +18,6 @@ SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinka
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
 
 
-# --- presets ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", parameters.soils())
 def test_soil_preset(name):
     soil = parameters.soils()[name]
@@ -60,8 +57,6 @@ def test_lumped_modulus():
     with pytest.raises(ParameterError, match="k_c/b"):
         Soil(**SOIL, k_c=-1e6, k_phi=5e5).lumped(0.1)
 
-
-# --- bad input --------------------------------------------------------------------------------------------------------
 
 BAD_SOIL = [
     ({"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
@@ -133,9 +128,6 @@ def assert_one_line(error, words):
     assert message and "\n" not in message
     for word in words:
         assert word in message, message
-
-
-# --- good input -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", parameters.scenario_names())

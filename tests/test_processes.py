@@ -20,9 +20,6 @@ METHODS = [
 ]
 
 
-# --- processes --------------------------------------------------------------------------------------------------------
-
-
 def make_env():
     return SoilWheelEnv(**SHORT)
 
@@ -63,9 +60,6 @@ def test_a_vector_env_with_threads_in_another_process(method):
     np.testing.assert_array_equal(there, same.step(np.full((64, 1), 0.4))[0])
 
 
-# --- threads ----------------------------------------------------------------------------------------------------------
-
-
 def test_two_vector_envs_in_two_threads_at_once():
     results, a = {}, np.full((48, 1), 0.4)
 
@@ -82,9 +76,6 @@ def test_two_vector_envs_in_two_threads_at_once():
     for k in range(3):
         drive("alone", k)
         np.testing.assert_array_equal(results["alone"], results[k])
-
-
-# --- close, reset, render ---------------------------------------------------------------------------------------------
 
 
 def test_close_twice_and_use_after_it():
@@ -110,8 +101,6 @@ def rollout_from(seed):
     env.reset(seed=seed)
     return env.step(ACTION)[0]
 
-
-# --- a poor machine ---------------------------------------------------------------------------------------------------
 
 CODE = """
 import numpy as np

@@ -8,7 +8,6 @@ from gymnasium.utils.env_checker import check_env
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import load_rover, rover_names
 
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
@@ -32,9 +31,6 @@ def held(env, seed, steps, command=None):
     return np.array(rows), np.array(rewards), infos
 
 
-# --- checkers ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("rover", "variant"), list(zip(rover_names(), VARIANTS, strict=True)))
 def test_checkers(rover, variant):
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -51,9 +47,6 @@ def test_registration():
     assert load_rover("mars_rover").course.length == 25.0  # a changed env does not change the next
     many = gymnasium.make_vec("SoilRover-v0", num_envs=3, vectorization_mode="vector_entry_point")
     assert isinstance(many.unwrapped, SoilRoverVectorEnv) and many.action_space.shape == (3, 2)
-
-
-# --- actions ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -78,9 +71,6 @@ def test_each_axle_has_its_own_action(action):
         else:
             assert commanded == pytest.approx([0.1, 1.0, 0.4])
         assert of[0]["wheel_speed"] < of[2]["wheel_speed"] < of[1]["wheel_speed"]
-
-
-# --- ends -------------------------------------------------------------------------------------------------------------
 
 
 def test_the_rear_axle_starts_at_0_and_ends_the_course():
@@ -115,30 +105,3 @@ def test_the_deepest_wheel_is_bogged():
     assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
     rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
     assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
-
-
-# --- model ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "effects", [{"grousers": {"shear_share": 0.5, "blades": 2.0}}, {"multipass": {"hardening": 0.5}}]
-)
-def test_a_hidden_effect_acts(effects):
-    """The same course and actions: grousers change all wheels from the first step, multipass those behind first."""
-    wheel = load_rover().wheel
-    model = WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.01), None, effects)
-    runs = []
-    for world in (None, model):
-        env = SoilRoverEnv(action="torque", model=world, course={"grade_deg": [0.0, 0.0]}, soils={"dry_sand": 1})
-        env.reset(seed=2)
-        runs.append([env.step([0.3, 0.3])[4] for _ in range(20)])
-    plain, changed = (run[0]["front"]["state"]["drawbar_pull"] for run in runs)
-    rear, hardened = (run[0]["rear"]["state"]["sinkage"] for run in runs)
-    if "grousers" in effects:
-        assert changed != plain
-    else:
-        assert changed == pytest.approx(plain, rel=0.05) and hardened < rear
-    assert runs[0][-1]["state"]["x"] != runs[1][-1]["state"]["x"]
-
-
-# --- bad arguments ----------------------------------------------------------------------------------------------------

@@ -74,9 +74,6 @@ def same_nested(info, k, scalar):
             assert found == (pytest.approx(value, rel=1e-14) if "status" in scalar else value), name
 
 
-# --- equal to the single environment ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("kind", "variant", "changes"),
     [(WHEEL, variant, {"action": mode, "reward": {"information": 2.0 * i}, "scenario": "mixed"})
@@ -223,9 +220,6 @@ def test_seeds_single_and_listed_and_for_some(kind):
     assert not np.array_equal(kind.many(2).reset()[0], kind.many(2).reset()[0])
 
 
-# --- threads, arrays, limits ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @KINDS
 def test_the_number_of_threads_changes_nothing(kind, mode):
@@ -260,9 +254,6 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 last = info.get("final_info", info)
                 assert np.all(last["cause"] == cause)
                 assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
-
-
-# --- registration, errors ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

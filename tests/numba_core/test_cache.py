@@ -35,8 +35,6 @@ def test_code_of_edited_sources_is_not_loaded(tmp_path, monkeypatch):
     assert len(stamps) == len(sources)
 
 
-# --- several processes ------------------------------------------------------------------------------------------------
-
 MODULE = "from soil_env._numba.compiling import compiled_root\n\n\n@compiled_root\ndef f(x):\n    return x + 1.0\n"
 #: Prints the result, how often compiled code was loaded, and how often it was not there.
 CALL = "from {0} import f; print(f(1.0), sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"

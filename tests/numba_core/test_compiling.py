@@ -47,9 +47,6 @@ def summed(values, pair):
     return total + a - b, 1.0 / (pair.first - pair.first)
 
 
-# --- parts and roots --------------------------------------------------------------------------------------------------
-
-
 def test_a_root_calls_parts_that_call_parts():
     total, infinite = summed(np.array([1.0, 2.0, 3.0]), Pair(2.0, 5.0))
     assert total == 14.0 + 4.0 - 25.0
@@ -68,9 +65,6 @@ def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
         compiled_root(make)(3)
     compiled_root(allocates=True)(make)(3)
-
-
-# --- calls from Python ------------------------------------------------------------------------------------------------
 
 
 def test_a_fast_call_gives_the_same_and_pickles_by_name():

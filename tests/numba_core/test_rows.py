@@ -17,9 +17,6 @@ def filled(count=11):
     return state
 
 
-# --- in Python --------------------------------------------------------------------------------------------------------
-
-
 def test_rows_by_name_and_columns_as_dicts():
     state = State(11)
     assert len(state) == 11 and not state.x.any() and state.x.shape == (11,)
@@ -32,9 +29,6 @@ def test_rows_by_name_and_columns_as_dicts():
     counts = Counts(2)
     counts.steps[1] += 3
     assert counts[1] == {"patch": 0, "steps": 3} and type(counts[1]["steps"]) is int
-
-
-# --- in compiled code -------------------------------------------------------------------------------------------------
 
 
 @compiled_root

@@ -28,9 +28,6 @@ def start(seed=0, mode="torque", soil=None, grade_deg=None, course=None):
     return wheels
 
 
-# --- step size --------------------------------------------------------------------------------------------------------
-
-
 def smooth_drive(seed, refine, course=None):
     """30 s under a smooth torque, with the default substep divided by `refine`."""
     wheels = start(seed, course=course)
@@ -109,9 +106,6 @@ def test_reversals_of_the_torque_are_followed(every, error):
     assert np.median(np.abs(lost / work)) < 0.08
 
 
-# --- motor ------------------------------------------------------------------------------------------------------------
-
-
 @settings(max_examples=300, deadline=None)
 @given(command=st.floats(-1.0, 1.0), share=st.floats(-3.0, 3.0), speed_command=st.booleans())
 def test_motor_stays_within_its_lines(command, share, speed_command):
@@ -138,12 +132,6 @@ def test_motor_slope(speed_command):
     for command, w in zip(rng.uniform(-1, 1, 200), rng.uniform(-5, 5, 200), strict=True):
         up, down = (motor(command, float(speed_command), w + d, world)[0] for d in (1e-6, -1e-6))
         assert motor(command, float(speed_command), w, world)[1] == pytest.approx((up - down) / 2e-6, abs=1e-4)
-
-
-# --- energy -----------------------------------------------------------------------------------------------------------
-
-
-# --- rest and reverse -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("grade_deg", [-10.0, -5.0, 0.0, 5.0, 10.0])
@@ -178,12 +166,6 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
     forward, backward = np.array(runs)
     assert forward[0] > 0.0 and abs(forward[0]) < terrain.CELL
     np.testing.assert_allclose(backward, forward * [-1, -1, -1, -1, -1, 1], rtol=1e-6, atol=1e-9)
-
-
-# --- extremes ---------------------------------------------------------------------------------------------------------
-
-
-# --- rut --------------------------------------------------------------------------------------------------------------
 
 
 def test_rolling_out_and_back_keeps_the_rut():

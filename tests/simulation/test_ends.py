@@ -73,9 +73,6 @@ def test_what_counts_is_new_ground():
     assert onward(way).index(Cause.ENTRAPPED) < 130
 
 
-# --- ends that are driven to ------------------------------------------------------------------------------------------
-
-
 EVASIONS = {  # what a stuck wheel can do, as commands over control periods
     "spin": lambda k: 0.8,
     "rock": lambda k: 0.8 if k // 5 % 2 else -0.8,

@@ -35,9 +35,6 @@ def drawn(scenario):
     return [draw(seed, scenario) for seed in SEEDS]
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------------------
-
-
 def margin(soil, grade, mass, scenario):
     """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
     wheel, load = scenario.wheel, mass * scenario.gravity
@@ -129,9 +126,6 @@ def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
     assert repeated > 0 and drawing.draw_course(0, courses, words, mud) == -1.0
 
 
-# --- choosing ---------------------------------------------------------------------------------------------------------
-
-
 def creep(sim, chosen, steps=700):
     """Drive at 0.2 m/s with the speed loop; `chosen`(flag [n]) gives the action at halts where a line is chosen."""
     top, flag = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed, sim.worlds.observation.shape[1]
@@ -191,9 +185,6 @@ def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
     assert len(seen) > 15  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
-
-
-# --- the camera -------------------------------------------------------------------------------------------------------
 
 
 def test_looking_longer_tells_no_more_of_label_and_grade():
@@ -268,9 +259,3 @@ def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
         grade = lines.grades[0, 3, i] + lines.grade_errors[0, 3, i]
         expected = margin(lines.soils[0, 3, i], grade, sim.worlds.state["mass"][0], sim.scenario)
         assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(expected, abs=1e-5)
-
-
-# --- what is refused --------------------------------------------------------------------------------------------------
-
-
-# --- the documented layout --------------------------------------------------------------------------------------------

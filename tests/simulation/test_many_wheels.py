@@ -62,9 +62,6 @@ def test_a_wheel_that_fails_goes_on_alone():
     assert abs(failed.wheel_speed) < 400.0 and all(np.isfinite(list(among.state[3].values())))
 
 
-# --- judged by scipy --------------------------------------------------------------------------------------------------
-
-
 _x, _w = np.polynomial.legendre.leggauss(60)
 NODES, WEIGHTS = (0.5 * (_x + 1.0)) ** 2, 0.5 * _w * (_x + 1.0)
 

@@ -41,12 +41,6 @@ def rollout(variant, seeds=range(6), steps=250, changes=None):
     return np.array(rows)
 
 
-# --- layout -----------------------------------------------------------------------------------------------------------
-
-
-# --- observation ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_observation_is_neither_constant_nor_aliased(variant):
     rows = rollout(variant, changes={"control": {"action": "rim_acceleration", "repeat": 1}})
@@ -197,9 +191,6 @@ def test_odometry_is_off_as_stated():
     scales = np.array(scales)
     assert np.mean(scales) == pytest.approx(1.0, abs=4.0 * 0.03 / 20.0)
     assert np.std(scales) == pytest.approx(0.03, rel=0.15)
-
-
-# --- reward -----------------------------------------------------------------------------------------------------------
 
 
 def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():

@@ -50,9 +50,6 @@ def test_patches_cover_the_course(drawn, scenario):
         assert np.all(np.degrees(courses.grades[0, :p]) <= scenario.course.grade_deg[1] + 1e-9)
 
 
-# --- drawn as the wheel comes to them ---------------------------------------------------------------------------------
-
-
 LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
 
 
@@ -99,9 +96,6 @@ def test_ground_up_to_ready_is_final():
             assert [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x] == before
             changed += courses.grades[0, last] != grade
     assert changed > 10
-
-
-# --- passable by construction -----------------------------------------------------------------------------------------
 
 
 def test_margins_at_patch_centres(drawn, scenario):
@@ -151,9 +145,6 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
         assert best_working_point(load, soil, wheel.radius, wheel.width, 0.0).drawbar_pull == -math.inf
 
 
-# --- borders ----------------------------------------------------------------------------------------------------------
-
-
 def jumps(courses, border, xs):
     """Relative change of soil and grade across each x."""
     d = 1e-9
@@ -185,9 +176,6 @@ def test_ground_does_not_depend_on_the_guessed_patch(drawn, scenario):
     for x in np.linspace(-0.5, 12.0, 60):
         found = [terrain.ground_at(courses, 0, x, guess, scenario.course.border) for guess in range(courses.patches[0])]
         assert all(f == found[0] for f in found)
-
-
-# --- soils ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35])
@@ -247,9 +235,6 @@ def test_presets_are_drawn_by_weight():
     cohesions = sample(drawing.course_numbers(scenario), 4000)[:, 1]
     assert set(np.round(cohesions)) == {1040.0, 1030.0}
     assert np.mean(np.round(cohesions) == 1040.0) == pytest.approx(0.75, abs=0.03)
-
-
-# --- rut --------------------------------------------------------------------------------------------------------------
 
 
 def test_rolling_compacts_digging_loosens_within_bounds(scenario):

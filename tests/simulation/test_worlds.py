@@ -58,9 +58,6 @@ def ground_of(w, soil, grade, passes, world):
     return ground_under(w.sinkage, w.speed, u, weight, soil, math.sin(grade), passes, world.wheel)
 
 
-# --- steady states ----------------------------------------------------------------------------------------------------
-
-
 def settled(case, grade_deg):
     """(what instruments read, what `steady_with` says, the same without the effect, weight) of a wheel driven far."""
     effects = {name: dict(values) for name, values in CASES[case].items()}
@@ -133,9 +130,6 @@ def test_a_wheel_at_rest_has_settled():
     assert starts[1] > 1.3 * starts[0]
 
 
-# --- reaction ---------------------------------------------------------------------------------------------------------
-
-
 def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
     """Thrust of the lugs is that of the soil, not of the soil as sheared at the larger radius."""
     soil = soils()["lete_sand"].state(0.15)
@@ -146,8 +140,6 @@ def test_blades_push_the_soil_between_them_whatever_the_shear_radius():
         thrust.append(ground_of(wheels.now(), soil, 0.0, 1.0, wheels.world).blades)
     assert thrust[0] > 1.0 and thrust[1] == thrust[0]
 
-
-# --- neutral models, and both environments ----------------------------------------------------------------------------
 
 #: Parameters that do nothing while the one that switches their law on is neutral.
 IDLE = {
@@ -218,9 +210,6 @@ def test_multipass_acts_in_the_track_only():
     assert np.all(found[90:, 1] < 0.95 * base[90:, 1])
 
 
-# --- random driving ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("case", [*CASES, "together", "residual"])
 def test_random_driving_converges(case):
     """32 wheels under bang-bang commands in each mode of action; soil that softens breaks away under a dug wheel."""
@@ -257,9 +246,6 @@ def test_halving_the_substep_changes_little(case):
     coarse, fine = smooth_drive(effects, 1), smooth_drive(effects, 2)
     assert fine[-1, 0] > 1.0
     assert np.all(np.sqrt(np.mean((coarse - fine) ** 2, axis=0)) < 0.01 * np.abs(fine).max(axis=0))
-
-
-# --- courses ----------------------------------------------------------------------------------------------------------
 
 
 def margins(model, speeds, seeds=range(25)):
@@ -311,9 +297,6 @@ def test_a_residual_law_counts_on_the_grades():
     )
     shift = (before - after)[lower]
     assert shift.size > 5 and np.median(shift) == pytest.approx(0.05, abs=1e-6)
-
-
-# --- the model as an argument -----------------------------------------------------------------------------------------
 
 
 def test_a_model_is_a_path_or_an_object(tmp_path):

@@ -156,9 +156,6 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
     assert lowest[0] == pytest.approx(lowest[1], rel=0.2)
 
 
-# --- ruts -------------------------------------------------------------------------------------------------------------
-
-
 def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less():
     """Without digging; z goes with (W/S)^(2/(2n + 1)) (Bekker 1969), here n = 1."""
     soil = {"friction_angle_deg": 33.0, "cohesion": 500.0, "shear_modulus": 0.01, "sinkage_exponent": 1.0}
@@ -188,9 +185,6 @@ def test_what_is_left_is_passed_on_to_all_wheels_behind():
     assert ruts.floor[16, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
     assert ruts.rut_factors[16, 1:5] == pytest.approx([1.0, 3.0, 1.5, 1.0])
     assert not ruts.floor[0].any()
-
-
-# --- rows -------------------------------------------------------------------------------------------------------------
 
 
 def test_rovers_side_by_side_share_nothing():

@@ -9,8 +9,6 @@ from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names
 from soil_env.vehicle import rover_names
 
-# --- on the way -------------------------------------------------------------------------------------------------------
-
 
 def drive(rover, variant, seed, steps=60, command=0.5, **changes):
     """(env, [(observation by name in its units, info, true soils)]) of a drive."""
