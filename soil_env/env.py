@@ -276,10 +276,7 @@ class SoilWheelEnv(CourseEnv):
     the rest is the scenario's. A residual law acts on drawbar pull and torque.
 
     ## Version history
-    * v0: first version. It has not been released, so that laws still change under this number. On the way: odometry in
-      place of the exact progress; fresh ground is ground that the wheel has not touched; one count of no progress in
-      place of two timers; a time step of second order; the time limit is a termination that costs; rim_acceleration,
-      repeat and rim_command; observations of order one (`scaled`); best_pull, ahead_margin_sd and another identifier.
+    * v0: first version. It has not been released, so that laws still change under this number.
     """
 
     def __init__(

@@ -403,17 +403,17 @@ def _merged(
     mapping = dict(mapping)
     changes = dict(changes)
     belief = mapping.get("belief")
-    told, asked = belief if isinstance(belief, dict) else {}, changes.get("belief")
+    believed, asked = belief if isinstance(belief, dict) else {}, changes.get("belief")
     asked = to_dict(asked) if isinstance(asked, Checked) else asked if isinstance(asked, dict) else {}
     if "soils" in changes:
-        if told.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
+        if believed.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
             given = changes["soils"]
             kept = {k: v for k, v in given.items() if v != 0.0} if isinstance(given, dict) else given
-            mapping["belief"] = told = told | {"soils": kept}
+            mapping["belief"] = believed = believed | {"soils": kept}
         mapping["soils"] = changes.pop("soils")
     if "soils" in asked:
-        mapping["belief"] = told = told | {"soils": asked["soils"]}
-    refuse_idle_prior(told | asked, where, asked)
+        mapping["belief"] = believed = believed | {"soils": asked["soils"]}
+    refuse_idle_prior(believed | asked, where, asked)
     if "wheel" in changes and not isinstance(changes["wheel"], dict):
         mapping["wheel"] = changes.pop("wheel")
     if isinstance(mapping.get("wheel"), str):

@@ -1,4 +1,4 @@
-"""What the cases of the oracle (tests/oracle_cases.py) run, through the public interface: {quantity: array or text}."""
+"""Runs of the cases of the oracle (tests/oracle_cases.py), through the public interface: {quantity: array or text}."""
 
 import itertools
 import math
@@ -12,7 +12,6 @@ from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 ROOT = Path(__file__).resolve().parent.parent
-NUDGE = 0.0  # relative change of the inputs, to see what rounding does
 EVERY = 10  # control periods from sample to sample
 
 
@@ -28,7 +27,7 @@ def make(maker=gymnasium.make, gravity=9.81, **options):
     return maker(
         "soil_env:SoilWheel-v0",
         **{"action": "torque", "scenario": "mixed", "scaled": False} | options,
-        gravity=gravity * (1.0 + NUDGE),
+        gravity=gravity,
     )
 
 
@@ -36,8 +35,7 @@ def action(k: int, level: float) -> float:
     """A drive that swings about a level, now and then at full power, and now and then brakes."""
     if k % 71 >= 60:
         return 1.0
-    nudged = 1.0 + NUDGE * (-1) ** k
-    return -0.3 * nudged if k % 97 >= 92 else (level + 0.2 * math.sin(0.17 * k)) * nudged
+    return -0.3 if k % 97 >= 92 else level + 0.2 * math.sin(0.17 * k)
 
 
 #: A constant; and probabilities by a network, whose weights are trained anew without a change of any law.
@@ -45,7 +43,7 @@ _LEFT_OUT = ("torque_available", "immobilised_within")
 
 
 def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
-    """What a wheel sees and does, every `EVERY` control periods; it starts again where an episode ends."""
+    """Observations and states of a wheel every `EVERY` control periods; it starts again where an episode ends."""
     env = make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
     out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
@@ -88,7 +86,7 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
 
 
 def drive_rover(steps: int = 200, seed: int = 3, **options) -> dict:
-    """What a rover sees and does, every `EVERY` steps; each axle has its own command."""
+    """Observations and states of a rover every `EVERY` steps; each axle has its own command."""
     env = gymnasium.make("SoilRover-v0", disable_env_checker=True, **options)
     env.reset(seed=seed)
     axles, ends = env.action_space.shape[0], []
@@ -111,7 +109,7 @@ def predict(models: dict, count: int = 20) -> dict:
     rng = np.random.default_rng(11)
     slip = np.concatenate([[-1.0, -0.3, 0.0, 0.02, 0.3, 0.97, 1.0], rng.uniform(-0.2, 0.9, count - 7)])
     conditions = {
-        "slip": slip, "load": rng.uniform(60, 250, count) * (1.0 + NUDGE), "speed": rng.uniform(0.01, 0.6, count),
+        "slip": slip, "load": rng.uniform(60, 250, count), "speed": rng.uniform(0.01, 0.6, count),
         "pass": rng.integers(1, 5, count), "grade_deg": rng.uniform(-15, 15, count),
     }  # fmt: skip
     out = {}
@@ -150,7 +148,7 @@ def table(
     values += np.random.default_rng(1).normal(size=values.shape) * list(NOISE.values())
     lines = [",".join((*names, *channels))]
     for conditions, row in zip(at, values, strict=True):
-        read = [float(f"{v:.6g}") * (1.0 + NUDGE) for v in row[[list(NOISE).index(c) for c in channels]]]
+        read = [float(f"{v:.6g}") for v in row[[list(NOISE).index(c) for c in channels]]]
         lines.append(",".join(repr(float(v)) for v in (*conditions, *read)))
     csv, yaml = Path(folder, "data.csv"), Path(folder, "setup.yaml")
     csv.write_text("\n".join(lines) + "\n")

@@ -43,7 +43,7 @@ def test_checker_with_rendering():
 
 
 def check_vector(env, steps=30):
-    """What gymnasium demands of a vector environment: spaces, dtypes, shapes, seeds, and data of its own."""
+    """Demands of gymnasium on a vector environment: spaces, dtypes, shapes, seeds, and data of its own."""
     n, single = env.num_envs, env.single_observation_space
     first, info = env.reset(seed=5)
     assert env.observation_space.contains(first) and isinstance(info, dict)

@@ -46,7 +46,6 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
     observation, _ = env.reset(seed=int(rng.integers(1 << 30)))
     inside = all(env.single_observation_space.contains(row) for row in observation)
     broken = [] if inside else ["first observation in its bounds"]
-    broken += refusals(env, wheels, rng)
     done = np.zeros(wheels, dtype=bool)
     for step in range(steps):
         actions, before = commands(wheels, step, rng), env.simulation.worlds.state.copy()
@@ -61,22 +60,6 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
         broken += [f"{name} (step {step}, wheel {which[0]})" for name, which in found.items()]
     env.close()
     return broken
-
-
-def refusals(env, wheels: int, rng: np.random.Generator) -> list[str]:
-    """Give commands that are no numbers or of another shape: ValueError, and nothing has changed."""
-    broken, state = [], env.simulation.worlds.state.tobytes()
-    bad = [np.zeros((wheels + 1, 1)), np.zeros(wheels), np.full((wheels, 1), None)]
-    for value in (math.nan, math.inf, -math.inf):
-        bad.append(np.zeros((wheels, 1)))
-        bad[-1][int(rng.integers(wheels))] = value
-    for actions in bad:
-        try:
-            env.step(actions)
-            broken.append(f"command {actions.flat[0]!r} of shape {actions.shape} refused")
-        except ValueError:
-            pass
-    return broken + ["a refused command changes nothing"] * (env.simulation.worlds.state.tobytes() != state)
 
 
 def unbalanced(env, before, stepped, case: Case) -> dict[str, np.ndarray]:
@@ -125,14 +108,6 @@ def test_any_configuration_and_any_command(number):
     assert not broken
 
 
-def test_a_case_is_the_same_again():
-    a, b = (draw_case(Random(np.random.default_rng([0, 5]))) for _ in range(2))
-    assert a == b
-
-
-# --- planted faults ---------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def driven():
     """(env, actions, before, out) after a second of driving."""
@@ -175,9 +150,6 @@ def test_a_planted_gap_in_the_balance_is_found(driven, name, factor):
     assert found and (factor > 0.0 or any("never give it" in text for text in found))
 
 
-# --- the energy balance -----------------------------------------------------------------------------------------------
-
-
 def lost_and_turnover(substep, seed=4):
     """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the turnover [J]."""
     env = SoilWheelVectorEnv(
@@ -202,19 +174,3 @@ def test_the_integrator_loses_energy_of_second_order():
         assert 2.5 < a / b < 8.0
     taken, turnover = lost_and_turnover(0.1)
     assert 0.0 < taken < 0.01 * turnover
-
-
-def test_work_of_the_soil_is_slip_and_compaction():
-    """Steady driving on the level: T w - DP V is T w less drawbar work, all of it dissipated; DP V is 0 there."""
-    env = SoilWheelVectorEnv(
-        4, "mixed", action="torque", course={"grade_deg": [0.0, 0.0], "halt_time": 0.0, "length": 40.0},
-        control={"substep": 0.005}, threads=1,
-    )  # fmt: skip
-    env.reset(seed=0)
-    motor = soil = 0.0
-    for step in range(100):
-        env.step(np.full((4, 1), 0.25))
-        if step >= 20:
-            motor += env.simulation.worlds.state["motor_work"].sum()
-            soil += env.simulation.worlds.state["soil_work"].sum()
-    assert soil == pytest.approx(motor, rel=0.03) and motor > 0.0

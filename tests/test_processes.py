@@ -20,9 +20,6 @@ METHODS = [
 ]
 
 
-# --- processes --------------------------------------------------------------------------------------------------------
-
-
 def make_env():
     return SoilWheelEnv(**SHORT)
 
@@ -63,9 +60,6 @@ def test_a_vector_env_with_threads_in_another_process(method):
     np.testing.assert_array_equal(there, same.step(np.full((64, 1), 0.4))[0])
 
 
-# --- threads ----------------------------------------------------------------------------------------------------------
-
-
 def test_two_vector_envs_in_two_threads_at_once():
     results, a = {}, np.full((48, 1), 0.4)
 
@@ -82,9 +76,6 @@ def test_two_vector_envs_in_two_threads_at_once():
     for k in range(3):
         drive("alone", k)
         np.testing.assert_array_equal(results["alone"], results[k])
-
-
-# --- close, reset, render ---------------------------------------------------------------------------------------------
 
 
 def test_close_twice_and_use_after_it():
@@ -111,8 +102,6 @@ def rollout_from(seed):
     return env.step(ACTION)[0]
 
 
-# --- a poor machine ---------------------------------------------------------------------------------------------------
-
 CODE = """
 import numpy as np
 from soil_env.vector_env import SoilWheelVectorEnv
@@ -125,7 +114,7 @@ print(out[0].tobytes().hex()[:64])
 
 
 def poor(folder, **changes):
-    """What CODE prints in a process that has one processor, no home and no cache it could write."""
+    """Output of CODE in a process that has one processor, no home and no cache it could write."""
     nowhere = "/proc/nowhere"
     env = {**os.environ, "HOME": nowhere, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **changes}
     before = (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})) if sys.platform == "linux" else None
@@ -144,15 +133,3 @@ def test_one_processor_and_no_home(tmp_path):
     for _ in range(5):
         out = env.step(np.full((40, 1), 0.45))
     assert text.strip() == out[0].tobytes().hex()[:64] and error == ""
-
-
-def test_without_a_folder_for_compiled_code_nothing_is_cached(monkeypatch):
-    """Where neither the package nor the home can be written, numba refuses to cache; then it is not asked to."""
-    from soil_env._numba import cache
-
-    def refuses(function):
-        raise RuntimeError("cannot cache function '_nothing': no locator available")
-
-    assert cache._folder() == cache._FOLDER
-    monkeypatch.setattr(cache, "FunctionCache", refuses)
-    assert cache._folder() is None

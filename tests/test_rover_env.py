@@ -5,13 +5,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import soil_env
-from soil_env.env import SoilWheelEnv
-from soil_env.parameters import load_scenario
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
-from soil_env.simulation.task import VARIANTS, Cause
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.simulation.task import VARIANTS
 from soil_env.vehicle import load_rover, rover_names
 
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
@@ -35,9 +31,6 @@ def held(env, seed, steps, command=None):
     return np.array(rows), np.array(rewards), infos
 
 
-# --- checkers ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("rover", "variant"), list(zip(rover_names(), VARIANTS, strict=True)))
 def test_checkers(rover, variant):
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -56,12 +49,9 @@ def test_registration():
     assert isinstance(many.unwrapped, SoilRoverVectorEnv) and many.action_space.shape == (3, 2)
 
 
-# --- actions ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("action", ACTIONS)
 def test_each_axle_has_its_own_action(action):
-    """What is commanded of an axle turns its wheels, and values outside are cut."""
+    """The command of an axle turns its wheels, and values outside are cut."""
     env = SoilRoverEnv("mars_rover", action=action, scaled=False, course={"halt_interval": [1e5, 1e5]})
     env.reset(seed=0)
     for _ in range(12):
@@ -75,15 +65,12 @@ def test_each_axle_has_its_own_action(action):
         expected = np.minimum(wheel.stall_torque * np.array([0.1, 1.0, 0.4]), line)
         assert [s["motor_torque"] for s in of] == pytest.approx(expected)
     else:
-        told = [seen[f"{a}_rim_command"] for a in ("front", "middle", "rear")]
+        commanded = [seen[f"{a}_rim_command"] for a in ("front", "middle", "rear")]
         if action == "rim_acceleration":  # 12 steps of 0.5 s at 0.1 m/s2, of 0.425 m/s
-            assert told == pytest.approx([0.6 * 0.1 / 0.425, 1.0, 0.6 * 0.4 / 0.425], rel=1e-5)
+            assert commanded == pytest.approx([0.6 * 0.1 / 0.425, 1.0, 0.6 * 0.4 / 0.425], rel=1e-5)
         else:
-            assert told == pytest.approx([0.1, 1.0, 0.4])
+            assert commanded == pytest.approx([0.1, 1.0, 0.4])
         assert of[0]["wheel_speed"] < of[2]["wheel_speed"] < of[1]["wheel_speed"]
-
-
-# --- ends -------------------------------------------------------------------------------------------------------------
 
 
 def test_the_rear_axle_starts_at_0_and_ends_the_course():
@@ -118,70 +105,3 @@ def test_the_deepest_wheel_is_bogged():
     assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
     rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
     assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
-
-
-# --- model ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "effects", [{"grousers": {"shear_share": 0.5, "blades": 2.0}}, {"multipass": {"hardening": 0.5}}]
-)
-def test_a_hidden_effect_acts(effects):
-    """The same course and actions: grousers change all wheels from the first step, multipass those behind first."""
-    wheel = load_rover().wheel
-    model = WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.01), None, effects)
-    runs = []
-    for world in (None, model):
-        env = SoilRoverEnv(action="torque", model=world, course={"grade_deg": [0.0, 0.0]}, soils={"dry_sand": 1})
-        env.reset(seed=2)
-        runs.append([env.step([0.3, 0.3])[4] for _ in range(20)])
-    plain, changed = (run[0]["front"]["state"]["drawbar_pull"] for run in runs)
-    rear, hardened = (run[0]["rear"]["state"]["sinkage"] for run in runs)
-    if "grousers" in effects:
-        assert changed != plain
-    else:
-        assert changed == pytest.approx(plain, rel=0.05) and hardened < rear
-    assert runs[0][-1]["state"]["x"] != runs[1][-1]["state"]["x"]
-
-
-# --- bad arguments ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"rove": "x"}, "unexpected keyword argument 'rove'; did you mean 'rover'?"),
-    ({"scenario": "mixed"}, "unexpected keyword argument 'scenario'"),
-    ({"rover": "mixed"}, "rover: 'mixed' is one of configs/scenarios"),
-    ({"rover": load_scenario("mixed")}, "expected a name, the path of a YAML file, or a RoverScenario"),
-    ({"rover": ""}, "rover = '': expected a name or the path of a YAML file"),
-    ({"action": "torqe"}, "control.action = 'torqe': expected one of"),
-    ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
-    ({"wheel": {"body_mass": 3.0}}, "keyword: wheel.body_mass: expected vehicle.mass"),
-    ({"vehicle": {"mass": -1.0}}, "keyword: vehicle.mass = -1.0: expected a number in"),
-    ({"vehicle": {"bogie": "front"}}, "vehicle.bogie = 'front': expected 'none' with two axles"),
-    ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
-    ({"wheel": {"stall_torque": 0.001}}, "no passable course found for this rover on these soils"),
-])  # fmt: skip
-@pytest.mark.parametrize("make", [SoilRoverEnv, SoilRoverVectorEnv])
-def test_bad_arguments_are_named_in_one_line(make, arguments, message):
-    with pytest.raises(soil_env.ParameterError) as raised:
-        make(**arguments)
-    said = str(raised.value)
-    if arguments == {"render_mode": "x"} and make is SoilRoverVectorEnv:
-        message = "render_mode: the vector env does not render"
-    assert message in said and "\n" not in said and len(said) < 400
-
-
-def test_the_wheel_takes_no_rover():
-    for arguments in ({"scenario": load_rover()}, {"scenario": "lunar_micro_rover"}, {"vehicle": {"mass": 10.0}}):
-        with pytest.raises(soil_env.ParameterError, match="vehicle|lunar_micro_rover") as raised:
-            SoilWheelEnv(**arguments)
-        assert "\n" not in str(raised.value)
-
-
-def test_causes_of_an_end_are_told():
-    """Every info names one of `Cause`, and only the last one is not RUNNING."""
-    _, rewards, infos = held(SoilRoverEnv(course={"length": 1.0}), 0, 400, 0.6)
-    causes = [i["cause"] for i in infos]
-    assert set(causes) <= set(Cause.__members__) and causes[:-1] == ["RUNNING"] * (len(causes) - 1) != causes
-    for reward, info in zip(rewards, infos[1:], strict=True):
-        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)

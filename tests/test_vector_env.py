@@ -1,7 +1,5 @@
 """Vector environments of wheels and of rovers: bit for bit the single ones, in every autoreset mode."""
 
-import math
-import re
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -16,8 +14,9 @@ from soil_env.parameters import ParameterError
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vector_env import SoilWheelVectorEnv
-from soil_env.vehicle import load_rover, rover_names
+from soil_env.vehicle import rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 ROVERS = 11  # a block of eight and a part of one
@@ -38,6 +37,11 @@ WHEEL = Kind(SoilWheelEnv, SoilWheelVectorEnv, "SoilWheel-v0", 1, {
 })  # fmt: skip
 ROVER = Kind(SoilRoverEnv, SoilRoverVectorEnv, "SoilRover-v0", 2, {
     "course": {"length": 1.0}, "control": {"time_limit": 5.0},
+})  # fmt: skip
+WORLD = WheelSoilModel.from_content({
+    "wheel": {"radius": 0.15, "width": 0.15, "grouser_height": 0.012},
+    "effects": {"grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3}},
+    "residual": [{"channel": "drawbar_pull", "coefficient": -0.05, "powers": {"slip": 1}}],
 })  # fmt: skip
 KINDS = pytest.mark.parametrize("kind", [WHEEL, ROVER], ids=["wheel", "rover"])
 
@@ -70,14 +74,11 @@ def same_nested(info, k, scalar):
             assert found == (pytest.approx(value, rel=1e-14) if "status" in scalar else value), name
 
 
-# --- equal to the single environment ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("kind", "variant", "changes"),
     [(WHEEL, variant, {"action": mode, "reward": {"information": 2.0 * i}, "scenario": "mixed"})
      for i, (variant, mode) in enumerate(zip(VARIANTS, MODES, strict=True))]
-    + [(WHEEL, "identified", {"action": "torque"})]
+    + [(WHEEL, "identified", {"action": "torque"}), (WHEEL, "true_soil", {"scenario": "mixed", "model": WORLD})]
     + [(ROVER, variant, {"rover": rover, "action": mode, "reward": {"information": 2.0}})
        for rover, variant, mode in zip(rover_names(), VARIANTS, MODES, strict=True)],
 )  # fmt: skip
@@ -219,9 +220,6 @@ def test_seeds_single_and_listed_and_for_some(kind):
     assert not np.array_equal(kind.many(2).reset()[0], kind.many(2).reset()[0])
 
 
-# --- threads, arrays, limits ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @KINDS
 def test_the_number_of_threads_changes_nothing(kind, mode):
@@ -236,26 +234,6 @@ def test_the_number_of_threads_changes_nothing(kind, mode):
     assert np.sum([row[:, -2] for row in runs[0][1:]]) > 3
     for other in runs[1:]:
         for a, b in zip(runs[0], other, strict=True):
-            np.testing.assert_array_equal(a, b)
-
-
-def leaves(x):
-    """All arrays in what reset or step returned."""
-    if isinstance(x, (dict, tuple)):
-        return [leaf for y in (x.values() if isinstance(x, dict) else x) for leaf in leaves(y)]
-    if isinstance(x, np.ndarray) and x.dtype == object:
-        return [y for y in x if y is not None]
-    return [x]
-
-
-def test_returned_arrays_are_not_overwritten():
-    env = SoilWheelVectorEnv(20, autoreset_mode="SameStep", max_episode_steps=3)
-    for k in range(6):
-        outputs = env.step(np.full((20, 1), 0.1 * k)) if k else env.reset(seed=0)
-        arrays = leaves(outputs)
-        kept = [np.copy(a) for a in arrays]
-        env.step(np.full((20, 1), 0.7))
-        for a, b in zip(arrays, kept, strict=True):
             np.testing.assert_array_equal(a, b)
 
 
@@ -278,41 +256,6 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
 
 
-@KINDS
-def test_completing_courses_changes_no_trajectory(kind):
-    """One env draws patches as its vehicles come to them, the other all at once, and some on the way."""
-    changes = {"course": {"length": 40.0, "margin": [0.2, 0.25], "grade_deg": [-6.0, 2.0]}}
-    lazy, whole = (kind.many(6, observation="true_soil", **changes) for _ in range(2))
-    for env in (lazy, whole):
-        env.reset(seed=11)
-    for k in range(3):
-        whole.simulation.complete(k)
-    started = lazy.simulation.worlds.courses.patches.copy()
-    for step, a in enumerate(np.clip(actions(90, 6, kind.motors), 0.2, 0.7)):
-        if step == 40:
-            whole.simulation.complete(4)
-        for x, y in zip(lazy.step(a)[:4], whole.step(a)[:4], strict=True):
-            np.testing.assert_array_equal(x, y)
-    drawn, all_drawn = (env.simulation.worlds.courses.patches for env in (lazy, whole))
-    assert np.any(drawn > started) and np.all(drawn[:3] < all_drawn[:3])
-    for k in range(6):
-        lazy.simulation.complete(k)
-        whole.simulation.complete(k)
-    for name in ("edges", "soils", "grades", "margins", "patches"):
-        np.testing.assert_array_equal(*(getattr(env.simulation.worlds.courses, name) for env in (lazy, whole)), name)
-
-
-# --- registration, errors ---------------------------------------------------------------------------------------------
-
-
-@KINDS
-def test_make_vec(kind):
-    env = gymnasium.make_vec(f"soil_env:{kind.name}", num_envs=3, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, kind.many) and env.num_envs == 3
-    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    env.close()
-
-
 @pytest.mark.parametrize(("arguments", "words"), [
     ({"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
     ({"max_episode_steps": 0}, "max_episode_steps = 0"),
@@ -329,50 +272,16 @@ def test_bad_arguments_are_named(kind, arguments, words):
     assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
-def test_a_scenario_is_taken_as_it_is():
-    scenario = load_rover("field_rover", {"course": {"length": 4.0}})
-    assert SoilRoverVectorEnv(2, scenario).scenario == scenario
-
-
-@pytest.mark.parametrize(("bad", "words"), [
-    (lambda n: np.zeros((3, n)), r"shape \(2, \d\), got \(3, \d\)"),
-    (lambda n: np.zeros(2), r"shape \(2, \d\), got \(2,\)"),
-    (lambda n: "x", r"actions = 'x': expected numbers in \[-1, 1\], shape \(2, \d\)"),
-    (lambda n: np.array([[0.0] * n, [np.nan] + [0.0] * (n - 1)]), r"actions\[1\] = \[nan.*\]: expected finite"),
+@pytest.mark.parametrize(("given", "words"), [
+    ({"seed": [1, 2]}, "expected 3 seeds, got 2"), ({"seed": -1}, "seed = -1"), ({"seed": True}, "seed = True"),
+    ({"seed": [0, 1.5, 2]}, r"seed\[1\] = 1.5.*: expected a whole number >= 0"), ({"seed": "a"}, "^seed"),
+    ({"options": [1]}, "^reset"), ({"options": {"x": 1}}, "options.*'x'"),
+    ({"options": {"reset_mask": [0, 1, 2]}}, r"reset_mask: expected shape \(3,\) of bool"),
+    ({"options": {"reset_mask": np.ones(2, dtype=bool)}}, r"got \(2,\)"),
 ])  # fmt: skip
-@KINDS
-def test_bad_actions_are_named_and_change_nothing(kind, bad, words):
-    env, untouched = kind.many(2), kind.many(2)
-    for e in (env, untouched):
-        e.reset(seed=0)
+def test_bad_resets_are_named(given, words):
     with pytest.raises(ValueError, match=words):
-        env.step(bad(kind.motors))
-    a = np.full((2, kind.motors), 0.4)
-    np.testing.assert_array_equal(env.step(a)[0], untouched.step(a)[0])
-
-
-def test_bad_resets_are_named():
-    env = SoilWheelVectorEnv(3)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        env.step(np.zeros((3, 1)))
-    with pytest.raises(ValueError, match="expected 3 seeds, got 2"):
-        env.reset(seed=[1, 2])
-    for seed in (1.5, "a", [0, 1]):
-        with pytest.raises(ValueError, match=r"^seed"):
-            env.reset(seed=seed)
-    for seed, named in (
-        (True, "seed = True"), (-1, "seed = -1"), ([0, 1.5, 2], "seed[1] = 1.5"), (["1", 2, 3], "seed[0] = '1'"),
-        ([0, 1, False], "seed[2] = False"), ([0, -1, 2], "seed[1] = -1"), (np.array([0.0, 1.0, 2.0]), "seed[0] = "),
-    ):  # fmt: skip
-        with pytest.raises(ParameterError, match=rf"^{re.escape(named)}.*: expected a whole number >= 0"):
-            env.reset(seed=seed)
-    for options in ([1], "mask", {"reset_mask": [0, 1, 2]}, {"reset_mask": [math.nan] * 3}):
-        with pytest.raises(ValueError, match=r"^reset"):
-            env.reset(options=options)
-    with pytest.raises(ValueError, match=r"reset_mask: expected shape \(3,\) of bool, got \(2,\)"):
-        env.reset(options={"reset_mask": np.ones(2, dtype=bool)})
-    with pytest.raises(ValueError, match="options.*'x'"):
-        env.reset(options={"x": 1})
+        SoilWheelVectorEnv(3).reset(**given)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

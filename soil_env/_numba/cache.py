@@ -208,9 +208,7 @@ def _tell(line: str) -> None:
 
 def _announcement() -> str:
     wanted = os.environ.get("NUMBA_CACHE_DIR")
-    if _FOLDER is None:
-        wish = f"NUMBA_CACHE_DIR={wanted} cannot be written" if wanted else "no folder for the code can be written"
-        return f"compiling, about 30 s, in every process: {wish}; set NUMBA_CACHE_DIR to a folder that can"
-    if wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents:
-        return f"NUMBA_CACHE_DIR={wanted} cannot be written; compiling, about 30 s, once, {place()} instead"
-    return "compiling, at the first use only: about 30 s for each kind of environment, less for other parts"
+    line = "compiling, at the first use only: about 30 s for each kind of environment, less for other parts"
+    if _FOLDER is None or (wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents):
+        line += f" (NUMBA_CACHE_DIR={wanted} cannot be written; {place()})"
+    return line

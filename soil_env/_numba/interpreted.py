@@ -60,18 +60,10 @@ def lane(a, i):
     return float(a[i])
 
 
-def first(count, a, b):
-    return np.where(np.arange(COUNT) < count, a, b)
-
-
 def total(a):
     for half in (4, 2, 1):
         a = a[:half] + a[half : 2 * half]
     return float(a[0])
-
-
-def totals(*values):
-    return tuple(total(v) for v in values)
 
 
 def bits(a):

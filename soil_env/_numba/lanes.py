@@ -272,30 +272,6 @@ def _total(builder, value):
     return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
 
-_MERGES = (
-    ((0, 8, 2, 10, 4, 12, 6, 14), (1, 9, 3, 11, 5, 13, 7, 15)),
-    ((0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)),
-    ((0, 1, 2, 3, 8, 9, 10, 11), (4, 5, 6, 7, 12, 13, 14, 15)),
-)
-
-
-@intrinsic
-def totals(typingctx, a, b, c, d, e, f, g, h):
-    """The sums over the lanes of each of eight values, as a tuple of eight floats."""
-
-    def emit(context, builder, sig, args):
-        values = list(args)
-        for first, second in _MERGES:
-            values = [
-                builder.fadd(_shuffled(builder, x, y, first), _shuffled(builder, x, y, second))
-                for x, y in zip(values[::2], values[1::2], strict=True)
-            ]
-        sums = [builder.extract_element(values[0], ir.Constant(ir.IntType(32), i)) for i in range(COUNT)]
-        return context.make_tuple(builder, sig.return_type, sums)
-
-    return types.UniTuple(types.float64, COUNT)(*[lanes] * COUNT), emit
-
-
 @intrinsic
 def made_of(typingctx, a, b, c, d, e, f, g, h):
     """Lanes of eight floats."""
@@ -313,19 +289,6 @@ def made_of(typingctx, a, b, c, d, e, f, g, h):
 def lane(typingctx, a, i):
     """Lane i of `a`."""
     return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
-
-
-@intrinsic
-def first(typingctx, count, a, b):
-    """Lanes of `a` below index `count`, of `b` from there on."""
-
-    def emit(context, builder, sig, args):
-        limit = builder.insert_element(ir.Constant(INTEGERS, ir.Undefined), args[0], ir.Constant(ir.IntType(32), 0))
-        limit = _shuffled(builder, limit, ir.Constant(INTEGERS, ir.Undefined), [0] * COUNT)
-        index = ir.Constant(INTEGERS, list(range(COUNT)))
-        return builder.select(builder.icmp_signed("<", index, limit), args[1], args[2])
-
-    return lanes(types.intp, lanes, lanes), emit
 
 
 @intrinsic
@@ -366,7 +329,6 @@ if not COMPILED:
         alike,
         bits,
         fill,
-        first,
         from_array,
         lane,
         made_of,
@@ -374,6 +336,5 @@ if not COMPILED:
         summed,
         to_array,
         total,
-        totals,
         turns,
     )

@@ -5,8 +5,8 @@
     state.x[3], state["x"], state[3]             # a number; a row; all quantities of wheel 3 as a dict
 
 In compiled code `state.x` is the same row, so that `from_array(state.x, k)` loads eight neighbours at once, and `state`
-itself is one pointer. A row is as long as the next multiple of eight there, so that the last eight can be loaded like
-any other. `scratch_rows(State, n)` are rows on the stack.
+itself is one pointer; `state.data` is all rows [names, columns]. A row is as long as the next multiple of eight there,
+so that the last eight can be loaded like any other. `scratch_rows(State, n)` are rows on the stack.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from numba.extending import (
     unbox,
 )
 from numba.np.arrayobj import make_array, populate_array
+from numba.np.numpy_support import from_dtype
 
 from soil_env._numba import interpreted
-from soil_env._numba.compiling import COMPILED
+from soil_env._numba.compiling import COMPILED, compiled_inline
 from soil_env._numba.lanes import COUNT, on_stack
 
 
@@ -101,9 +102,9 @@ class _RowsType(types.Type):
         self.cls = cls
         super().__init__(name=f"{cls.__module__}.{cls.__qualname__}{cls.NAMES}")
 
-    @property
-    def row(self):
-        return types.Array(types.int64 if self.cls.KIND is np.int64 else types.float64, 1, "C")
+    def array(self, name):
+        """Type of a row, or of `data`, all rows."""
+        return types.Array(from_dtype(np.dtype(self.cls.KIND)), 2 if name == "data" else 1, "C")
 
 
 @register_model(_RowsType)
@@ -132,17 +133,21 @@ class _RowsAttributes(AttributeTemplate):
     key = _RowsType
 
     def generic_resolve(self, typ, name):
-        return typ.row if name in typ.cls.NAMES else None
+        return typ.array(name) if name == "data" or name in typ.cls.NAMES else None
 
 
 @lower_getattr_generic(_RowsType)
 def _row(context, builder, typ, value, name):
     rows = cgutils.create_struct_proxy(typ)(context, builder, value=value)
-    item, kind = ir.Constant(ir.IntType(64), 8), typ.row
-    offset = builder.mul(rows.columns, ir.Constant(ir.IntType(64), 8 * typ.cls.NAMES.index(name)))
+    item, kind, names = ir.Constant(ir.IntType(64), 8), typ.array(name), typ.cls.NAMES
+    row = builder.mul(rows.columns, item)
+    whole = name == "data"
+    offset = builder.mul(row, ir.Constant(ir.IntType(64), 0 if whole else names.index(name)))
+    shape = [ir.Constant(ir.IntType(64), len(names)), rows.columns] if whole else [rows.columns]
     array = make_array(kind)(context, builder)
     pointer = builder.bitcast(builder.gep(rows.pointer, [offset]), context.get_data_type(kind.dtype).as_pointer())
-    populate_array(array, data=pointer, shape=[rows.columns], strides=[item], itemsize=item, meminfo=None)
+    strides = [row, item] if whole else [item]
+    populate_array(array, data=pointer, shape=shape, strides=strides, itemsize=item, meminfo=None)
     return array._getvalue()
 
 
@@ -172,49 +177,15 @@ def scratch_rows(cls: type[Rows], columns: int):
     return get
 
 
-def _cells(context, builder, typ, rows, index):
-    """Pointers to the quantities at one index."""
-    rows = cgutils.create_struct_proxy(typ)(context, builder, value=rows)
-    size = ir.Constant(ir.IntType(64), 8)
-    for k in range(len(typ.cls.NAMES)):
-        item = builder.add(builder.mul(rows.columns, ir.Constant(ir.IntType(64), k)), index)
-        yield builder.bitcast(builder.gep(rows.pointer, [builder.mul(item, size)]), ir.IntType(64).as_pointer())
+@compiled_inline
+def copy_column(source, i, target, j):
+    """Copy all quantities at index i of `source` to index j of `target`, rows of one class."""
+    for row in range(source.data.shape[0]):
+        target.data[row, j] = source.data[row, i]
 
 
-@intrinsic
-def _copy_column(typingctx, source, i, target, j):
-    def emit(context, builder, sig, args):
-        cells = zip(
-            _cells(context, builder, sig.args[0], args[0], args[1]),
-            _cells(context, builder, sig.args[2], args[2], args[3]),
-            strict=True,
-        )
-        for a, b in cells:
-            builder.store(builder.load(a), b)
-        return context.get_dummy_value()
-
-    return types.void(source, types.intp, target, types.intp), emit
-
-
-@intrinsic
-def _zero_column(typingctx, target, i):
-    def emit(context, builder, sig, args):
-        for cell in _cells(context, builder, sig.args[0], args[0], args[1]):
-            builder.store(ir.Constant(ir.IntType(64), 0), cell)
-        return context.get_dummy_value()
-
-    return types.void(target, types.intp), emit
-
-
-def _copy_column_in_python(source, i, target, j):
-    target.data[:, j] = source.data[:, i]
-
-
-def _zero_column_in_python(target, i):
-    target.data[:, i] = 0
-
-
-#: copy_column(source, i, target, j): all quantities at index i of `source` to index j of `target`, rows of one class.
-copy_column = _copy_column if COMPILED else _copy_column_in_python
-#: zero_column(target, i): all quantities at index i to zero.
-zero_column = _zero_column if COMPILED else _zero_column_in_python
+@compiled_inline
+def zero_column(target, i):
+    """Set all quantities at index i to zero."""
+    for row in range(target.data.shape[0]):
+        target.data[row, i] = 0

@@ -91,9 +91,7 @@ def new_estimator(wheels: int, scenario: Scenario, warnings: bool) -> Estimator:
 
 def estimator_numbers(scenario: Scenario, task: TaskNumbers) -> EstimatorNumbers:
     """Pack the beliefs of a scenario."""
-    return EstimatorNumbers(
-        identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task
-    )
+    return EstimatorNumbers(identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task)
 
 
 @compiled_inline

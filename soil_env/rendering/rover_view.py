@@ -189,20 +189,13 @@ def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles,
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """The body, with a mast at its front, and its centre of mass."""
-    middle, half = vehicle.centre_height, 0.55 * r
+    """The body, with a slanted front."""
+    low, top = vehicle.centre_height - 0.55 * r, vehicle.centre_height + 0.55 * r
     front, rear = 0.02 * vehicle.base, 0.98 * vehicle.base
-
-    def outline(*points):
-        return [scene.at(*p.on_body(behind, above)) for behind, above in points]
-
-    mast, top = front + 0.6 * r, middle + half
-    c.lines(outline((mast, top), (mast, top + 1.1 * r)), _BEAM, 4.0)
-    head = [(mast + dx * r, top + dy * r) for dx, dy in ((-0.4, 0.8), (0.3, 0.8), (0.3, 1.2), (-0.4, 1.2))]
-    c.polygon(outline(*head), _BEAM)
-    box = (front, middle - half), (front + 0.3 * r, top), (rear, top), (rear, middle - half)
-    c.polygon(outline(*box), _BODY)
-    c.lines(outline(*box, box[0]), _BEAM, 1.8)
+    corners = (front, low), (front + 0.3 * r, top), (rear, top), (rear, low), (front, low)
+    outline = [scene.at(*p.on_body(behind, above)) for behind, above in corners]
+    c.polygon(outline, _BODY)
+    c.lines(outline, _BEAM, 1.8)
 
 
 def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
@@ -219,10 +212,8 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
         c.circle(pivot, 0.8 * width, RIM)
     centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
     c.circle(centre, 6.0, WHITE)
-    for start in (0.0, math.pi):  # the quartered circle of a centre of mass
-        turn = np.linspace(start, start + 0.5 * math.pi, 8) - p.pitch
-        c.polygon([centre, *(centre + 6.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1))], INK)
     c.circle(centre, 6.0, INK, 1.2)
+    c.circle(centre, 2.0, INK)
 
 
 def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:

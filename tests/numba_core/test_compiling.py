@@ -4,17 +4,14 @@ import pickle
 import signal
 import subprocess
 import sys
-import threading
 import time
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
 from numba.core.errors import NumbaError
 
-from soil_env._numba import compiling
-from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.compiling import FastCall, compiled_inline, compiled_part, compiled_root
 
 
 class Pair(NamedTuple):
@@ -50,9 +47,6 @@ def summed(values, pair):
     return total + a - b, 1.0 / (pair.first - pair.first)
 
 
-# --- parts and roots --------------------------------------------------------------------------------------------------
-
-
 def test_a_root_calls_parts_that_call_parts():
     total, infinite = summed(np.array([1.0, 2.0, 3.0]), Pair(2.0, 5.0))
     assert total == 14.0 + 4.0 - 25.0
@@ -66,37 +60,11 @@ def test_a_part_is_called_from_python_like_a_function():
     assert pickle.loads(pickle.dumps(squared)) is squared
 
 
-def test_a_part_called_by_plain_njit_says_so():
-    """Its own parts would be missing there."""
-    with pytest.raises(TypeError, match="squared: a part called by a function of numba's `njit`"):
-        njit(lambda x: squared(x))(2.0)
-
-
-def test_a_root_is_called_by_plain_njit_and_by_roots():
-    values, pair = np.ones(3), Pair(2.0, 5.0)
-    assert njit(lambda v, p: summed(v, p)[0])(values, pair) == summed(values, pair)[0]
-    assert compiled_root(lambda v, p: summed(v, p)[0] + squared(2.0))(values, pair) == summed(values, pair)[0] + 4.0
-
-
 @pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
 def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
         compiled_root(make)(3)
     compiled_root(allocates=True)(make)(3)
-
-
-def test_what_a_root_raises_is_raised():
-    def refuse(x):
-        if x < 0.0:
-            raise ValueError("expected a number >= 0")
-        return x
-
-    assert compiled_root(refuse)(1.0) == 1.0
-    with pytest.raises(ValueError, match="expected a number >= 0"):
-        compiled_root(refuse)(-1.0)
-
-
-# --- calls from Python ------------------------------------------------------------------------------------------------
 
 
 def test_a_fast_call_gives_the_same_and_pickles_by_name():
@@ -106,25 +74,6 @@ def test_a_fast_call_gives_the_same_and_pickles_by_name():
     assert other._function is summed and other(values, pair) == summed(values, pair)
     of_a_part = FastCall(squared)
     assert of_a_part(3.0) == 9.0 and pickle.loads(pickle.dumps(of_a_part))(3.0) == 9.0
-
-
-@compiled_root(nogil=True)
-def shared_out(counter, taken):
-    """Count each number that `take` gives."""
-    number = take(counter, 1)
-    while number < taken.size:
-        taken[number] += 1
-        number = take(counter, 1)
-
-
-def test_threads_take_each_number_once():
-    counter, taken = np.zeros(1, dtype=np.int64), np.zeros(200_000, dtype=np.int64)
-    threads = [threading.Thread(target=shared_out, args=(counter, taken)) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert np.all(taken == 1) and counter[0] == taken.size + 4
 
 
 _LOOP = """
@@ -151,20 +100,3 @@ def test_an_interrupt_while_results_are_made_into_tuples_is_no_crash():
         child.send_signal(signal.SIGINT)
         assert child.wait(60) == 130
         child.stdout.close()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no masks of signals")
-def test_an_interrupt_just_before_leaves_nothing_held_back(monkeypatch):
-    """`pthread_sigmask` raises what has come already once the mask is set."""
-    true = signal.pthread_sigmask
-
-    def raises(how, which):
-        before = true(how, which)
-        if how == signal.SIG_BLOCK and which:
-            raise KeyboardInterrupt
-        return before
-
-    monkeypatch.setattr(compiling, "_mask", raises)
-    with pytest.raises(KeyboardInterrupt):
-        compiling._uninterrupted(lambda: pytest.fail("called"), (), {})
-    assert signal.SIGINT not in true(signal.SIG_BLOCK, ())

@@ -23,18 +23,6 @@ def over(which, x, out):
             a, b = elementary.half_sin_cos(a)
         elif which == 3:
             a = elementary.asin_root(a)
-        elif which == 4:
-            a = elementary.copysign(lanes.fill(2.0), a)
-        elif which == 5:
-            a = elementary.tanh(a)
-        elif which == 6:
-            a, b = elementary.sqrt(abs(a)), elementary.power(abs(a), 0.7)
-        elif which == 7:
-            a, b = elementary.smaller(a, 0.5), elementary.larger(0.5, a)
-        elif which == 8:
-            a, b = elementary.where_less(a, 0.5, 1.0, a), elementary.fma(a, 2.0, -1.0)
-        elif which == 9:
-            a = elementary.sine_of(a)
         lanes.to_array(a, out[0], i)
         lanes.to_array(b, out[1], i)
 
@@ -73,32 +61,10 @@ def test_half_angles():
     np.testing.assert_allclose(c, np.cos(0.5 * x), atol=3e-16)
 
 
-def test_sine_of_an_angle():
-    x = np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000)])
-    np.testing.assert_allclose(of(9, x)[0], np.sin(x), rtol=4e-15, atol=4e-16)
-    s, c = of(2, x)
-    np.testing.assert_array_equal(of(9, x)[0], 2.0 * s * c)
-    np.testing.assert_array_equal(of(9, [0.0, -0.0])[0], [0.0, 0.0])
-
-
 def test_asin_of_a_root():
     t = np.concatenate([RNG.uniform(0.0, 1.0, 40_000), 10.0 ** RNG.uniform(-12, 0, 1000), [0.0, 0.25, 1.0]])
     np.testing.assert_allclose(of(3, t)[0], np.arcsin(np.sqrt(t)), rtol=2e-15)
     np.testing.assert_allclose(of(3, [-0.1, 1.2])[0], [0.0, 0.5 * math.pi])
-
-
-def test_copysign():
-    np.testing.assert_array_equal(of(4, [3.0, -1e-300, 0.0, -0.0])[0], [2.0, -2.0, 2.0, -2.0])
-
-
-def test_of_two_numbers():
-    x = np.concatenate([RNG.normal(size=4000), [0.0, 0.5]])
-    np.testing.assert_allclose(of(5, x)[0], np.tanh(x), atol=3e-16)
-    np.testing.assert_array_equal(of(6, x)[0], np.sqrt(np.abs(x)))
-    np.testing.assert_allclose(of(6, x)[1], np.abs(x) ** 0.7, rtol=1e-14, atol=1e-200)
-    np.testing.assert_array_equal(of(7, x), [np.minimum(x, 0.5), np.maximum(x, 0.5)])
-    np.testing.assert_array_equal(of(8, x)[0], np.where(x < 0.5, 1.0, x))
-    np.testing.assert_allclose(of(8, x)[1], 2.0 * x - 1.0, atol=1e-15)
 
 
 @compiled_inline
@@ -123,65 +89,14 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
     np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
 
 
-_nodes = lanes.over_eight([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0])
-
-
-@compiled_inline
-def over_nodes(x):
-    """Sum over eight nodes of node times x^node, for one x with its nodes in lanes or for eight x."""
-    total = lanes.fill(0.0)
-    for k in range(lanes.turns(x)):
-        node = _nodes(x, k)
-        total = total + node * elementary.power(x, 0.01 * node)
-    return lanes.summed(total, x)
-
-
 @compiled_root
-def over_nodes_in_lanes(x, out):
-    lanes.to_array(over_nodes(lanes.from_array(x, 0)), out, 0)
-
-
-def test_one_loop_serves_one_arc_and_eight():
-    x, out = RNG.uniform(0.1, 3.0, 8), np.empty(8)
-    over_nodes_in_lanes(x, out)
-    nodes = 2.0 ** np.arange(8)
-    expected = [np.sum(nodes * v ** (0.01 * nodes)) for v in x]
-    np.testing.assert_allclose(out, expected, rtol=1e-14)
-    np.testing.assert_allclose([over_nodes(v) for v in x], expected, rtol=1e-14)
-
-
-@compiled_root
-def flags(x):
-    """Bits of the lanes that are not 0; of eight floats."""
+def reduced(x):
+    """Total, bits of the lanes that are not 0, one lane and the smallest of x [8]."""
     a = lanes.from_array(x, 0)
-    made = lanes.made_of(0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
-    return lanes.bits(a), lanes.lane(made, 5), lanes.total(made)
+    return lanes.total(a), lanes.bits(a), lanes.lane(a, 5), lanes.smallest(a)
 
 
 @pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
-def test_bits_of_lanes(pattern):
-    x = np.array([float(pattern >> i & 1) for i in range(8)])
-    assert flags(x) == (pattern, 5.0, 28.0)
-
-
-@compiled_root
-def rearranged(x, out):
-    """Sums, single lanes, first lanes, smallest of x [64] into out [2, 8]."""
-    rows = (
-        lanes.from_array(x, 0), lanes.from_array(x, 8), lanes.from_array(x, 16), lanes.from_array(x, 24),
-        lanes.from_array(x, 32), lanes.from_array(x, 40), lanes.from_array(x, 48), lanes.from_array(x, 56),
-    )  # fmt: skip
-    sums = lanes.totals(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
-    for i in range(8):
-        out[0, i] = sums[i]
-    lanes.to_array(lanes.first(3, rows[0], rows[1]), out[1], 0)
-    return lanes.total(rows[2]), lanes.lane(rows[3], 5), lanes.smallest(rows[4])
-
-
-def test_moving_lanes():
-    x, out = RNG.normal(size=64), np.empty((2, 8))
-    rows = x.reshape(8, 8)
-    total, single, smallest = rearranged(x, out)
-    np.testing.assert_allclose(out[0], rows.sum(axis=1), atol=1e-14)
-    np.testing.assert_array_equal(out[1], [*rows[0, :3], *rows[1, 3:]])
-    assert total == pytest.approx(rows[2].sum()) and single == rows[3, 5] and smallest == rows[4].min()
+def test_reductions_of_lanes(pattern):
+    x = RNG.normal(size=8) * np.array([float(pattern >> i & 1) for i in range(8)])
+    assert reduced(x) == (pytest.approx(x.sum()), pattern, x[5], x.min())

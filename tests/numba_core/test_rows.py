@@ -1,18 +1,12 @@
 """Rows: named arrays in Python and in compiled code."""
 
-import copy
-import pickle
-
 import numpy as np
-import pytest
 
-from soil_env._numba.compiling import compiled_part, compiled_root
-from soil_env._numba.lanes import from_array, to_array
-from soil_env._numba.rows import Rows, copy_column, rows, scratch_rows, zero_column
+from soil_env._numba.compiling import compiled_root
+from soil_env._numba.rows import rows
 
 State = rows("State", "x", "speed", "load")
 Counts = rows("Counts", "patch", "steps", kind=np.int64)
-_scratch, _counts = scratch_rows(State, 16), scratch_rows(Counts, 8)
 
 
 def filled(count=11):
@@ -21,9 +15,6 @@ def filled(count=11):
     for i, name in enumerate(State.NAMES):
         state[name] = 100.0 * i + np.arange(count)
     return state
-
-
-# --- in Python --------------------------------------------------------------------------------------------------------
 
 
 def test_rows_by_name_and_columns_as_dicts():
@@ -40,96 +31,9 @@ def test_rows_by_name_and_columns_as_dicts():
     assert counts[1] == {"patch": 0, "steps": 3} and type(counts[1]["steps"]) is int
 
 
-def test_rows_are_padded_to_whole_lanes_and_the_padding_stays_zero():
-    state = filled()
-    assert state.data.shape == (3, 16) and not state.data[:, 11:].any()
-    assert state.x.base is state.data and state.x.flags.c_contiguous
-    assert State(8).data.shape == (3, 8) and State(1).data.shape == (3, 8)
-
-
-def test_an_unknown_name_is_an_error():
-    state = State(2)
-    with pytest.raises(AttributeError, match="State has no row 'sped'"):
-        _ = state.sped
-    with pytest.raises(ValueError):
-        _ = state["sped"]
-    with pytest.raises(ValueError):
-        state["sped"] = 1.0
-    with pytest.raises(AttributeError):
-        state.sped = 1.0  # a row that is misspelt must not become something else
-
-
-@pytest.mark.parametrize("made", [Rows.copy, copy.deepcopy, copy.copy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_have_the_numbers_and_memory_of_their_own(made):
-    state = filled()
-    other = made(state)
-    assert type(other) is State and len(other) == 11
-    np.testing.assert_array_equal(other.data, state.data)
-    assert other.tobytes() == state.tobytes()
-    if made is not copy.copy:
-        other.x[0] = -1.0
-        assert state.x[0] == 0.0
-    assert last_of(other, 10) == (10.0, 110.0, 210.0)  # and compiled code reads those, not the original's
-
-
-# --- in compiled code -------------------------------------------------------------------------------------------------
-
-
 @compiled_root
 def last_of(state, k):
     return state.x[k], state.speed[k], state.load[k]
-
-
-@compiled_root
-def doubled(state, counts, k):
-    """Eight of the speeds from k on times two, and one step counted."""
-    to_array(2.0 * from_array(state.speed, k), state.speed, k)
-    counts.steps[k] += 1
-    counts.patch[k] = 1.9
-
-
-def test_compiled_code_reads_and_writes_the_same_memory():
-    state, counts = filled(), Counts(11)
-    doubled(state, counts, 8)
-    np.testing.assert_array_equal(state.speed, [*range(100, 108), 216.0, 218.0, 220.0])
-    np.testing.assert_array_equal(state.x, np.arange(11.0))
-    assert counts[8] == {"patch": 1, "steps": 1} and counts[9] == {"patch": 0, "steps": 0}
-    state.speed[2] = -5.0
-    assert last_of(state, 2) == (2.0, -5.0, 202.0)
-
-
-@compiled_part
-def length_of(row):
-    return row.size
-
-
-@compiled_root
-def sizes(state):
-    return length_of(state.x), length_of(_scratch().x), length_of(_counts().steps)
-
-
-def test_a_row_is_as_long_as_its_padding_in_compiled_code():
-    assert sizes(filled()) == (16, 16, 8)
-
-
-@compiled_root
-def through_scratch(state, k, other):
-    """Column k of `state` by way of scratch memory into column 0 of `other`; its column 1 to zero."""
-    scratch, counts = _scratch(), _counts()
-    for i in range(16):
-        scratch.x[i] = scratch.speed[i] = scratch.load[i] = -1.0
-    counts.steps[7] = k
-    copy_column(state, k, scratch, 15)
-    copy_column(scratch, 15, other, 0)
-    zero_column(other, 1)
-    return scratch.x[14], scratch.load[15], counts.steps[7]
-
-
-def test_columns_are_copied_and_zeroed_and_scratch_is_apart():
-    state, other = filled(), filled()
-    assert through_scratch(state, 9, other) == (-1.0, 209.0, 9)
-    assert other[0] == state[9] and other[1] == dict.fromkeys(State.NAMES, 0.0) and other[2] == state[2]
-    np.testing.assert_array_equal(state.data, filled().data)
 
 
 def test_rows_of_another_class_are_another_type():
@@ -138,8 +42,3 @@ def test_rows_of_another_class_are_another_type():
     turned.x, turned.load = 1.0, 3.0
     assert last_of(turned, 5) == (1.0, 0.0, 3.0)
     assert last_of(filled(), 5) == (5.0, 105.0, 205.0)
-
-
-def test_scratch_has_whole_lanes():
-    with pytest.raises(ValueError, match="multiple of 8"):
-        scratch_rows(State, 12)

@@ -11,47 +11,41 @@ SOURCES = sorted(p for p in (ROOT / "soil_env").rglob("*.py") if "_numba" not in
 MAKERS = {"scratch", "scratch_rows"}
 
 
+def assigned(node):
+    """Pairs (name, value) of an assignment."""
+    values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+    targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
+    return [(t, v) for t, v in zip(targets, values, strict=False) if isinstance(t, ast.Name)]
+
+
 def bound(tree):
-    """Names of a module that are bound to what `scratch` and `scratch_rows` return."""
+    """Names of a module that are bound to results of `scratch` and `scratch_rows`."""
     for node in tree.body:
-        if isinstance(node, ast.Assign):
-            values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
-            targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
-            for target, value in zip(targets, values, strict=False):
-                if isinstance(value, ast.Call) and getattr(value.func, "id", "") in MAKERS:
-                    yield target.id
-
-
-def handed_out(value, memory, getters):
-    """Whether an expression that is returned holds scratch memory: by name, in a tuple or in a named tuple."""
-    if isinstance(value, ast.Name):
-        return value.id in memory
-    if isinstance(value, ast.Tuple):
-        return any(handed_out(v, memory, getters) for v in value.elts)
-    if isinstance(value, ast.Call) and isinstance(value.func, ast.Name):
-        name = value.func.id
-        return name in getters or (
-            name.lstrip("_")[:1].isupper() and any(handed_out(a, memory, getters) for a in value.args)
-        )
-    return False
+        for target, value in assigned(node) if isinstance(node, ast.Assign) else ():
+            if isinstance(value, ast.Call) and getattr(value.func, "id", "") in MAKERS:
+                yield target.id
 
 
 def returned(source, getters):
-    """Functions of a source that return scratch memory of their own."""
-    for function in ast.walk(ast.parse(source)):
-        if not isinstance(function, ast.FunctionDef):
-            continue
+    """Functions of a source that return scratch memory of their own: itself, in a tuple or in a named tuple."""
+    for function in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)):
         memory = set()
+
+        def handed_out(value, memory=memory):
+            if isinstance(value, ast.Name):
+                return value.id in memory
+            if isinstance(value, ast.Tuple):
+                return any(map(handed_out, value.elts))
+            if not (isinstance(value, ast.Call) and isinstance(value.func, ast.Name)):
+                return False
+            makes_record = value.func.id.lstrip("_")[:1].isupper()
+            return value.func.id in getters or (makes_record and any(map(handed_out, value.args)))
+
         for node in ast.walk(function):
             if isinstance(node, ast.Assign):
-                values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
-                targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
-                for target, value in zip(targets, values, strict=False):
-                    if isinstance(target, ast.Name) and handed_out(value, memory, getters):
-                        memory.add(target.id)
-        for node in ast.walk(function):
-            if isinstance(node, ast.Return) and node.value is not None and handed_out(node.value, memory, getters):
-                yield function.name
+                memory |= {target.id for target, value in assigned(node) if handed_out(value)}
+        if any(isinstance(node, ast.Return) and handed_out(node.value) for node in ast.walk(function)):
+            yield function.name
 
 
 def test_no_function_returns_its_scratch_memory():

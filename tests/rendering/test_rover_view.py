@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import Simulation
-from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, charts, rover_view as rendering
+from soil_env.rendering import canvas, rover_view as rendering
 from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
-from soil_env.rendering.side_view import Renderer
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
@@ -95,33 +92,6 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     assert np.ptp(loads) > 0.05 * loads.mean()
 
 
-@pytest.mark.parametrize("rover", rover_names())
-def test_the_body_stands_on_its_wheels(rover):
-    """Drawn hubs are as far apart as the axles, and the body is pitched as the simulation has it."""
-    simulation, view = started(rover)
-    for _ in range(3):
-        drive(simulation, view, 30)
-        view.draw(simulation, 0)
-        p, v, r = (
-            posture_of(simulation, 0, view._profile),
-            simulation.scenario.vehicle,
-            0.2 * simulation.numbers.world.wheel.radius,
-        )
-        on_body = np.array([p.on_body(place, 0.0) for place in v.axles])
-        if v.bogie == "none":
-            assert math.dist(*p.hubs) == pytest.approx(v.base, rel=0.03)
-            np.testing.assert_allclose(p.hubs, on_body, atol=r)
-            level = math.atan2(*(p.hubs[0] - p.hubs[1])[::-1])
-            assert p.pitch == pytest.approx(level, abs=0.03)
-        else:
-            first, alone = v.first_on_bogie, 2 if v.bogie == "front" else 0
-            np.testing.assert_allclose(p.hubs[alone], on_body[alone], atol=2.0 * r)
-            np.testing.assert_allclose(p.pivot, p.on_body(v.pivot, v.pivot_height), atol=1e-9)
-            arms = [math.dist(p.pivot, p.hubs[i]) for i in (first, first + 1)]
-            expected = [math.hypot(v.axles[i] - v.pivot, v.pivot_height) for i in (first, first + 1)]
-            assert arms == pytest.approx(expected, rel=0.05)
-
-
 def test_a_wheel_behind_is_drawn_on_the_floor_of_the_rut():
     simulation, view = started("field_rover", changes={"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
@@ -169,55 +139,6 @@ def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(rover):
     assert not np.array_equal(drawn.render(), first)
 
 
-def test_history_starts_anew_with_the_episode():
-    simulation, view = started("mars_rover")
-    drive(simulation, view, 30)
-    assert len(view._history) == 31 and np.all(view._angles != 0.0)
-    simulation.restart(0)
-    view.record(simulation, 0)
-    assert len(view._history) == 1 and not view._angles.any()
-    fresh = RoverRenderer(simulation.scenario, "rgb_array")
-    fresh.record(simulation, 0)
-    assert np.array_equal(view.draw(simulation, 0), fresh.draw(simulation, 0))
-    view.clear()
-    view.draw(simulation, 0)
-
-
-def test_every_axle_has_its_lines_in_the_charts():
-    simulation, view = started("mars_rover")
-    drive(simulation, view, 120)
-    picture = view.draw(simulation, 0)
-    (x, y, w, h), below = charts.CHARTS[2], charts.CHARTS[3]
-    for dark, _ in rendering._COLOURS.values():  # loads lie apart
-        assert near(picture[y : y + h, x + 2 : x + w], dark, 30).sum() > 40
-    x, y, w, h = below  # friction angles that are pooled lie on each other
-    drawn = [near(picture[y : y + h, x + 2 : x + w], dark, 30).sum() for dark, _ in rendering._COLOURS.values()]
-    assert max(drawn) > 40
-
-
-@pytest.mark.parametrize("variant", ["identified", "blind"])
-def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
-    """Another prior then leaves the picture as it is."""
-    pictures = []
-    for prior in (30.0, 40.0):
-        belief = {"soils": {}, "friction_angle_deg": prior}
-        simulation, view = started("lunar_micro_rover", changes={"belief": belief}, variant=variant)
-        drive(simulation, view, 20)
-        pictures.append(view.draw(simulation, 0))
-    assert np.array_equal(*pictures) == (variant == "blind")
-
-
-@pytest.mark.parametrize("size", [(960, 540), (801, 500)])
-def test_extreme_states_are_drawn_in_any_size(size):
-    for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.09, -0.3, -3.0), (0.05, 0.2, -6.0)):
-        simulation, view = started("lunar_micro_rover", size=size)
-        rovers = simulation.worlds.rovers
-        rovers.wheels["sinkage"], rovers.wheels["speed"], rovers.wheels["wheel_speed"] = sinkage, speed, wheel_speed
-        rovers.body["pitch"], rovers.axles["floor"] = 0.8, 0.05
-        view.record(simulation, 0)
-        assert view.draw(simulation, 0).shape == (size[1], size[0], 3)
-
-
 def test_a_video_is_recorded(tmp_path):
     pytest.importorskip("moviepy")
     env = gymnasium.make("SoilRover-v0", render_mode="rgb_array", action="wheel_speed", control={"time_limit": 1.0})
@@ -228,21 +149,3 @@ def test_a_video_is_recorded(tmp_path):
         over = env.step(np.array([0.5, 0.5], np.float32))[2]
     env.close()
     assert (tmp_path / "video" / "rl-video-episode-0.mp4").stat().st_size > 2000
-
-
-def test_windows_of_wheel_and_rover_share_one_queue(dummy_display):  # noqa: F811
-    fast = {"control": {"period": 0.01, "substep": 0.01, "action": "wheel_speed"}}
-    simulation, view = started("lunar_micro_rover", mode="human", changes=fast)
-    wheel = Simulation(1, load_scenario("mixed", {"control": {"period": 0.01, "substep": 0.01}}), "blind")
-    wheel.seed(0, np.random.default_rng(0))
-    wheel.restart(0)
-    other = Renderer(wheel.scenario, "human")
-    assert view.draw(simulation, 0) is None and other.draw(wheel, 0) is None
-    assert RoverRenderer._windows is Renderer._windows == {view._id, other._id}
-    dummy_display.event.post(dummy_display.event.Event(dummy_display.WINDOWCLOSE, window=view._window))
-    other.draw(wheel, 0)  # takes the event meant for the rover's
-    assert view._id not in Renderer._windows and other._id in Renderer._windows
-    view.draw(simulation, 0)
-    for v in (view, other, view):
-        v.close()
-    assert not Renderer._windows

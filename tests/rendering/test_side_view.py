@@ -10,7 +10,7 @@ import pytest
 
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, charts, side_view as rendering
+from soil_env.rendering import canvas, side_view as rendering
 from soil_env.rendering.side_view import Renderer, stresses_under
 from soil_env.simulation.world.terrain import cell_at
 
@@ -68,32 +68,6 @@ def ring(picture, simulation):
     return near(scene(picture)[rows, columns], canvas.RIM, 40).mean()
 
 
-@pytest.mark.parametrize("size", [(960, 540), (801, 500)])
-def test_frame_has_the_size_asked_for(size):
-    simulation, renderer = start(size=size)
-    drive(simulation, renderer, 30)
-    picture = renderer.draw(simulation, 0)
-    assert picture.shape == (size[1], size[0], 3)
-    assert picture.dtype == np.uint8
-    assert picture.flags.writeable and picture.flags.c_contiguous
-    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
-
-
-def test_drawing_neither_changes_the_world_nor_an_earlier_picture():
-    simulation, renderer = start()
-    drive(simulation, renderer, 40)
-    worlds = simulation.worlds
-    before = worlds.state.tobytes(), worlds.streams.tobytes(), worlds.ids.estimate.tobytes()
-    first = renderer.draw(simulation, 0)
-    kept = first.copy()
-    assert np.array_equal(renderer.draw(simulation, 0), first)
-    assert before == (worlds.state.tobytes(), worlds.streams.tobytes(), worlds.ids.estimate.tobytes())
-    drive(simulation, renderer, 5)
-    second = renderer.draw(simulation, 0)
-    assert np.array_equal(first, kept)
-    assert not np.array_equal(scene(first), scene(second))
-
-
 def test_wheel_is_drawn_where_it_is_and_nowhere_else():
     simulation, renderer = start()
     for _ in range(4):
@@ -122,18 +96,6 @@ def test_rut_lowers_the_ground_behind_the_wheel():
     assert np.array_equal(with_rut[:, ahead:], without[:, ahead:])
 
 
-def test_stress_is_drawn_below_the_wheel_and_grows_with_the_load():
-    simulation, renderer = start()
-    drive(simulation, renderer, 15)
-    blue = np.argwhere(near(scene(renderer.draw(simulation, 0)), canvas.LIGHT_BLUE, 10))
-    assert len(blue) > 80
-    x, y = hub(simulation)
-    assert (np.hypot(blue[:, 1] - x, blue[:, 0] - y) > 0.9 * SCALE).mean() > 0.95
-    simulation.worlds.state["mass"][0] *= 0.5
-    fewer = near(scene(renderer.draw(simulation, 0)), canvas.LIGHT_BLUE, 10).sum()
-    assert fewer < 0.75 * len(blue)
-
-
 @pytest.mark.parametrize("command", [0.4, -0.3, 0.9])
 def test_stresses_sum_to_the_forces_of_the_simulation(command):
     simulation, renderer = start()
@@ -149,19 +111,6 @@ def test_stresses_sum_to_the_forces_of_the_simulation(command):
     assert load == pytest.approx(weight, rel=0.02)
     assert torque == pytest.approx(w["torque"], abs=0.03 * weight * r)
     assert pull == pytest.approx(w["drawbar_pull"], abs=0.03 * weight)
-
-
-def test_shear_arrow_points_where_the_soil_pushes_the_wheel(monkeypatch):
-    simulation, renderer = start()
-    drive(simulation, renderer, 15)
-    stresses = stresses_under(simulation, 0)
-    assert stresses.shear.max() > 2000.0  # Pa, driving
-    heads = []
-    for sign in (1.0, -1.0):
-        pushed = stresses._replace(shear=sign * stresses.shear)
-        monkeypatch.setattr(rendering, "stresses_under", lambda *_, s=pushed: s)
-        heads.append(np.argwhere(near(scene(renderer.draw(simulation, 0))[60:], canvas.ORANGE, 20))[:, 1].mean())
-    assert heads[0] > heads[1] + 1.0
 
 
 def test_history_starts_anew_with_the_episode():
@@ -180,16 +129,6 @@ def test_history_starts_anew_with_the_episode():
     renderer.draw(simulation, 0)
 
 
-def test_estimate_and_truth_are_drawn_apart():
-    simulation, renderer = start()
-    drive(simulation, renderer, 150)
-    picture = renderer.draw(simulation, 0)
-    for x, y, w, h in charts.CHARTS[1:]:
-        chart = picture[y : y + h, x + 2 : x + w]
-        assert near(chart, canvas.BLUE, 30).sum() > 60
-        assert near(chart, canvas.ORANGE, 40).sum() > 60
-
-
 @pytest.mark.parametrize("variant", ["identified", "blind"])
 def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
     """Another prior then leaves the picture as it is."""
@@ -200,16 +139,6 @@ def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
         drive(simulation, renderer, 20)
         pictures.append(renderer.draw(simulation, 0))
     assert np.array_equal(*pictures) == (variant == "blind")
-
-
-def test_extreme_states_are_drawn():
-    for sinkage, speed, wheel_speed in ((1e-5, 0.0, 0.0), (0.225, -0.3, -3.0), (0.1, 0.5, -6.0), (0.05, 0.0, 6.0)):
-        simulation, renderer = start()
-        w = simulation.worlds.state
-        w["sinkage"], w["speed"], w["wheel_speed"], w["x"] = sinkage, speed, wheel_speed, -0.7
-        simulation.worlds.ids.sd[0] = 30.0
-        renderer.record(simulation, 0)
-        assert renderer.draw(simulation, 0).any()
 
 
 def test_off_screen_pictures_need_no_display():

@@ -1,14 +1,11 @@
-"""What an action means, and how long it lasts."""
-
-import dataclasses
+"""Meaning and duration of actions."""
 
 import numpy as np
 import pytest
 
 from soil_env.driving.wheels import Simulation
-from soil_env.parameters import HELD, Control, ParameterError, load_scenario
+from soil_env.parameters import HELD, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
-from soil_env.simulation.world.wheel import REVERSE
 
 COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
 FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}
@@ -25,19 +22,6 @@ def simulation(action, repeat=None, seed=0, wheels=1, **changes):
     return sim
 
 
-def test_an_action_lasts_as_long_as_its_kind_says_unless_told_otherwise():
-    for mode, periods in HELD.items():
-        assert Control(action=mode).held == periods and Control(action=mode, repeat=3).held == 3
-    assert HELD["torque"] == 1
-    s = load_scenario("mixed", {"control": {"repeat": 7, "time_limit": 5.0}})
-    assert (s.periods, s.steps) == (50, 8)  # the last action is cut short
-    for bad in (0, 2.5, "x"):
-        with pytest.raises(ParameterError, match="repeat"):
-            load_scenario("mixed", {"control": {"repeat": bad}})
-    with pytest.raises(ParameterError, match="repeat = 2.5: expected a whole number"):
-        Control(repeat=2.5)
-
-
 def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
     sim = simulation("rim_acceleration", 1, **FLAT)
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
@@ -50,16 +34,6 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
         assert seen[COLUMN["last_action"]] == pytest.approx(action)
         lag = 0.035  # [m/s] the speed loop gives way to the soil, and follows within a control period or two
         assert seen[COLUMN["rim_speed"]] * top == pytest.approx(expected, abs=lag)
-
-
-@pytest.mark.parametrize(("action", "bound"), [(1.0, 1.0), (-1.0, -REVERSE)])
-def test_the_commanded_speed_stays_between_its_bounds(action, bound):
-    sim = simulation("rim_acceleration", 1, limits={"no_progress_time": 1e3}, **FLAT)
-    for _ in range(40):
-        sim.step(0, action)
-    assert sim.worlds.state["rim_command"][0] == bound
-    sim.step(0, -action)
-    assert abs(sim.worlds.state["rim_command"][0]) < abs(bound)
 
 
 def test_halts_take_the_commanded_speed_back_to_zero():
@@ -134,8 +108,3 @@ def test_information_is_discounted_once_a_step():
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
     assert most > 1.0
-
-
-def test_the_kind_of_action_changes_nothing_else_of_the_scenario():
-    a, b = load_scenario("mixed"), load_scenario("mixed", {"control": {"action": "rim_acceleration"}})
-    assert dataclasses.replace(b, control=a.control) == a

@@ -79,25 +79,6 @@ def test_cloning_leaves_the_original_and_other_places_as_they_are():
     assert changed == [k == WHEELS + 3 for k in range(2 * WHEELS)]
 
 
-def test_a_clone_with_a_stream_of_its_own_has_other_noise_and_the_same_ground():
-    scenario = load_scenario("mixed")
-    sim, other = driven(scenario, "blind", 20), Simulation(1, scenario, "blind", threads=1)
-    clone(sim, [0], other, [0])
-    other.seed(0, np.random.default_rng(77))
-    x = []
-    for _ in range(10):
-        sim.step(0, 0.4)
-        other.step(0, 0.4)
-        x.append((sim.worlds.state.x[0], other.worlds.state.x[0]))
-    assert all(a == b for a, b in x)  # noise does not drive the wheel
-    assert (sim.worlds.observation[0] != other.worlds.observation[0]).any()
-    for s in (sim, other):
-        s.complete(0)
-    for name in ("edges", "soils", "grades"):
-        ground = [getattr(s.worlds.courses, name)[0] for s in (sim, other)]
-        assert np.array_equal(*ground)
-
-
 def test_worlds_of_another_scenario_and_lists_that_do_not_match_are_refused():
     scenario = load_scenario("mixed")
     sim, longer = (

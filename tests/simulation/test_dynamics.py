@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.world import dynamics, terrain
-from soil_env.simulation.world.wheel import WheelState, settle, world_numbers
+from soil_env.simulation.world.wheel import settle, world_numbers
 from soil_env.terramechanics import reaction
 from soil_env.terramechanics.motor import motor
 from tests.simulation.wheels import on_random_courses
@@ -28,9 +28,6 @@ def start(seed=0, mode="torque", soil=None, grade_deg=None, course=None):
     return wheels
 
 
-# --- step size --------------------------------------------------------------------------------------------------------
-
-
 def smooth_drive(seed, refine, course=None):
     """30 s under a smooth torque, with the default substep divided by `refine`."""
     wheels = start(seed, course=course)
@@ -41,11 +38,6 @@ def smooth_drive(seed, refine, course=None):
 def distance(a, b):
     """Root-mean-square difference of (x, sinkage, speed) over the peak of each."""
     return np.sqrt(np.mean((a - b)[:, :3] ** 2, axis=0)) / np.abs(b[:, :3]).max(axis=0)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_halving_the_substep_changes_little(seed):
-    assert np.all(distance(smooth_drive(seed, 1), smooth_drive(seed, 2)) < 0.01)
 
 
 def test_the_steps_converge():
@@ -61,7 +53,7 @@ def test_the_steps_converge():
 
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_laws_of_motion(mode):
-    """Of a step with two stages: m dV = (DP - m g sin) h and the balance of energy, with the forces of the motion.
+    """Momentum and energy of a step with two stages: m dV = (DP - m g sin) h, and the balance of energy.
 
     The speed after the first stage follows from the distance. Met as closely as the iteration promises in V and r w.
     """
@@ -114,9 +106,6 @@ def test_reversals_of_the_torque_are_followed(every, error):
     assert np.median(np.abs(lost / work)) < 0.08
 
 
-# --- motor ------------------------------------------------------------------------------------------------------------
-
-
 @settings(max_examples=300, deadline=None)
 @given(command=st.floats(-1.0, 1.0), share=st.floats(-3.0, 3.0), speed_command=st.booleans())
 def test_motor_stays_within_its_lines(command, share, speed_command):
@@ -137,47 +126,12 @@ def test_motor_stays_within_its_lines(command, share, speed_command):
 
 
 @pytest.mark.parametrize("speed_command", [False, True])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_motor_brakes_above_the_no_load_speed(sign, speed_command):
-    world = world_numbers(load_scenario("mixed"))
-    for share in (1.2, 1.8):
-        brake = -sign * motor(sign, float(speed_command), sign * share * world.no_load_speed, world)[0]
-        if speed_command:  # the loop may brake harder than the line of full voltage
-            assert (share - 1.0) * world.stall_torque - 1e-9 <= brake <= world.stall_torque
-        else:
-            assert brake == pytest.approx((share - 1.0) * world.stall_torque)
-    assert motor(sign, float(speed_command), sign * 4.0 * world.no_load_speed, world)[0] == -sign * world.stall_torque
-
-
-@pytest.mark.parametrize("speed_command", [False, True])
 def test_motor_slope(speed_command):
     world = world_numbers(load_scenario("mixed"))
     rng = np.random.default_rng(0)
     for command, w in zip(rng.uniform(-1, 1, 200), rng.uniform(-5, 5, 200), strict=True):
         up, down = (motor(command, float(speed_command), w + d, world)[0] for d in (1e-6, -1e-6))
         assert motor(command, float(speed_command), w, world)[1] == pytest.approx((up - down) / 2e-6, abs=1e-4)
-
-
-def test_speed_command_is_followed():
-    wheels = start(soil="lete_sand", grade_deg=0.0, mode="wheel_speed")
-    wheels.drive([0.3] * 100)
-    w = wheels.now()
-    assert w.wheel_speed == pytest.approx(0.3 * wheels.world.no_load_speed, rel=0.1)
-    assert w.speed > 0.5 * w.wheel_speed * wheels.world.wheel.radius
-
-
-# --- energy -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
-@pytest.mark.parametrize("seed", range(6))
-def test_soil_never_gives_energy(seed, mode):
-    wheels = start(seed, mode)
-    taken = wheels._replace(world=wheels.world._replace(substeps=16)).energy_taken(seed, 400)
-    assert taken.min() > -2e-3 and taken.sum() > 0.1
-
-
-# --- rest and reverse -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("grade_deg", [-10.0, -5.0, 0.0, 5.0, 10.0])
@@ -200,12 +154,6 @@ def test_idle_wheel_stays_on_gentle_ground(soil):
         assert abs(wheels.now().x) < 0.03
 
 
-def test_idle_wheel_rolls_down_a_hill():
-    wheels = start(soil="lete_sand", grade_deg=18.0)
-    wheels.drive([0.0] * 50)
-    assert wheels.now().x < -0.5 and wheels.now().wheel_speed < 0.0
-
-
 @pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
 def test_reverse_mirrors_forward_on_level_ground(mode):
     """On level fresh ground, long before any rut, backward is forward mirrored."""
@@ -218,66 +166,6 @@ def test_reverse_mirrors_forward_on_level_ground(mode):
     forward, backward = np.array(runs)
     assert forward[0] > 0.0 and abs(forward[0]) < terrain.CELL
     np.testing.assert_allclose(backward, forward * [-1, -1, -1, -1, -1, 1], rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
-def test_a_commanded_halt_stops_the_wheel_and_lets_it_go(mode):
-    wheels = start(soil="lete_sand", grade_deg=0.0, mode=mode)
-    wheels.state.next_halt[0], world = 0.3, wheels.world
-    seconds_held = 0.0
-    for _ in range(300):
-        wheels.step(0.25)
-        if wheels.now().halt_left > 0.0:
-            seconds_held += world.period
-        if seconds_held > 0.0 and wheels.now().halt_left == 0.0:
-            break
-    assert abs(wheels.now().speed) < 0.01 and 0.3 <= wheels.now().x < 0.8
-    assert seconds_held == pytest.approx(world.halt_time, abs=1.5 * world.period)
-    assert world.halt_low <= wheels.now().next_halt - 0.3 <= world.halt_high + world.wheel.radius
-    here = wheels.now().x
-    wheels.drive([0.25] * 30)
-    assert wheels.now().x > here + 0.1
-
-
-# --- extremes ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("mode", ["torque", "wheel_speed"])
-@pytest.mark.parametrize("seed", range(5))
-def test_extreme_actions_stay_finite_and_converge(seed, mode):
-    """2000 periods of bang-bang commands, full reverse at full speed among them."""
-    wheels = start(seed, mode)
-    rng, r, gravity = np.random.default_rng(seed), wheels.world.wheel.radius, wheels.world.wheel.gravity
-    failures, remaining, command = 0, 0, 0.0
-    for _ in range(2000):
-        if remaining == 0:
-            command, remaining = float(rng.choice([-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1, 1)])), rng.integers(1, 40)
-        remaining -= 1
-        wheels.step(command)
-        w = wheels.now()
-        failures += 1 - w.converged
-        assert all(np.isfinite(wheels.state[0][name]) for name in WheelState.NAMES)
-        assert 1e-4 * r <= w.sinkage <= 1.5 * r
-        assert -1.0 <= w.slip <= 1.0
-        assert w.load >= w.mass * gravity * math.cos(w.grade) * (1.0 - 1e-6)
-    assert w.steps == 2000
-    assert failures <= 0.002 * 2000, f"{failures} of 2000 periods did not converge"
-    assert np.all(np.isfinite(wheels.courses.rut_factors)) and np.all(np.isfinite(wheels.courses.rut))
-
-
-def test_full_reverse_at_full_speed():
-    wheels = start(soil="grenville_loam", grade_deg=0.0)
-    forward = wheels.drive([1.0] * 60)
-    assert forward[-1, 2] > 0.2
-    converged = []
-    for _ in range(100):
-        wheels.step(-1.0)
-        converged.append(wheels.now().converged)
-    assert all(converged)
-    assert wheels.now().speed < -0.2
-
-
-# --- rut --------------------------------------------------------------------------------------------------------------
 
 
 def test_rolling_out_and_back_keeps_the_rut():
@@ -296,14 +184,6 @@ def test_rolling_out_and_back_keeps_the_rut():
     there = np.interp(0.4, out[:, 0], out[:, 1])
     again = np.interp(0.4, back[::-1, 0], back[::-1, 1])
     assert 0.97 * there < again < 1.3 * there
-
-
-def test_spinning_loosens():
-    wheels = start(soil="lete_sand", grade_deg=14.0)
-    rows = wheels.drive([0.8] * 100)
-    assert np.median(rows[:, 3]) > 0.5
-    left = wheels.courses.rut_factors[0, terrain.cell_at(wheels.courses, 0.0) + 1 : wheels.now().cell]
-    assert left.size > 5 and np.all(left < 1.0)
 
 
 @pytest.mark.parametrize("amplitude", [0.003, 0.02])

@@ -8,12 +8,15 @@ import pytest
 from hypothesis import given, strategies as st
 
 from soil_env.env import SoilWheelEnv, observation_space
-from soil_env.parameters import Belief, ParameterError, load_scenario
+from soil_env.parameters import Belief, load_scenario
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.vector_env import SoilWheelVectorEnv
 
 ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
+ENTRY = re.compile(r"^\s*\| (n\+)?(\d+) \| (\w+) \| .+? \| (\S+) \| (\S+) \|$", re.MULTILINE)
 COURSE = load_scenario("two_lines").course
 
 
@@ -28,6 +31,27 @@ def test_centres_and_scales_are_the_documented_ones():
     rows = [(float(c), float(s), names.split(", ")) for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
             if re.fullmatch(r"-?[\d.]+", c)]  # fmt: skip
     assert {name: (c, s) for c, s, names in rows for name in names} == CENTRE_AND_SCALE
+
+
+def documented(env):
+    """Rows (number, name, low, high) of the tables in the docstring of an environment."""
+    return [(n + number, name, float(low), float(high)) for n, number, name, low, high in ENTRY.findall(env.__doc__)]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_entries_are_the_documented_ones(variant):
+    """Name and bounds of every entry, and the numbers of those that scenarios without a camera have."""
+    rows = documented(SoilWheelEnv)
+    bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
+    assert {(e.name.replace("beside", "ahead"), e.low, e.high) for e in layout(variant, COURSE)} <= bounds
+    assert {(re.sub("^(middle|rear)", "front", e.name), e.low, e.high) for e in rover_layout(variant, 3)} <= {
+        row[1:] for row in documented(SoilRoverEnv)
+    }
+    assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
+    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
+    assert env.observation_names == tuple(e.name for e in layout(variant))
+    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in layout(variant)]))
+    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in layout(variant)]))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -61,15 +85,6 @@ def test_there_and_back_within_the_bounds(shares):
     np.testing.assert_allclose(scaling.physical(seen), values, rtol=1e-5, atol=1e-5)
 
 
-def test_a_line_out_of_sight_is_0():
-    scaling = Scaling(layout("identified", COURSE))
-    names = [e.name for e in scaling.entries]
-    lines = [k for k, name in enumerate(names) if name.startswith(("ahead_", "beside_"))]
-    seen = scaling(np.zeros((2, len(names)), np.float32))
-    assert np.all(seen[:, lines] == 0.0) and np.all(scaling.physical(seen) == 0.0)
-    assert seen[0, names.index("log10_sinkage_coefficient")] == pytest.approx(-20.0)
-
-
 def test_a_coefficient_at_its_centre_is_in_sight():
     """S = 1e6 exactly, the value of a line whose class was never met."""
     scenario = replace(load_scenario("two_lines"), belief=Belief(sinkage_coefficient=1e6))
@@ -77,16 +92,3 @@ def test_a_coefficient_at_its_centre_is_in_sight():
     _, values = driven(scenario, scaled=False)
     assert (values[:, env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0).any()
     np.testing.assert_allclose(env.physical(seen), values, rtol=1e-5, atol=2e-6)
-
-
-def test_what_it_refuses():
-    scaling = Scaling(layout("blind"))
-    with pytest.raises(ValueError, match=r"shape \(3,\): expected \(..., 14\)"):
-        scaling.physical(np.zeros(3))
-    with pytest.raises(ValueError, match="'abc': expected 14 numbers"):
-        scaling.physical("abc")
-    for wrong in ("no", None, 1, np.ones(2)):
-        with pytest.raises(ParameterError, match="scaled = .*expected True or False"):
-            SoilWheelVectorEnv(2, scaled=wrong)
-    with pytest.raises(ParameterError, match="scale.*'scaled'"):
-        SoilWheelEnv(scale=True)

@@ -1,16 +1,13 @@
 """The task: the documented layout, the reward, the ways an episode ends, and what the agent may see."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 
 from soil_env.driving.estimator import Results, knowledge, show_estimate
 from soil_env.driving.wheels import Simulation
-from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
-from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.observation import write_observation
@@ -19,7 +16,6 @@ from soil_env.simulation.world.camera import Sight
 
 SENSORS = len(layout("blind"))  # entries that every variant has
 NOTHING_SEEN = Sight(0, 0.0, 0.0)
-ROW = re.compile(r"^\s*\| (\d+) \| (\w+) \| (.+?) \| (\S+) \| (\S+) \|$", re.MULTILINE)
 
 
 def simulation(variant="identified", seed=0, changes=None):
@@ -43,42 +39,6 @@ def rollout(variant, seeds=range(6), steps=250, changes=None):
             if sim.worlds.cause[0] != Cause.RUNNING:
                 break
     return np.array(rows)
-
-
-# --- layout -----------------------------------------------------------------------------------------------------------
-
-
-def documented(variant):
-    """Rows (name, unit, min, max) of the tables in the docstring of the environment that apply to a variant."""
-    tables, previous = [], None
-    for match in ROW.finditer(SoilWheelEnv.__doc__):
-        number, row = int(match[1]), (match[2], match[3], float(match[4]), float(match[5]))
-        if previous is None or number != previous + 1:  # a new table
-            tables.append({})
-        tables[-1][number] = row
-        previous = number
-    (blind_and_identified, true_soil) = tables  # two tables count on, the last one starts where the second does
-    rows = {k: v for k, v in blind_and_identified.items() if variant == "identified" or k < SENSORS}
-    if variant == "true_soil":
-        rows |= true_soil
-    assert sorted(rows) == list(range(len(rows)))
-    return [rows[k] for k in range(len(rows))]
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_layout_is_the_documented_one(variant):
-    rows, entries = documented(variant), layout(variant)
-    assert [(e.name, e.low, e.high) for e in entries] == [(name, low, high) for name, _, low, high in rows]
-    for e, (_, unit, _, _) in zip(entries, rows, strict=True):
-        assert unit == e.unit or unit.startswith((e.unit + ",", e.unit + ":", "1 while")), (e, unit)
-    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
-    assert env.observation_names == tuple(e.name for e in entries)
-    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in entries]))
-    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in entries]))
-    assert env.observation_space.dtype == np.float32
-
-
-# --- observation ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -211,43 +171,6 @@ def test_the_observation_follows_from_readings_alone():
     np.testing.assert_array_equal(*seen)
 
 
-LOOK_BACK = 10  # control periods
-
-
-@pytest.mark.parametrize("variant", ["blind", "identified"])
-def test_no_history_beats_the_noise_of_a_sensor(variant):
-    """Truth regressed on all observations of the last second and their products with the slip, on courses of its own.
-
-    Ten independent readings of a constant leave 1/sqrt(10) = 0.32 of a sensor's noise, and two sensors of the same
-    thing (speed; slip and rim speed) somewhat less. An entry that holds truth leaves next to nothing.
-    """
-    names = ["slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "grade", "travel"]
-    history, truth = [], []
-    for seed in range(12):
-        sim, rng, rows = simulation(variant, seed), np.random.default_rng(seed), []
-        for k in range(300):
-            if k % 7 == 0:
-                command = rng.uniform(-0.1, 0.8)
-            sim.step(0, command)
-            rows.append(sim.worlds.observation[0].astype(float))
-            if k >= LOOK_BACK:
-                seen = np.array(rows[-LOOK_BACK:])
-                history.append(np.concatenate([[1.0], seen.ravel(), seen[-1, 0] * seen[-1], seen[-1, 6] * seen[-1]]))
-                truth.append([sim.worlds.state[name][0] for name in names])
-            if sim.worlds.cause[0] != Cause.RUNNING:
-                break
-    history, truth, half = np.array(history), np.array(truth), len(truth) // 2
-    weights = np.linalg.lstsq(history[:half], truth[:half], rcond=1e-12)[0]
-    left = np.sqrt(np.mean((history[half:] @ weights - truth[half:]) ** 2, axis=0))
-    n, s = load_scenario("mixed").noise, load_scenario("mixed")
-    weight, r = s.weight, s.wheel.radius
-    sd = [n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed, n.wheel_speed,
-          n.pitch, n.speed * s.control.period]  # fmt: skip
-    assert len(truth) > 1000
-    for name, error, noise in zip(names, left, sd, strict=True):
-        assert error > 0.2 * noise, (name, error / noise)
-
-
 def test_odometry_is_off_as_stated():
     """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
     sim = simulation("blind", changes={"noise": {"odometry_scale": 0.03}})
@@ -268,9 +191,6 @@ def test_odometry_is_off_as_stated():
     scales = np.array(scales)
     assert np.mean(scales) == pytest.approx(1.0, abs=4.0 * 0.03 / 20.0)
     assert np.std(scales) == pytest.approx(0.03, rel=0.15)
-
-
-# --- reward -----------------------------------------------------------------------------------------------------------
 
 
 def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
@@ -297,59 +217,6 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
     assert backwards and braking and {Cause.FINISHED} < causes
     assert causes & {Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED}
     assert REWARD_TERMS == ("progress", "energy", "immobilisation", "information")
-
-
-def drives(reward, time_limit=90.0):
-    """(terms [4], reward, Phi before, Phi after, status, cause, observation) of each step of some courses."""
-    out = []
-    for seed in range(6):
-        changes = {"reward": reward, "course": {"length": 3.0}, "control": {"time_limit": time_limit}}
-        sim, rng = simulation("identified", seed, changes), np.random.default_rng(seed)
-        prior, rows = np.sqrt(np.diag(published_prior(sim.scenario)[1])), []
-        cause, after = Cause.RUNNING, 0.0
-        for step in range(900):
-            if step % 7 == 0:
-                command = 0.9 if seed == 5 else rng.uniform(0.1, 0.6)
-            sim.step(0, command)
-            w, before = sim.worlds, after
-            after = float(np.log(np.maximum(prior / w.ids.sd[0], 1.0)).sum())
-            cause = Cause(w.cause[0])
-            rows.append(
-                (w.terms[0].copy(), w.reward[0], before, after, w.ids.status[0], cause, w.observation[0].copy())
-            )
-            if cause != Cause.RUNNING:
-                break
-        out.append(rows)
-    return out
-
-
-def test_information_is_shaping_by_the_knowledge_of_the_identifier():
-    weight, discount = 2.5, 0.98
-    endings, won = set(), 0
-    for limit in (90.0, 4.0):
-        for rows in drives({"information": weight, "information_discount": discount}, limit):
-            paid, first = 0.0, None
-            for k, (terms, reward, before, after, status, cause, _) in enumerate(rows):
-                kept = after if cause == Cause.RUNNING else 0.0
-                assert terms[3] == pytest.approx(weight * (discount * kept - before), abs=1e-9)
-                assert reward == pytest.approx(terms.sum(), abs=1e-12)
-                paid += discount**k * terms[3]
-                if status == Status.CONVERGED.value and first is None:
-                    first = terms[3]
-            # it telescopes: over a terminated course it is worth nothing, whatever was learnt on the way
-            assert paid == pytest.approx(weight * discount ** len(rows) * kept, abs=1e-9)
-            endings.add(rows[-1][5])
-            won += first is not None and first > 0.0
-    assert won >= 6 and {Cause.FINISHED, Cause.TIME_LIMIT} < endings and len(endings) > 2
-
-
-def test_information_changes_nothing_but_its_own_term():
-    paid, free = drives({"information": 3.0}), drives({})
-    for a, b in zip(sum(paid, []), sum(free, []), strict=True):
-        np.testing.assert_array_equal(a[0][:3], b[0][:3])
-        np.testing.assert_array_equal(a[6], b[6])
-        assert b[0][3] == 0.0 and b[1] == b[0][0] + b[0][1] + b[0][2] and a[5] == b[5]
-    assert any(a[0][3] != 0.0 for a in sum(paid, []))
 
 
 @pytest.mark.parametrize(("shares", "nats"), [

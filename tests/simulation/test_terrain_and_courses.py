@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env._numba.random_streams import seed_stream
-from soil_env.parameters import ParameterError, SoilState, load_scenario, soils
+from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
@@ -37,14 +37,6 @@ def drawn(scenario):
     return [draw(seed, scenario) for seed in SEEDS]
 
 
-def test_same_seed_same_course(scenario):
-    a, b, c = (draw(seed, scenario) for seed in (3, 3, 4))
-    assert a[1] == b[1]
-    for name, array in arrays(a[0]).items():
-        np.testing.assert_array_equal(array, arrays(b[0])[name], name)
-    assert a[1] != c[1] and not np.array_equal(a[0].soils, c[0].soils)
-
-
 def test_patches_cover_the_course(drawn, scenario):
     low, high = scenario.course.patch_length
     for courses, mass in drawn:
@@ -56,9 +48,6 @@ def test_patches_cover_the_course(drawn, scenario):
         payload = mass - scenario.wheel.body_mass
         assert scenario.course.payload[0] <= payload <= scenario.course.payload[1]
         assert np.all(np.degrees(courses.grades[0, :p]) <= scenario.course.grade_deg[1] + 1e-9)
-
-
-# --- drawn as the wheel comes to them ---------------------------------------------------------------------------------
 
 
 LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
@@ -109,44 +98,6 @@ def test_ground_up_to_ready_is_final():
     assert changed > 10
 
 
-def test_cells_are_cleared_with_their_patch():
-    scenario = load_scenario("mixed", LONG)
-    courses, _ = draw(3, scenario)
-    courses.rut_factors[:], courses.rut[:] = 0.5, 0.1
-    words = np.array([seed_stream(np.random.default_rng(4))], dtype=np.uint64)
-    numbers = drawing.course_numbers(scenario)
-    mass = drawing.start_course(0, courses, words, numbers)
-    for _ in range(8):
-        drawn = terrain.cell_at(courses, courses.edges[0, courses.patches[0]]) + 1
-        assert np.all(courses.rut_factors[0, :drawn] == 1.0) and np.all(courses.rut[0, :drawn] == 0.0)
-        courses.rut[0, :drawn] = 0.0
-        drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
-
-
-def test_where_no_soil_is_passable_the_patch_before_goes_on(scenario):
-    courses, mass, numbers = started(3, scenario)
-    p = courses.patches[0]
-    mud = numbers._replace(
-        drawn=numbers.drawn._replace(library=numbers.drawn.library * [1.0, 1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
-    )
-    assert not drawing.extend_course(0, courses, mass, np.inf, mud)
-    n = courses.patches[0]
-    assert n > p and courses.edges[0, n] >= scenario.course.length
-    assert np.all(courses.soils[0, p:n] == courses.soils[0, p - 1]) and np.all(
-        courses.grades[0, p:n] == courses.grades[0, p - 1]
-    )
-    assert drawing.draw_course(0, courses, np.zeros(1, dtype=np.uint64), mud) == -1.0
-
-
-# --- passable by construction -----------------------------------------------------------------------------------------
-
-
-def reserve(soil, grade, load, wheel):
-    """Drawbar pull in reserve at best slip, as a share of the load; the wheel carries W cos(grade)."""
-    pull = best_working_point(load * math.cos(grade), soil, wheel.radius, wheel.width, wheel.stall_torque).drawbar_pull
-    return pull / load - math.sin(grade)
-
-
 def test_margins_at_patch_centres(drawn, scenario):
     wheel, low = scenario.wheel, scenario.course.margin[0]
     for courses, mass in drawn:
@@ -179,15 +130,6 @@ def test_margins_at_border_midpoints(margin):
     assert lowered > 0 or margin != (0.1, 0.1)
 
 
-def test_some_reserve_everywhere(drawn, scenario):
-    """Between the checked points and with the true load W cos(grade) there is still a pull to spare."""
-    for courses, mass in drawn:
-        load = mass * scenario.gravity
-        for x in np.arange(0.0, scenario.course.length, 0.05):
-            soil, grade, _ = terrain.ground_at(courses, 0, x, 0, scenario.course.border)
-            assert reserve(soil, grade, load, scenario.wheel) > 0.0, x
-
-
 def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
     wheel = scenario.wheel
     for courses, mass in drawn[:8]:
@@ -201,9 +143,6 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
             assert best.drawbar_pull == pytest.approx(max(pulls, default=-math.inf), abs=1e-6 * load)
             assert best.torque <= torque
         assert best_working_point(load, soil, wheel.radius, wheel.width, 0.0).drawbar_pull == -math.inf
-
-
-# --- borders ----------------------------------------------------------------------------------------------------------
 
 
 def jumps(courses, border, xs):
@@ -232,37 +171,11 @@ def test_ground_is_continuous(drawn, scenario):
         assert max(jumps(courses, border, suspects(courses, border))) < 1e-5
 
 
-def test_a_sudden_border_would_be_seen(drawn):
-    """The judge of `test_ground_is_continuous` sees the jump that a border of no width makes."""
-    courses, _ = drawn[0]
-    assert max(jumps(courses, 1e-12, suspects(courses, 1e-12))) > 0.05
-
-
-def test_wide_borders_are_refused_or_continuous():
-    """A passage longer than a patch must not make the ground jump in the middle of that patch."""
-    try:
-        wide = load_scenario("mixed", {"course": {"border": 2.0}})
-    except ParameterError:
-        return
-    for seed in range(5):
-        courses, _ = draw(seed, wide)
-        assert max(jumps(courses, 2.0, suspects(courses, 2.0))) < 1e-5
-
-
 def test_ground_does_not_depend_on_the_guessed_patch(drawn, scenario):
     courses, _ = drawn[0]
     for x in np.linspace(-0.5, 12.0, 60):
         found = [terrain.ground_at(courses, 0, x, guess, scenario.course.border) for guess in range(courses.patches[0])]
         assert all(f == found[0] for f in found)
-
-
-# --- soils ------------------------------------------------------------------------------------------------------------
-
-
-def test_drawn_soils_are_positive(drawn):
-    for courses, _ in drawn:
-        rows = courses.soils[0, : courses.patches[0]]
-        assert np.all(np.isfinite(rows)) and np.all(rows > 0.0)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.35])
@@ -324,9 +237,6 @@ def test_presets_are_drawn_by_weight():
     assert np.mean(np.round(cohesions) == 1040.0) == pytest.approx(0.75, abs=0.03)
 
 
-# --- rut --------------------------------------------------------------------------------------------------------------
-
-
 def test_rolling_compacts_digging_loosens_within_bounds(scenario):
     courses = terrain.new_courses(1, scenario)
     terrain.leave_rut(courses, 0, 0, 0.02, 1.0, terrain.COMPACTION)
@@ -338,15 +248,6 @@ def test_rolling_compacts_digging_loosens_within_bounds(scenario):
         terrain.leave_rut(courses, 0, 1, 0.06, 3.0, terrain.COMPACTION)
     low, high = terrain.RUT_FACTOR_BOUNDS
     assert courses.rut_factors[0, 0] == pytest.approx(high) and courses.rut_factors[0, 1] == pytest.approx(low)
-
-
-def test_cells(scenario):
-    courses = terrain.new_courses(1, scenario)
-    assert terrain.cell_at(courses, -3.0) == 0
-    start = terrain.cell_at(courses, 0.0)
-    assert terrain.cell_at(courses, 0.12) == start + 2
-    assert terrain.cell_at(courses, -0.01) == start - 1 and terrain.cell_at(courses, -terrain.BEHIND) == 0
-    assert terrain.cell_at(courses, 1e6) == courses.rut_factors.shape[1] - 1
 
 
 def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):

@@ -47,23 +47,6 @@ class Wheels(NamedTuple):
             rows.append([self.state[name][0] for name in ("x", "sinkage", "speed", "slip")])
         return np.array(rows)
 
-    def energy_taken(self, seed: int, periods: int) -> np.ndarray:
-        """What soil and drive took in each period under random held commands, over weight times radius [periods].
-
-        Motor work less the gain in kinetic energy and height.
-        """
-        rng, world, kinetic, taken = np.random.default_rng(seed), self.world, 0.0, []
-        weight = self.now().mass * world.wheel.gravity
-        for k in range(periods):
-            if k % 10 == 0:
-                command = rng.uniform(-1.0, 1.0)
-            self.step(command)
-            w = self.now()
-            now = 0.5 * w.mass * w.speed**2 + 0.5 * world.inertia * w.wheel_speed**2
-            taken.append(w.motor_work - (now - kinetic) - weight * math.sin(w.grade) * w.travel)
-            kinetic = now
-        return np.array(taken) / (weight * world.wheel.radius)
-
     def numbers(self) -> dict[str, np.ndarray]:
         """All arrays that a step changes, by name."""
         rows = {**{n: self.state[n] for n in WheelState.NAMES}, **{n: self.counts[n] for n in WheelCounts.NAMES}}

@@ -12,7 +12,6 @@ from soil_env.terramechanics.ground import row_soil
 SENSORS = 14  # entries that every variant has
 
 
-
 @compiled_inline
 def clip(out, task):
     """Cut the observation `out` [D] to the bounds of its layout."""

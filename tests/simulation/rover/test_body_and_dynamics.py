@@ -1,7 +1,6 @@
 """A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to wheels behind."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from soil_env.driving.wheels import IDLE, STEP
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
-from soil_env.simulation.world.wheel import axle_of, course_of, wheel_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import load_rover, rover_names
 from tests.simulation.rover.rovers import begun, driven, now, uniform
@@ -74,12 +72,6 @@ def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
         assert w["torque"][i] == pytest.approx(steady.torque, rel=0.02 if i else 1e-3)
     assert a.wheel["floor"][0] == 0.0
     assert a.wheel["floor"][1] == pytest.approx(w["sinkage"][0], rel=0.02)
-
-
-def test_climbing_takes_load_from_the_front(climbing):
-    simulation, a = climbing
-    level = np.array(simulation.scenario.vehicle.shares) * a.wheel["load"].sum()
-    assert a.wheel["load"][0] < level[0] and a.wheel["load"][-1] > level[-1]
 
 
 def test_the_body_pitches_with_the_slope_and_with_the_ruts(climbing):
@@ -164,9 +156,6 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
     assert lowest[0] == pytest.approx(lowest[1], rel=0.2)
 
 
-# --- ruts -------------------------------------------------------------------------------------------------------------
-
-
 def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less():
     """Without digging; z goes with (W/S)^(2/(2n + 1)) (Bekker 1969), here n = 1."""
     soil = {"friction_angle_deg": 33.0, "cohesion": 500.0, "shear_modulus": 0.01, "sinkage_exponent": 1.0}
@@ -198,16 +187,6 @@ def test_what_is_left_is_passed_on_to_all_wheels_behind():
     assert not ruts.floor[0].any()
 
 
-# --- rows -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("axles", [1, 2, 3])
-def test_every_wheel_has_a_row_of_its_own(axles):
-    rows = {wheel_of(j, a, axles): (j, a) for j in range(20) for a in range(axles)}
-    assert len(rows) == 20 * axles
-    assert all((course_of(k, axles), axle_of(k, axles)) == at for k, at in rows.items())
-
-
 def test_rovers_side_by_side_share_nothing():
     scenario = load_rover("mars_rover")
     alone, among = RoverSimulation(1, scenario, "blind", 1), RoverSimulation(11, scenario, "blind", 1)
@@ -223,9 +202,3 @@ def test_rovers_side_by_side_share_nothing():
             alone.step(0, c[9])
         assert now(alone).body == now(among, 9).body
     assert np.array_equal(alone.worlds.observation[0], among.worlds.observation[9])
-
-
-def test_a_changed_mass_changes_the_wheels_share():
-    scenario = load_rover("field_rover", {"vehicle": {"mass": 80.0}})
-    assert scenario.wheel.body_mass == 20.0
-    assert replace(scenario.vehicle, centre=0.128).shares == pytest.approx((0.75, 0.25))
