@@ -3,7 +3,9 @@
 How to add an effect:
 
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, parameters with symbol, unit,
-   neutral value, bounds and prior scale, and for each published form its equation as text and its source.
+   neutral value, bounds and prior scale, and for each published form its equation as text and its source. Set `varies`
+   to the condition that shows the effect and `speed_dependent` for a law of speed. A constant of the source that is not
+   fitted is a parameter `reference_speed` with scale 0. Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law as a compiled function `law(x, at, fx)` and give it to `Effect` as one of the places where effects act:
    `soil` (strength and bearing under the wheel), `arc` (exit angle and stress peak), `resistance` (force against the
    travel) or `drive` (friction between motor and axle). `fx.<name>_<parameter>` are its numbers; at the neutral values
@@ -11,7 +13,8 @@ How to add an effect:
 3. Add its name to `_NAMES` below. Model files, the simulated world, `WheelSoilModel.predict`, the discrepancy
    workflow, its report and the table of `text.markdown` have it from there.
 4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source writes it to
-   `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics`.
+   `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics tests/simulation/test_worlds.py
+   tests/discrepancy/test_search.py`. `agents/worlds.py` lists the effects that hidden training worlds draw from.
 """
 
 from __future__ import annotations
