@@ -85,7 +85,7 @@ def test_without_a_channel_less_is_known(drive):
 
 
 def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
-    """Of the load nothing is known then but the mass of the wheel, which is doubted by 5 %, and the mass stays it."""
+    """Load known by the mass of the wheel alone, which is doubted by 5 %; the mass stays as it is."""
     scenario, readings, _ = drive
     identifier = OnlineIdentifier.of_scenario(scenario)
     prior = identifier.estimate
@@ -118,25 +118,6 @@ def test_motor_torque_and_acceleration_tell_of_shear(drive):
 STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 
 
-def point(third, first=0.0):
-    """Estimate of S and phi after a point of eight readings and one that closes it: `third` the torque of the third,
-    `first` added to that of the first."""
-    identifier = OnlineIdentifier(WHEEL)
-    torques = [5.5 + first, 5.5, third] + [5.5] * 6
-    slow = STEADY._replace(wheel_speed=0.75, speed=0.75 * 0.15 * 0.75)
-    last = [identifier.update(slow._replace(torque=t)) for t in torques][-1]
-    assert last.renewed
-    return last.sinkage_coefficient, last.friction_angle_deg
-
-
-def test_a_gap_in_a_point_leaves_the_other_readings():
-    """They are averaged with the weight that they have; a reading of any size that is not there tells nothing."""
-    assert point(5.5) != point(5.5, first=1.0)
-    gap = point(math.nan)
-    assert gap == pytest.approx(point(5.5), rel=1e-3) and gap != point(5.5)
-    assert abs(point(math.nan, first=1.0)[1] - gap[1]) > 0.0
-
-
 def test_what_stands_for_pull_and_torque():
     """Pull = m a; the motor torque turns the wheel, whose inertia costs none at a constant speed."""
     exact = Noise(acceleration=0.01 * 9.81)
@@ -152,9 +133,8 @@ def test_what_stands_for_pull_and_torque():
 
 
 def test_slip_from_the_speeds_and_a_speed_from_the_slip():
-    assert slips(np.array([0.4, 0.3, -0.4, 0.0, math.nan]), np.array([0.3, 0.4, -0.3, 0.0, 0.1])) == pytest.approx(
-        [0.25, -0.25, 0.25, 0.0, math.nan], nan_ok=True
-    )
+    rim, speed = np.array([0.4, 0.3, -0.4, 0.0, math.nan]), np.array([0.3, 0.4, -0.3, 0.0, 0.1])
+    assert slips(rim, speed) == pytest.approx([0.25, -0.25, 0.25, 0.0, math.nan], nan_ok=True)
     exact = Noise(slip=0.0, speed=0.0, wheel_speed=0.0)
     given, derived, no_speed = (OnlineIdentifier(WHEEL, BELIEF, exact) for _ in range(3))
     for _ in range(20):
@@ -164,18 +144,12 @@ def test_slip_from_the_speeds_and_a_speed_from_the_slip():
         assert b.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
         assert c.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
     assert a.friction_angle_deg != given.scenario.belief.friction_angle_deg
-    sd = [
-        min(i.update(STEADY._replace(slip=math.nan)).shear_modulus_relative_sd for _ in range(20))
-        for i in (OnlineIdentifier(WHEEL, BELIEF, Noise(speed=speed)) for speed in (0.002, 0.05))
-    ]
-    assert sd[0] < sd[1]
 
 
 ABSURD = [
-    {"sinkage": 22.0}, {"sinkage": 0.151}, {"slip": 25.0}, {"torque": math.inf}, {"speed": -math.inf}, {"time": 0.5},
-    {"time": 0.4}, {"time": math.inf}, {"load": 1e9}, {"load": -1e9}, {"motor_torque": 1e4}, {"pitch": 20.0},
-    {"speed": 280.0}, {"load": "147"}, {"time": "0.6"}, {"wheel_speed": None}, {"torque": [5.5]}, {"sinkage": {}},
-    {"time": 1j}, {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
+    {"sinkage": 22.0}, {"slip": 25.0}, {"torque": math.inf}, {"time": 0.4}, {"load": -1e9}, {"pitch": 20.0},
+    {"load": "147"}, {"wheel_speed": None}, {"time": 1j}, {"speed": np.array([0.28, 0.28])},
+    {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
 ]  # fmt: skip
 
 

@@ -38,7 +38,7 @@ class Steady:
 
     @property
     def reason(self) -> str:
-        """Why the points are no measurement table; empty where they are one."""
+        """Reason for which the points are no measurement table; empty where they are one."""
         if not self.rows:
             return "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, pull or torque"
         slip = [float(row["slip"]) for row in self.rows]

@@ -36,7 +36,7 @@ def _look(banks, numbers):
 
 
 class Wheel:
-    """What one filter knows of borders."""
+    """Border search of one filter."""
 
     def __init__(self, numbers=NUMBERS):
         self.banks, self.numbers = new_banks(1), numbers
@@ -170,8 +170,7 @@ def crossings(sim, seed):
 
 
 def found_borders(changes):
-    """Of each border that a wheel passes: how far before its middle [m] one was found, and the error [m] of its place
-    behind it, of the nearest one found."""
+    """Rows of (distance before its middle at which a border was found, error of its place behind it) [m]."""
     sim, rows = started(load_scenario("mixed", WHEEL_SPEED | changes), 0), []
     w = sim.worlds
     for seed in range(10):

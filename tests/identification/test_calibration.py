@@ -1,4 +1,4 @@
-"""Whether the stated uncertainty of the online identifier is that of its errors, and whether it runs everywhere."""
+"""Calibration of the online identifier on the default task, and finite estimates in every scenario."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What the identifier remembers of terrain classes."""
+"""Memory of terrain classes: posteriors of patches combined, and calibration after a course."""
 
 import math
 
@@ -26,7 +26,7 @@ class Memory:
         memory.forget_classes(self.kept, 0, NUMBERS)
 
     def remember(self, c, patch, estimate, sd):
-        """Of a class and a patch: an estimate [6] that counts with sd [6], the best drawbar pull the last of them."""
+        """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the last of them."""
         sd = sd / np.array([1.0] * 5 + [memory.WIDER])
         self.ids.estimate[0], self.ids.sd[0] = estimate[:5], sd[:5]
         self.ids.best_pull[0] = estimate[5], sd[5]

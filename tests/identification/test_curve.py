@@ -56,7 +56,7 @@ class Curve:
 
 
 def sums(bins):
-    """What points and their averages have alike."""
+    """Sums that are equal for points and their averages."""
     n, out = bins[:, c.READINGS], [bins[:, c.READINGS].sum()]
     for value, weight in WEIGHTED:
         out += [bins[:, weight].sum(), (bins[:, weight] * bins[:, value]).sum()]
@@ -101,7 +101,7 @@ def test_nothing_is_lost_or_added(given_points):
 
 
 def test_where_there_is_no_room_the_least_loss_is_taken():
-    """Of bins that are nearest, those of few readings are merged first: the new point takes the place of one."""
+    """Bins that are nearest and have few readings are merged first: the new point takes the place of one."""
     slips = [0.0, 0.05, 0.12, 0.2, 0.3, 0.44, 0.62, 0.85]
     many = [point(s, readings=100.0) for s in slips]
     many[4] = point(0.3, readings=1.0)

@@ -104,7 +104,7 @@ class Judge:
         self.scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
 
     def residual(self, x, ln_K):
-        """Of the prior, the bins' slips and sinkages, pulls and torques; x in standard deviations of the prior."""
+        """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior."""
         soil, of_bins = PRIOR + self.scale * np.append(x[:3], ln_K), x[3:].reshape(-1, 2)
         away, P = soil - PRIOR, PRIOR_COVARIANCE
         slope = P[:3, 3] / P[3, 3]

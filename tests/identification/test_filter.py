@@ -28,7 +28,7 @@ class Fed:
         self.p = self.ids.banks.point
 
     def feed(self, reading, times=1, wheel=0):
-        """What each reading did."""
+        """Outcome of each reading."""
         return [observe(self.ids, wheel, reading, self.numbers) for _ in range(times)]
 
     @property

@@ -49,7 +49,7 @@ def snapshot(ids, k=0):
 
 @pytest.mark.parametrize("plain", [True, False])
 def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
-    """What it is given beforehand is the same whatever the soils, their scatter and the course.
+    """Numbers that it has beforehand are the same whatever the soils, their scatter and the course.
 
     The soils of a library scatter as those of the courses where the belief does not say how.
     """

@@ -1,4 +1,4 @@
-"""What wheels of a rover tell each other: against the same rule written with numpy."""
+"""Joint knowledge of the wheels of a rover, against the same rule written with numpy."""
 
 import numpy as np
 import pytest
@@ -75,9 +75,9 @@ def by_numpy(mean, P, others):
 def test_precisions_add_up_and_the_prior_counts_once():
     other = MEAN + 0.3 * SD * np.array([1.0, -1.0, 1.0, 0.5, 1.0])
     others = [(other, covariance(1.3)), (MEAN - 0.3 * SD, covariance(0.9))]
-    for told in (others[:1], others, others[::-1]):
-        mean, variance = Wheels([MEAN, *(m for m, _ in told)], [covariance(), *(P for _, P in told)]).pooled()
-        expected = by_numpy(MEAN, covariance(), told)
+    for known in (others[:1], others, others[::-1]):
+        mean, variance = Wheels([MEAN, *(m for m, _ in known)], [covariance(), *(P for _, P in known)]).pooled()
+        expected = by_numpy(MEAN, covariance(), known)
         assert mean == pytest.approx(expected[0], rel=1e-9) and variance == pytest.approx(expected[1], rel=1e-9)
         assert np.all(variance[SHARED] < 0.8 * np.diag(covariance())[SHARED])
 

@@ -36,7 +36,7 @@ def found(estimate, name="friction_angle_deg"):
 
 
 def within(estimate, sds: float = 3.0):
-    """Whether phi, K and S are within some standard deviations of the truth."""
+    """True if phi, K and S are within some standard deviations of the truth."""
     truth = dict(friction_angle_deg=SAND.friction_angle_deg, shear_modulus=SAND.shear_modulus,
                  sinkage_coefficient=SAND.sinkage_coefficient)  # fmt: skip
     half = sds / 1.96

@@ -295,7 +295,7 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
 
 
 def line(x, y, sd):
-    """What `Scatter` takes of a problem: a straight line through one channel (the last), its noise not known.
+    """Problem for `Scatter`: a straight line through one channel (the last), its noise not known.
 
     The unknowns have priors a thousand times wider than what the line tells of them.
     """

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import yaml
 
+from soil_env.logs.mapping import QUANTITIES
+
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_bag.py"
 MAP = {
     "wheel": "planetary_rover",
@@ -27,8 +29,7 @@ def write_map(folder, changes=None, name="map.yaml", base=MAP):
     """A map.yaml: `base` with whole channels and top-level keys replaced; None takes one out."""
     content = json.loads(json.dumps(base))
     for key, value in (changes or {}).items():
-        place = content["channels"] if key in ("wheel_speed", "speed", "sinkage", "torque", "load", "pitch", "slip",
-                                               "drawbar_pull", "motor_torque", "acceleration") else content  # fmt: skip
+        place = content["channels"] if key in QUANTITIES else content
         place[key] = value
         if value is None:
             del place[key]

@@ -239,7 +239,7 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
-    """Of the estimates on both sides of 13 borders, all of one soil but for two, those two count; so does each gap."""
+    """Estimates on both sides of 13 borders are of one soil but for two: those two count, and so does each gap."""
     steps = 1400
     time, shown = 0.1 * np.arange(steps), {"wheel_speed": np.full(steps, 2.0), "speed": np.full(steps, 0.25)}
     prior, soil = replay(made(log_map, [(0.2, 1.0)]), log_map).prior, np.repeat([0.0, 1.5, 0.0], [500, 400, 500])
@@ -259,7 +259,7 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
 
 
 def test_ground_is_called_impassable_with_a_probability_and_not_where_it_was_crossed(log_map):
-    """Of four grounds without pull to spare: one known too badly, one where the wheel went on, one where it spins."""
+    """Four grounds without pull to spare: one known too badly, one where the wheel went on, one where it spins."""
     time, ground = 0.1 * np.arange(80), np.repeat([1, 2, 3, 4], 20)
     speed, slip = np.full(80, 0.2), np.full(80, 0.3)
     margin, sd = np.full(80, -0.05), np.full(80, 0.02)

@@ -1,4 +1,4 @@
-"""What is doubted of a log, in one line each, and that a log of what was driven raises no doubt."""
+"""Doubts about readings of a log, in one line each; a log as it was driven raises none."""
 
 import dataclasses
 import math

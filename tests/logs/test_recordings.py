@@ -82,6 +82,7 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
 
 
 def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     folder, log_map, _ = drives
     whole = read_recording(folder / "MCAP", log_map)
     names = list(whole.readings)
@@ -90,18 +91,10 @@ def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
     (tmp_path / "drive.csv").write_text("# rig 3\n" + "\n".join(lines) + "\n")
     changes = {name: {"column": name} for name in names} | {"time": {"column": "t", "unit": "s"}}
     table_map = read_map(write_map(tmp_path, changes))
-    files = ["drive.csv"]
-    try:
-        import pyarrow
-        import pyarrow.parquet
-
-        columns = {"t": pyarrow.array((rows[:, 0] * 1e9).round().astype("int64"), pyarrow.timestamp("ns"))}
-        columns |= {name: rows[:, k + 1] for k, name in enumerate(names)}
-        pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "drive.parquet", row_group_size=64)
-        files.append("drive.parquet")
-    except ImportError:
-        pass
-    for file in files:
+    times = pyarrow.array((rows[:, 0] * 1e9).round().astype("int64"), pyarrow.timestamp("ns"))
+    columns = {"t": times} | {name: rows[:, k + 1] for k, name in enumerate(names)}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "drive.parquet", row_group_size=64)
+    for file in ("drive.csv", "drive.parquet"):
         found = read_recording(tmp_path / file, table_map)
         assert found.start == pytest.approx(whole.start, abs=1000)
         for name, values in whole.readings.items():

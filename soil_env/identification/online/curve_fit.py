@@ -17,22 +17,8 @@ import math
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online import curve
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
-from soil_env.identification.online.curve import (
-    FIELDS,
-    LOAD,
-    ON_BORDER,
-    PLACE,
-    PULL,
-    PULL_WEIGHT,
-    SINKAGE,
-    SINKAGE_WEIGHT,
-    SLIP,
-    SLIP_WEIGHT,
-    SPREAD,
-    TORQUE,
-    TORQUE_WEIGHT,
-)
 from soil_env.identification.online.soil_nodes import (
     BORDER_PLACE,
     COHESION,
@@ -102,23 +88,24 @@ def quadratic_form(c, g, a, b):
 @compiled_part
 def linearise(banks, k, b, numbers):
     """Linearise bin b of wheel k at the unknowns of its nodes."""
-    nodes, bins, at = banks.nodes[k], banks.bins[k], b * FIELDS
+    nodes, bins, at = banks.nodes[k], banks.bins[k], b * curve.FIELDS
     fits, f = banks.fits[k], b * FIT_ROWS * COUNT
     tangent, cohesion = from_array(nodes, TANGENT * COUNT), from_array(nodes, COHESION * COUNT)
     exponent, ln_K = from_array(nodes, EXPONENT * COUNT), from_array(nodes, LN_K * COUNT)
     w, by_place, slip = fill(1.0), fill(0.0), from_array(fits, f + NEXT_SLIP * COUNT)
-    known, soil, on_border = banks.known[k], GroundSoil(tangent, cohesion, exponent, ln_K), bins[at + ON_BORDER] > 0.0
+    known, soil = banks.known[k], GroundSoil(tangent, cohesion, exponent, ln_K)
+    on_border = bins[at + curve.ON_BORDER] > 0.0
     away = GroundSoil(tangent - known[OLD], cohesion - known[OLD + 1], exponent - known[OLD + 2], ln_K - known[OLD + 3])
     if on_border:
         place, same = from_array(nodes, BORDER_PLACE * COUNT), from_array(nodes, SAME_SOIL * COUNT)
-        w, by_place = share_on_border(fill(bins[at + PLACE]), bins[at + SPREAD], place, numbers.border)
+        w, by_place = share_on_border(fill(bins[at + curve.PLACE]), bins[at + curve.SPREAD], place, numbers.border)
         w, by_place = larger(w, same), (1.0 - same) * by_place
         v = 1.0 - w
         soil = GroundSoil(
             tangent - v * away.tangent, cohesion - v * away.cohesion, exponent - v * away.exponent, ln_K - v * away.ln_K
         )
-    found = reaction(soil, fill(bins[at + SINKAGE]), slip, bins[at + LOAD], numbers.radius, numbers.width)
-    p, t, of_sinkage = found.pull, found.torque, 1.0 / bins[at + SINKAGE_WEIGHT]
+    found = reaction(soil, fill(bins[at + curve.SINKAGE]), slip, bins[at + curve.LOAD], numbers.radius, numbers.width)
+    p, t, of_sinkage = found.pull, found.torque, 1.0 / bins[at + curve.SINKAGE_WEIGHT]
     _store(nodes, fits, f + OF_PULL * COUNT, p, w, by_place, away, slip)
     _store(nodes, fits, f + OF_TORQUE * COUNT, t, w, by_place, away, slip)
     pp = of_sinkage * p.by_sinkage * p.by_sinkage
@@ -199,7 +186,7 @@ def solve(banks, k, numbers):
         to_array(fill(0.0), A, below_diagonal(3, j) * COUNT)
     to_array(fill(of_place), A, below_diagonal(3, 3) * COUNT)
     for b in range(int(banks.point.bins[k])):
-        chi, volume = _add_bin(nodes, bins, b * FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
+        chi, volume = _add_bin(nodes, bins, b * curve.FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
         cost, volumes = cost + chi, volumes * volume
     return _step(banks, k, A, g, cost, _OF_VOLUME * log(volumes), numbers)
 
@@ -207,13 +194,14 @@ def solve(banks, k, numbers):
 @compiled_inline
 def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
-    slip, of_slip, error = bins[at + SLIP], 1.0 / bins[at + SLIP_WEIGHT], form_error * bins[at + LOAD]
-    p = _residual(nodes, fits, f, OF_PULL, bins[at + PULL], slip)
-    t = _residual(nodes, fits, f, OF_TORQUE, bins[at + TORQUE], slip)
+    slip, of_slip, error = bins[at + curve.SLIP], 1.0 / bins[at + curve.SLIP_WEIGHT], form_error * bins[at + curve.LOAD]
+    p = _residual(nodes, fits, f, OF_PULL, bins[at + curve.PULL], slip)
+    t = _residual(nodes, fits, f, OF_TORQUE, bins[at + curve.TORQUE], slip)
     p_slip = from_array(fits, f + (OF_PULL + BY_SLIP) * COUNT)
     t_slip = from_array(fits, f + (OF_TORQUE + BY_SLIP) * COUNT)
     twist = error * numbers.radius
-    of_pull, of_torque = 1.0 / bins[at + PULL_WEIGHT] + error * error, 1.0 / bins[at + TORQUE_WEIGHT] + twist * twist
+    of_pull = 1.0 / bins[at + curve.PULL_WEIGHT] + error * error
+    of_torque = 1.0 / bins[at + curve.TORQUE_WEIGHT] + twist * twist
     pp = from_array(fits, f + BESIDE * COUNT) + of_slip * p_slip * p_slip + of_pull
     pt = from_array(fits, f + (BESIDE + 1) * COUNT) + of_slip * p_slip * t_slip
     tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
@@ -290,7 +278,7 @@ def _step(banks, k, A, g, cost, volume, numbers):
         gain = fma(v, from_array(g, i * COUNT), gain)
     tangent, exponent = from_array(nodes, TANGENT * COUNT), from_array(nodes, EXPONENT * COUNT)
     d_tangent, d_exponent = from_array(step, TANGENT * COUNT), from_array(step, EXPONENT * COUNT)
-    longest = _STEP_COHESION * banks.bins[k, LOAD] / (numbers.radius * numbers.width)
+    longest = _STEP_COHESION * banks.bins[k, curve.LOAD] / (numbers.radius * numbers.width)
     share = _within(fill(1.0), d_tangent, _STEP_TANGENT)
     share = _within(share, from_array(step, COHESION * COUNT), longest)
     share = _within(share, d_exponent, _STEP_EXPONENT)
@@ -384,9 +372,9 @@ def drop_border(banks, k):
     """Drop the bins on a border from the curve of wheel k, and begin its fit from the prior on."""
     p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0
     for b in range(int(p.bins[k])):
-        if bins[b * FIELDS + ON_BORDER] == 0.0:
-            for i in range(FIELDS):
-                bins[kept * FIELDS + i] = bins[b * FIELDS + i]
+        if bins[b * curve.FIELDS + curve.ON_BORDER] == 0.0:
+            for i in range(curve.FIELDS):
+                bins[kept * curve.FIELDS + i] = bins[b * curve.FIELDS + i]
             begin_bin(banks, k, kept, fits[(b * FIT_ROWS + NEXT_SLIP) * COUNT])
             kept += 1
     begin_again(banks, k)

@@ -21,6 +21,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env._numba.rows import zero_column
+from soil_env.identification.online import curve
 from soil_env.identification.online.border import (
     cross_here,
     cross_where_the_grade_changes,
@@ -30,24 +31,6 @@ from soil_env.identification.online.border import (
     share_here,
 )
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
-from soil_env.identification.online.curve import (
-    KEY,
-    LOAD,
-    ON_BORDER,
-    PLACE,
-    PULL,
-    PULL_WEIGHT,
-    READINGS,
-    SINKAGE,
-    SINKAGE_WEIGHT,
-    SLIP,
-    SLIP_WEIGHT,
-    SPREAD,
-    TORQUE,
-    TORQUE_WEIGHT,
-    add,
-    new_point,
-)
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import fetch_bank, restart
 from soil_env.identification.online.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
@@ -405,14 +388,14 @@ def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
 @compiled_inline
 def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numbers):
     """Add a point to the traction curve: (bin that changed, bin that another took the place of, or -1)."""
-    p, new = banks.point, new_point()
-    new[READINGS], new[SLIP], new[SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
-    new[SINKAGE], new[SINKAGE_WEIGHT] = sinkage, 1.0 / variance
-    new[PULL], new[PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
-    new[TORQUE], new[TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
-    new[LOAD], new[PLACE], new[SPREAD], new[KEY] = load, point.place, point.spread, key
-    new[ON_BORDER] = 1.0 if on_border else 0.0
-    count, changed, replaced = add(banks.bins[k], int(p.bins[k]), new, numbers.border)
+    p, new = banks.point, curve.new_point()
+    new[curve.READINGS], new[curve.SLIP], new[curve.SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
+    new[curve.SINKAGE], new[curve.SINKAGE_WEIGHT] = sinkage, 1.0 / variance
+    new[curve.PULL], new[curve.PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
+    new[curve.TORQUE], new[curve.TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
+    new[curve.LOAD], new[curve.PLACE], new[curve.SPREAD], new[curve.KEY] = load, point.place, point.spread, key
+    new[curve.ON_BORDER] = 1.0 if on_border else 0.0
+    count, changed, replaced = curve.add(banks.bins[k], int(p.bins[k]), new, numbers.border)
     if replaced >= 0 or count > int(p.bins[k]):
         begin_bin(banks, k, replaced if replaced >= 0 else changed, key)
     p.bins[k], p.points[k] = count, p.points[k] + 1.0

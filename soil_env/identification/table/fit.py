@@ -97,7 +97,7 @@ def identify_table(table: Table, setup: Setup) -> TableEstimate:
 
     The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
     and the intervals are over its sizes. Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage
-    that was not measured follows from the load. Raises `ParameterError` if no row tells enough, nothing is to fit, or
+    that was not measured follows from the load. Raises `ParameterError` if no row has enough, nothing is to fit, or
     measured values are fewer than fitted parameters.
     """
     problem = TableProblem(table, setup)
@@ -121,7 +121,7 @@ def identify_table(table: Table, setup: Setup) -> TableEstimate:
 
 
 class _Plain(NamedTuple):
-    """The solution under noise alone, which says whether the base model is enough."""
+    """The solution under noise alone, which shows whether the base model is enough."""
 
     u: np.ndarray
     fits: dict[str, ChannelFit]
@@ -375,7 +375,7 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     if np.any(table.height(problem.setup.wheel)[used] > 0.0):
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
     if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
-        words.append("Wheels of several widths share one S: give k_c and k_phi to tell them apart.")
+        words.append("Wheels of several widths share one S: give k_c and k_phi to separate them.")
     return words
 
 

@@ -76,7 +76,7 @@ def soil_unknowns(
             mean = math.log(value) if log else value
             sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
             low, high = min(low, mean), max(high, mean)
-            sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior tells no less
+            sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior holds no less
         unknowns.append(Unknown(name, mean, sd, low, high, log))
     n = known.get("sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0))
     tilt = setup.tilt_deg
