@@ -84,7 +84,7 @@ def drive_single(case: Case, rng: np.random.Generator, steps: int = 30) -> list[
     for step in range(steps):
         if not env.observation_space.contains(observation):
             broken.append(f"single: observation in its bounds (step {step})")
-        numbers = [v for key in ("state", "traversability") for v in info[key].values()]
+        numbers = [v for key in ("state", "traversability") for v in info.get(key, {}).values()]
         if not all(math.isfinite(v) for v in numbers):
             broken.append(f"single: info finite (step {step})")
         observation, reward, terminated, truncated, info = env.step(commands(8, step, rng)[step % 8])
