@@ -44,5 +44,3 @@ def test_a_template_escapes_text_but_not_a_table_and_refuses_a_missing_name(monk
         render("page.html", body=[], style="")
     own = jinja2.Environment(autoescape=True).from_string("{{ t }}")
     assert own.render(t=TABLE) == TABLE.html()
-
-
