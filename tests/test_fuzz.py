@@ -79,7 +79,7 @@ def unbalanced(env, before, stepped, case: Case) -> dict[str, np.ndarray]:
 
 def drive_single(case: Case, rng: np.random.Generator, steps: int = 30) -> list[str]:
     """Drive the single environment; return its violations in words."""
-    env, broken = SoilWheelEnv(case.scenario, case.observation, model=case.model), []
+    env, broken = SoilWheelEnv(case.scenario, case.observation, model=case.model, info="full"), []
     observation, info = env.reset(seed=int(rng.integers(1 << 30)))
     for step in range(steps):
         if not env.observation_space.contains(observation):
