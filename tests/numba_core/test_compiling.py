@@ -78,7 +78,7 @@ def test_a_fast_call_gives_the_same_and_pickles_by_name():
 
 _LOOP = """
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.model import steady_state
+from soil_env.terramechanics.steady import steady_state
 soil = SoilState(0.6, 500.0, 0.015, 9e5, 1.0, 0.0, 0.5)
 try:
     steady_state(0.2, 150.0, soil, 0.15, 0.15)

@@ -29,7 +29,7 @@ folder = Path(sys.argv[1])
 from soil_env.cli import main
 from soil_env.discrepancy import calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.measurement.table import read_setup, read_table
+from soil_env.measurement import read_setup, read_table
 from agents.controllers import make_controller
 from soil_env.parameters import load_scenario
 
