@@ -5,13 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
+from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online import soil_prior
-from soil_env.parameters import Belief, load_scenario, scenario_names
+from soil_env.logs.mapping import read_map
+from soil_env.online import OnlineIdentifier
+from soil_env.parameters import Belief, load_scenario, scenario_names, to_dict
 from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
+from tests.logs.bags import write_map
 
 
 def believing(**belief):
@@ -105,3 +110,21 @@ def test_widths_of_a_library_hold_68_percent_of_it():
     off = np.abs(drawn - mean) / np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(np.mean(off < soil_prior.widths(gaussians), axis=0), 0.683, atol=0.01)
     assert soil_prior.widths(gaussians)[soil_prior.TANGENT] > 1.15
+
+
+def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
+    """As a change, in the file of a scenario and in the map of a log; a saved belief with the defaults loads."""
+    belief, path = {"soils": {"dry_sand": 1.0}, "cohesion_sd": 9.0}, tmp_path / "own.yaml"
+    path.write_text(yaml.safe_dump({"soils": {"dry_sand": 1.0}, "belief": belief}))
+    for read in (lambda: load_scenario(path), lambda: load_scenario("mixed", {"belief": {"friction_sd_deg": 5.0}}),
+                 lambda: read_map(write_map(tmp_path, {"belief": belief}))):  # fmt: skip
+        with pytest.raises(ParameterError, match=r"belief\.\w+: without effect beside belief.soils"):
+            read()
+    saved = to_dict(load_scenario("mixed").belief)
+    assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
+
+
+def test_an_identifier_of_nothing_is_refused():
+    scenario = load_scenario("mixed", {"belief": {"method": "none"}})
+    with pytest.raises(ParameterError, match="method"):
+        OnlineIdentifier.of_scenario(scenario)
