@@ -284,7 +284,7 @@ class _Strict(yaml.SafeLoader):
 
 
 def _twice(node: yaml.MappingNode) -> tuple[yaml.Mark, str]:
-    """Where a key of a mapping is given the second time, and what is wrong with it; "" where none is."""
+    """Place of the second mention of a key in a mapping and the complaint, "" if no key stands twice."""
     seen: set[str] = set()
     for key, _ in node.value:
         if isinstance(key, yaml.ScalarNode):

@@ -121,7 +121,7 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
 
 
 def test_sound_tables_are_rarely_doubted(tmp_path):
-    """Of 60 cases of the benchmark at most 1 in 20 (8 of 60 has probability 0.01 at 1 in 20)."""
+    """At most 1 in 20 of 60 benchmark cases (8 of 60 has probability 0.01 at 1 in 20)."""
     found = []
     for name, k in itertools.product(("one-few-10", "none-poor-10", "one-poor-10", "none-few-10"), range(15)):
         case = draw_case(11, Task(name, k))

@@ -1,4 +1,4 @@
-"""What a finding is worth: intervals, the share of the gap that is closed, shares of it, the ranking."""
+"""Worth of a finding: intervals, the share of the gap that is closed, shares of it, the ranking."""
 
 import math
 from types import SimpleNamespace

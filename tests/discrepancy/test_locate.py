@@ -1,4 +1,4 @@
-"""Where a table and a model disagree: planted boxes are found, chance is not."""
+"""Location of disagreement between table and model: planted boxes are found, chance is not."""
 
 import numpy as np
 import pytest

@@ -101,7 +101,7 @@ def fitted(folder, text, more=""):
 
 
 def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
-    """What is geometry is no missing effect, and the model that is written knows it."""
+    """Geometry is no missing effect, and the written model contains it."""
     rms, problem, fit = fitted(tmp_path, hilly(), "load: vertical\n")
     assert rms < 1.2
     assert fitted(tmp_path, hilly())[0] > 5.0

@@ -21,7 +21,7 @@ def rich():
 
 
 def planted(data, channel, coefficient, **powers):
-    """What a law of the conditions adds to a table [N, 3]."""
+    """Contribution of a law of the conditions to a table [N, 3]."""
     rows = data.rows
     known = {"slip": rows.slip, "speed": rows.conditions[:, 0] / math.sqrt(GRAVITY * WHEEL.radius),
              "pass": rows.conditions[:, 1]}  # fmt: skip

@@ -111,7 +111,7 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
 
 
 class SteadyResult(NamedTuple):
-    """What instruments read: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its target."""
+    """Readings: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its target."""
 
     sinkage: float
     drawbar_pull: float

@@ -39,7 +39,7 @@ def motion(rng):
 
 @pytest.mark.parametrize("case", EVERY)
 def test_rates_of_the_reaction_against_central_differences(case):
-    """What depends on slip at the start of a substep is held."""
+    """Quantities that depend on slip at the start of a substep are held."""
     wheel, d = wheel_with(case), 1e-7
     names, rng = sorted(soils()), np.random.default_rng(0)
     for _ in range(90):
