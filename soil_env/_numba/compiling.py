@@ -25,7 +25,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from functools import update_wrapper
 from pathlib import Path
@@ -33,8 +32,7 @@ from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numba import config, njit, typeof, types
-from numba.extending import intrinsic, typeof_impl
-from numba.np.arrayobj import make_array
+from numba.extending import typeof_impl
 
 from soil_env._numba.cache import CACHE, await_code_of, is_kept, keep
 from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
@@ -212,26 +210,3 @@ def compile_aside(function, arguments: tuple) -> None:
     with contextlib.suppress(OSError), child.stdin as orders:
         orders.write(pickle.dumps((function.__module__, function.__name__, signature)))
     await_code_of(function, signature, child.wait)
-
-
-@intrinsic
-def _take(typingctx, counter, count):
-    def emit(context, builder, sig, args):
-        data = make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.atomic_rmw("add", data, args[1], "monotonic")
-
-    return types.int64(counter, types.int64), emit
-
-
-_TAKING = threading.Lock()
-
-
-def _take_in_python(counter, count):
-    with _TAKING:
-        taken = int(counter[0])
-        counter[0] += count
-    return taken
-
-
-#: take(counter, count): present value of counter[0] (int64), which grows by `count` at once, whatever other threads do.
-take = _take if COMPILED else _take_in_python

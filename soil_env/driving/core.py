@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,9 @@ from soil_env._numba.random_streams import seed_stream
 from soil_env._numba.threads import threads
 from soil_env.driving.estimator import Results
 from soil_env.parameters import Scenario
-from soil_env.simulation.wheels import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
+from soil_env.simulation.wheels import AHEAD, COMPLETE, DRIVEN, IDLE, LAID, RESTART, STEP, TRY
 
 _TRIAL_COURSES = 8
-_COURSES = 8  # that a thread draws, at least
-_ONLY = np.zeros(1, dtype=np.int64)
 
 
 def processors() -> int:
@@ -48,7 +47,8 @@ class Vehicles:
         self._threads = threads or processors()
         self._least = least  # vehicles that a thread takes at a time, at least
         self._what = np.full(count, IDLE)
-        self._counter = np.ones(2, dtype=np.int64)
+        self._progress = np.full(count, DRIVEN, dtype=np.int64)
+        self._counters = np.ones((3, 3), dtype=np.int64)  # of each function: [next, threads at work, failures]
 
     def _begin(self, lay, step, world, trial, commands: int, estimate, estimator, belief) -> None:
         """Take the compiled functions with their arrays, and try the scenario on a `trial` world of one vehicle.
@@ -59,16 +59,17 @@ class Vehicles:
         self._lay, self._step, self._estimate = FastCall(lay), FastCall(step), FastCall(estimate)
         self._estimator, self.belief = estimator, belief
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
-        calls = zip((step, estimate), self._calls(self._what), strict=False)
-        for function, (_, arguments) in reversed(list(calls)):
+        for function, (_, arguments) in reversed(list(zip((step, estimate), self._drive(self._what), strict=False))):
             compile_aside(function, arguments)
         self._check_passable(trial)
 
     def _check_passable(self, trial: Any) -> None:
         """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
         trial.streams[0] = 1
+        only, orders, counter = np.zeros(1, dtype=np.int64), np.array([TRY]), self._counters[0]
         for _ in range(_TRIAL_COURSES):
-            self._lay(trial, self.numbers, _ONLY, TRY, np.array([0, 1]))
+            counter[:] = 0
+            self._lay(trial, self.numbers, only, orders, self._progress, counter)
             if trial.reward[0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
@@ -81,18 +82,18 @@ class Vehicles:
 
     def restart(self, k: int) -> None:
         """New course and fresh start for vehicle k."""
-        self._draw(k, RESTART)
+        self._lay_one(k, RESTART)
         self._do(k, RESTART)
 
     def complete(self, k: int) -> None:
         """Draw the rest of the course of vehicle k; it goes on as it would have."""
-        self._draw(k, COMPLETE)
+        self._lay_one(k, COMPLETE)
 
     def step(self, k: int, command: Any) -> None:
         """One step of vehicle k: the control periods of an action."""
         self._commands[self._rows_of(k)] = command
         if self._world.courses.ready.item(k) < self._x().item(k) + self._ahead:
-            self._draw(k, AHEAD)
+            self._lay_one(k, AHEAD)
         self._do(k, STEP)
 
     def step_all(self, commands: np.ndarray, what: np.ndarray) -> None:
@@ -126,42 +127,45 @@ class Vehicles:
         """Value of the counter that leads to vehicle k."""
         return 0
 
-    def _draw(self, k: int, order: np.int8) -> None:
-        self._counter[:] = 0, 1
-        self._lay(self._world, self.numbers, np.array([k]), order, self._counter)
+    def _lay_one(self, k: int, order: np.int8) -> None:
+        function, arguments = self._courses(np.array([k]), np.array([order]))
+        self._counters[:] = 0, 1, 0
+        function(*arguments)
+        self._check_laid()
+
+    def _check_laid(self) -> None:
+        if self._counters[0, 2]:
+            raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
 
     def _do(self, k: int, order: np.int8) -> None:
         self._what[k] = order
+        self._counters[:] = self._first(k), 1, 0
         try:
-            for kernel, arguments in self._calls(self._what):
-                self._counter[:] = self._first(k), 1
-                kernel(*arguments)
+            for function, arguments in self._drive(self._what):
+                function(*arguments)
         finally:
             self._what[k] = IDLE
 
     def _all(self, what: np.ndarray) -> None:
         """Follow the orders, in several threads if there are many vehicles."""
-        short = (what == STEP) & (self._world.courses.ready < self._x() + self._ahead)
-        for which, order in ((what == RESTART, RESTART), (short, AHEAD)):
-            rows = np.flatnonzero(which)
-            if rows.size:
-                arguments = self._world, self.numbers, rows, order, self._counter
-                self._in_parallel(self._lay, arguments, -(-rows.size // _COURSES))
-        for kernel, arguments in self._calls(what):
-            self._in_parallel(kernel, arguments, -(-self.count // self._least))
+        orders = what.copy()
+        orders[(what == STEP) & (self._world.courses.ready < self._x() + self._ahead)] = AHEAD
+        rows = np.flatnonzero((orders == RESTART) | (orders == AHEAD))
+        self._progress[:] = LAID
+        self._progress[rows] = 0
+        calls = [self._courses(rows, orders[rows]), *self._drive(what)] if rows.size else list(self._drive(what))
+        at_work = min(self._threads, -(-self.count // self._least))
+        self._counters[:] = 0, at_work, 0
+        threads(self._threads).run(calls, at_work - 1)
+        self._check_laid()
 
-    def _in_parallel(self, kernel: FastCall, arguments: tuple, most: int) -> None:
-        """Run a compiled function in up to `most` threads, which share no row; it holds no lock."""
-        at_work = min(self._threads, most)
-        self._counter[:] = 0, at_work
-        if at_work == 1:
-            kernel(*arguments)
-        else:
-            threads(self._threads).run(kernel, arguments, at_work - 1)
+    def _courses(self, rows: np.ndarray, orders: np.ndarray) -> tuple[FastCall, tuple]:
+        """Compiled function with its arguments that lays courses."""
+        return self._lay, (self._world, self.numbers, rows, orders, self._progress, self._counters[0])
 
-    def _calls(self, what: np.ndarray):
+    def _drive(self, what: np.ndarray) -> Iterator[tuple[FastCall, tuple]]:
         """Compiled functions with their arguments: the world, then what is on board."""
-        yield self._step, (self._world, self.numbers, self._commands, what, self._counter)
+        yield self._step, (self._world, self.numbers, self._commands, what, self._progress, self._counters[1])
         if self._estimator is not None:
             known = self._estimator, self.belief, self._world.record, self._results
-            yield self._estimate, (*known, what, self._counter)
+            yield self._estimate, (*known, what, self._progress, self._counters[2])

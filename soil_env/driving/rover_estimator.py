@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env._numba.lanes import COUNT
+from soil_env._numba.threads import take, wait_for
 from soil_env.driving.estimator import knowledge
 from soil_env.identification.online.identifier import (
     HELD,
@@ -35,7 +36,7 @@ from soil_env.simulation.rover.rovers import blocks_of
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_reading
+from soil_env.simulation.wheels import DRIVEN, RESTART, RUNNING, STEP, load_reading
 from soil_env.simulation.world.wheel import wheel_of
 from soil_env.vehicle import RoverScenario
 
@@ -152,12 +153,14 @@ def _show(estimator, numbers, results, j):
 
 
 @compiled_root(nogil=True)
-def estimate_rovers(estimator, numbers, record, results, what, counter):
-    """Follow the orders `what` [rovers] that the world has executed; `counter`: [next block, threads at work]."""
+def estimate_rovers(estimator, numbers, record, results, what, progress, counter):
+    """Follow the orders `what` [rovers] of the rovers that are DRIVEN; `counter`: [next block, threads at work]."""
     blocks, portion = blocks_of(what.size, counter)
     block = take(counter, portion)
     while block < blocks:
-        for j in range(block * COUNT, min((block + portion) * COUNT, what.size)):
+        end = min((block + portion) * COUNT, what.size)
+        wait_for(progress, block * COUNT, end, DRIVEN)
+        for j in range(block * COUNT, end):
             if what[j] == STEP:
                 _step(estimator, numbers, record, results, j)
             elif what[j] == RESTART:

@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
+from soil_env._numba.threads import mark, take, wait_for
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
@@ -37,6 +38,8 @@ STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 #: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
+#: Progress of a vehicle within a step: its course is there; it has driven.
+LAID, DRIVEN = 1, 2
 RUNNING = Cause.RUNNING.value
 load_reading, store_reading = row_record(SensorReading)
 load_image, _store_image = row_record(Image)
@@ -117,35 +120,37 @@ def clear_reward(worlds, k):
 
 @compiled_inline
 def start_passable(k, courses, streams, numbers):
-    """Start a new course k; the mass [kg] on the wheel with payload."""
+    """Start a new course k; the mass [kg] on the wheel with payload, or -1 if no passable course was found."""
     mass, attempts = -1.0, 0
     while mass < 0.0 and attempts < _RESTARTS:
         mass = start_course(k, courses, streams, numbers)
         attempts += 1
-    if mass < 0.0:
-        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
     return mass
 
 
 @compiled_root(nogil=True)
-def lay_wheels(worlds, numbers, rows, order, counter):
-    """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
+def lay_wheels(worlds, numbers, rows, orders, progress, counter):
+    """Follow the `orders` [n] for the courses `rows` [n]; `counter`: [next of them, threads at work, failures].
 
-    RESTART starts a new course and puts the wheel at rest at its start.
+    RESTART starts a new course and puts the wheel at rest at its start. `progress` [wheels] is then LAID.
     """
     courses, streams = worlds.courses, worlds.streams
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
     i = take(counter, 1)
     while i < rows.size:
-        k = rows[i]
+        k, order = rows[i], orders[i]
         if order == RESTART:
             mass = start_passable(k, courses, streams, course)
-            settle(worlds.state, worlds.counts, k, mass, courses, streams, numbers.world)
+            if mass < 0.0:
+                counter[2] = 1
+            else:
+                settle(worlds.state, worlds.counts, k, mass, courses, streams, numbers.world)
         elif order == TRY:
             worlds.reward[k] = draw_course(k, courses, streams, course)
         else:
             x = np.inf if order == COMPLETE else worlds.state.x[k] + course.drawn.ahead
             extend_course(k, courses, worlds.state.mass[k], x, course)
+        mark(progress, k, LAID)
         i = take(counter, 1)
 
 
@@ -235,16 +240,17 @@ def portion_of(counter, wheels):
 
 
 @compiled_root(nogil=True)
-def step_wheels(worlds, numbers, commands, what, counter):
-    """Step or observe wheels as `what` [wheels] says, chunk by chunk; `counter`: [next wheel, threads at work].
+def step_wheels(worlds, numbers, commands, what, progress, counter):
+    """Follow the orders `what` [wheels] STEP and RESTART, chunk by chunk; `counter`: [next wheel, threads at work].
 
-    The ground ahead is there (`lay_wheels`).
+    A chunk waits until its courses are LAID (`lay_wheels`); `progress` [wheels] is then DRIVEN.
     """
     wheels = what.size
     portion = portion_of(counter, wheels)
     start = take(counter, portion)
     while start < wheels:
         count, steps = min(portion, wheels - start), 0
+        wait_for(progress, start, start + count, LAID)
         for k in range(start, start + count):
             worlds.going[k] = STEP if what[k] == STEP else IDLE
             if what[k] == STEP:
@@ -253,6 +259,8 @@ def step_wheels(worlds, numbers, commands, what, counter):
             elif what[k] == RESTART:
                 _restart(worlds, numbers, k)
         _step(worlds, numbers, commands, start, count, steps)
+        for k in range(start, start + count):
+            mark(progress, k, DRIVEN)
         portion = portion_of(counter, wheels)
         start = take(counter, portion)
 

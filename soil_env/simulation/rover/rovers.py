@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root, take
+from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
+from soil_env._numba.threads import mark, take, wait_for
 from soil_env.readings import SensorReading
 from soil_env.simulation.rover.body import (
     AxleState,
@@ -30,7 +31,9 @@ from soil_env.simulation.task.observation import clip
 from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, reward_terms, total_of
 from soil_env.simulation.wheels import (
     COMPLETE,
+    DRIVEN,
     IDLE,
+    LAID,
     RESTART,
     RUNNING,
     STEP,
@@ -177,25 +180,29 @@ def _settle(worlds, numbers, j, mass):
 
 
 @compiled_root(nogil=True)
-def lay_rovers(worlds, numbers, rows, order, counter):
-    """Follow an `order` for the courses `rows` [n]; `counter`: [next of them, threads at work].
+def lay_rovers(worlds, numbers, rows, orders, progress, counter):
+    """Follow the `orders` [n] for the courses `rows` [n]; `counter`: [next of them, threads at work, failures].
 
-    RESTART starts a new course and puts the rover at rest at its start.
+    RESTART starts a new course and puts the rover at rest at its start. `progress` [rovers] is then LAID.
     """
     courses, s, body = worlds.courses, numbers.suspension, worlds.rovers.body
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
     i = take(counter, 1)
     while i < rows.size:
-        j = rows[i]
+        j, order = rows[i], orders[i]
         if order == RESTART:
             mass = start_passable(j, courses, worlds.streams, course)
-            extend_course(j, courses, mass, s.base + course.drawn.ahead, course)
-            _settle(worlds, numbers, j, mass)
+            if mass < 0.0:
+                counter[2] = 1
+            else:
+                extend_course(j, courses, mass, s.base + course.drawn.ahead, course)
+                _settle(worlds, numbers, j, mass)
         elif order == TRY:
             worlds.reward[j] = start_course(j, courses, worlds.streams, course)
         else:
             x = np.inf if order == COMPLETE else body.x[j] + s.base + course.drawn.ahead
             extend_course(j, courses, body.mass[j] / s.axles, x, course)
+        mark(progress, j, LAID)
         i = take(counter, 1)
 
 
@@ -295,15 +302,19 @@ def blocks_of(rovers, counter):
 
 
 @compiled_root(nogil=True)
-def step_rovers(worlds, numbers, commands, what, counter):
-    """Execute the orders `what` [rovers], block by block; `commands` [wheels]; `counter`: [next block, threads]."""
+def step_rovers(worlds, numbers, commands, what, progress, counter):
+    """Follow the orders `what` [rovers], block by block; `commands` [wheels]; `counter`: [next block, threads].
+
+    A block waits until its courses are LAID (`lay_rovers`); `progress` [rovers] is then DRIVEN.
+    """
     rovers = what.size
     blocks, portion = blocks_of(rovers, counter)
     block = take(counter, portion)
     while block < blocks:
         for b in range(block, min(block + portion, blocks)):
-            steps = 0
-            for j in range(b * COUNT, min((b + 1) * COUNT, rovers)):
+            steps, end = 0, min((b + 1) * COUNT, rovers)
+            wait_for(progress, b * COUNT, end, LAID)
+            for j in range(b * COUNT, end):
                 worlds.going[j] = STEP if what[j] == STEP else IDLE
                 if what[j] == STEP:
                     clear_reward(worlds, j)
@@ -312,4 +323,6 @@ def step_rovers(worlds, numbers, commands, what, counter):
                     _restart(worlds, numbers, j)
             if steps > 0:
                 _step_block(worlds, numbers, commands, b * COUNT)
+            for j in range(b * COUNT, end):
+                mark(progress, j, DRIVEN)
         block = take(counter, portion)
