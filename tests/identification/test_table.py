@@ -105,12 +105,7 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
 
 @pytest.mark.parametrize(
     "known, noise, draws, least",
-    [
-        (("cohesion", "sinkage_exponent"), SD, 60, 51),
-        (("cohesion",), SD, 60, 51),
-        ((), SD, 60, 51),
-        ((), None, 30, 24),
-    ],
+    [(("cohesion", "sinkage_exponent"), SD, 60, 51), (("cohesion",), SD, 60, 51), ((), SD, 60, 51), ((), None, 30, 24)],
     ids=["3", "4", "5", "5, noise estimated"],
 )
 def test_intervals_cover_the_truth(tmp_path, known, noise, draws, least):
