@@ -138,9 +138,6 @@ def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
     assert crossed > 10 and abs(wheel.p.border[0] - 0.25) < 0.02
 
 
-# --- on courses -------------------------------------------------------------------------------------------------------
-
-
 WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
 NO_SPREAD = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
 ONE_SOIL = {

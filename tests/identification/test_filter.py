@@ -37,9 +37,6 @@ class Fed:
         return self.ids.banks.bins[0].reshape(curve.BINS + 1, curve.FIELDS)[: int(self.p.bins[0])]
 
 
-# --- points -----------------------------------------------------------------------------------------------------------
-
-
 def test_a_point_is_a_few_readings():
     """Eight of them, or two thirds of a radius of way: completed by the reading after."""
     slow, fast = Fed(), Fed()
@@ -76,9 +73,6 @@ def test_wheels_that_do_not_drive_tell_nothing(changes):
     assert fed.p.points[0] == 0.0 and fed.ids.status[0] == Status.NO_DATA
 
 
-# --- on courses -------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def known_along_a_soil():
     """Median standard deviations [5, 2] of friction and K of eight wheels, a quarter of the drive apart."""
@@ -105,9 +99,6 @@ def test_what_is_known_grows_along_a_soil(known_along_a_soil):
 def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
     sds = known_along_a_soil
     assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.15 * sds[:-1]), sds
-
-
-# --- what enters ------------------------------------------------------------------------------------------------------
 
 
 def numbers_of(ids):

@@ -44,9 +44,6 @@ def snapshot(ids, k=0):
     return out
 
 
-# --- the truth stays outside ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("plain", [True, False])
 def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
     """Numbers that it has beforehand are the same whatever the soils, their scatter and the course.
@@ -99,9 +96,6 @@ def test_only_readings_enter(hide):
     assert w.ids.banks.point.points[0] > 5.0
     for (name, a), b in zip(snapshot(w.ids).items(), snapshot(other).values(), strict=True):
         np.testing.assert_array_equal(a, b, name)
-
-
-# --- in the simulated world -------------------------------------------------------------------------------------------
 
 
 def excited(step):
@@ -241,9 +235,6 @@ def test_an_estimate_that_is_no_soil_is_forgotten():
     fresh = identifier.new_identifiers(1)
     identifier.forget(fresh, 0, numbers)
     assert np.all(np.isfinite(ids.estimate)) and np.all(np.abs(ids.estimate[0, [1, 2, 4]]) < FARTHEST)
-
-
-# --- off --------------------------------------------------------------------------------------------------------------
 
 
 def test_without_identification_a_wheel_drives_as_with_it():

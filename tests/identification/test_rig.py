@@ -47,9 +47,6 @@ def within(estimate, sds: float = 3.0):
     return True
 
 
-# --- without sinkage --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_pull_and_torque_suffice(tmp_path, seed):
     rows = clean()
@@ -71,8 +68,6 @@ def test_one_force_needs_a_prior_of_the_stiffness(tmp_path):
     setup = Setup(WHEEL, SoilPriors(**KNOWN, sinkage_coefficient=Prior(9e5, 1e5)), NoiseLevels(**SD))
     assert found(identify_table(bare, setup)) == pytest.approx(SAND.friction_angle_deg, rel=0.01)
 
-
-# --- load on a grade --------------------------------------------------------------------------------------------------
 
 GRADES = (-8.0, 0.0, 8.0, 15.0)
 
@@ -118,9 +113,6 @@ def test_free_climbing_tells_the_soil(tmp_path):
         identify_table(t, setup_of())
 
 
-# --- a rig that is not level ------------------------------------------------------------------------------------------
-
-
 def tilted(tilt_deg: float, loads=LOADS):
     """Rows of a rig whose axes the ground rises against by a tilt."""
     d, out = math.radians(tilt_deg), []
@@ -142,9 +134,6 @@ def test_a_tilt_is_fitted_with_the_soil(tmp_path, tilt):
     assert known.parameters["tilt_deg"].known and within(known)
     level = identify_table(t, setup_of())
     assert level.law_error > 2.0 * e.law_error and "tilt_deg" not in level.parameters
-
-
-# --- noise row by row -------------------------------------------------------------------------------------------------
 
 
 def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):

@@ -85,9 +85,6 @@ def write_example(path):
             writer.writerow([f"{slip:g}", f"{load:g}", f"{z:.5f}", f"{pull:.2f}", f"{torque:.3f}", "synthetic"])
 
 
-# --- recovery ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("known", [("cohesion", "sinkage_exponent"), ("cohesion",), ()], ids=["3", "4", "5"])
 @pytest.mark.parametrize("soil", [SAND, CLAY], ids=["sand", "clay"])
 def test_recovers_the_soil_without_noise(tmp_path, known, soil):
@@ -208,9 +205,6 @@ def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
     assert e.parameters["friction_angle_deg"].value == pytest.approx(31.0, rel=5e-3)
 
 
-# --- what the data do not determine -----------------------------------------------------------------------------------
-
-
 def test_names_what_the_data_cannot_tell(tmp_path):
     """One load and no torque: cohesion cannot be told from friction, and a prior stays what it was."""
     rows = clean()[:8]
@@ -244,9 +238,6 @@ def test_says_that_the_model_does_not_fit(tmp_path):
 def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words):
     with pytest.raises(ParameterError, match=words):
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
-
-
-# --- what looks wrong ---------------------------------------------------------------------------------------------
 
 
 def test_a_very_wide_prior_tells_no_more_than_the_admissible_range(tmp_path):
@@ -284,9 +275,6 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient"):
         assert e.parameters[name].value == pytest.approx(dict(zip(NAMES, SAND, strict=True))[name], rel=3e-3), name
     assert any("does not fit" in w for w in identify_table(table, setup_of(known)).warnings)
-
-
-# --- few points, noise estimated ---------------------------------------------------------------------------------
 
 
 def line(x, y, sd):

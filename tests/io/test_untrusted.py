@@ -79,9 +79,6 @@ def test_no_unsafe_loading_in_the_sources():
     ]
 
 
-# --- zips -------------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     pytest.importorskip("stable_baselines3")

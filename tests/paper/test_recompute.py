@@ -26,9 +26,6 @@ def results():
     return compare.compute(seed=3)
 
 
-# --- the equations ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("compaction", [True, False])
 def test_forces_against_the_independent_judge(compaction):
     """Exact integration agrees with adaptive quadrature, at the working point of the paper (9)."""
@@ -69,9 +66,6 @@ def bounded(start):
 
 def test_an_independent_solver_finds_the_same_root():
     np.testing.assert_allclose(bounded((30.0, 0.03, 5e5)), compare.root(HELD[0]), rtol=1e-6)
-
-
-# --- printed numbers --------------------------------------------------------------------------------------------------
 
 
 def test_drawbar_pull_and_cohesion_to_the_last_digit():
@@ -211,9 +205,6 @@ def test_soils_of_fig_9_are_not_those_of_the_paper():
     assert np.nanmax(compare.torque(excluded)) < P.fig9_about["clayey_soil"]
     high = {name for name, row in rows.items() if compare.torque_at_37_deg(row).max() > P.available_torque}
     assert high == {"sandy_loam"} and set(P.fig9_about) == {"clayey_soil"}
-
-
-# --- the page and its data --------------------------------------------------------------------------------------------
 
 
 def test_page_and_figures_are_written(tmp_path, results):

@@ -42,9 +42,6 @@ def random_case(rng, softest_k):
     return soil, rng.uniform(0.1, 1.5), r, r * rng.uniform(0.2, 1.5)
 
 
-# --- against quadrature -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(40))
 @pytest.mark.parametrize(("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)])
 def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
@@ -72,9 +69,6 @@ def test_simpson_converges_to_the_quadrature():
         w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
         errors.append(relative_error(w, judge, r))
     assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
-
-
-# --- limits -----------------------------------------------------------------------------------------------------------
 
 
 def test_resting_wheel_has_no_shear():
@@ -105,8 +99,6 @@ def test_exponent_zero_is_constant_stress():
     assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
     assert contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0 and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
 
-
-# --- symmetry, range, derivatives -------------------------------------------------------------------------------------
 
 speeds = st.floats(-5.0, 5.0)
 

@@ -27,8 +27,6 @@ def on(name, **parameters):
     return pack_effects({name: parameters})
 
 
-# --- the catalogue ----------------------------------------------------------------------------------------------------
-
 #: Parameters whose prior scale comes from the table; a rig's size for them.
 RIG = {
     ("drivetrain_friction", "constant"): 2.0,
@@ -84,8 +82,6 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
         if effect.varies in ("pass", "grade_deg"):
             assert steady(idle | {name: value}, effect.name, fresh) == steady(idle, effect.name, fresh)
 
-
-# --- properties of the laws -------------------------------------------------------------------------------------------
 
 R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
 

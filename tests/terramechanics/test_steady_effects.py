@@ -77,9 +77,6 @@ def random_slip(rng):
     return rng.uniform(0.03, 0.85) if rng.random() < 0.75 else rng.uniform(-0.3, -0.06)
 
 
-# --- against quadrature -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("case", range(3))
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=[f"{name}-{form.name}" for name, form in FORMS])
 def test_one_effect_against_quadrature(name, form, case):
@@ -104,8 +101,6 @@ def test_effects_together_against_quadrature(seed):
     soil, site, load = random_place(rng)
     compare(soil, random_slip(rng), load, site, random_effects(rng, rng.integers(2, 6)))
 
-
-# --- equivalent cases -------------------------------------------------------------------------------------------------
 
 SOIL = SoilState(math.tan(math.radians(32.0)), 800.0, 0.015, 9e5, 0.9, 0.0, 0.5)
 SITE = reference.Site(0.15, 0.12, 0.012, 0.1, 1.0, 0.0, 15000.0)
@@ -156,9 +151,6 @@ def test_units_do_not_matter(seed, length, force, speed):
         expected = np.array(found[:3]) * [length, force, force * length]
         size = np.array([site.r * length, load * force, load * force * site.r * length])
         np.testing.assert_array_less(np.abs(np.array(same[:3]) - expected), 1e-5 * size)
-
-
-# --- rows -------------------------------------------------------------------------------------------------------------
 
 
 def table(seed, count=162):
