@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from soil_env._numba.rows import Rows
 from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.identifier import new_outcomes, observe_rows
 
@@ -13,6 +14,12 @@ def observe(ids, wheel, reading, numbers):
     outcomes = new_outcomes(1)
     observe_rows(ids, np.array([wheel]), np.array([reading], dtype=float), numbers, outcomes)
     return outcomes.outcome.item()
+
+
+def numbers_of(ids):
+    """All that identifiers remember, in one row."""
+    arrays = [x.data if isinstance(x, Rows) else x for x in (*ids._replace(banks=ids.estimate), *ids.banks)]
+    return np.concatenate([np.ravel(x) for x in arrays])
 
 
 def started(scenario, *seeds):

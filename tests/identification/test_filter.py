@@ -11,7 +11,7 @@ from soil_env.identification import Status
 from soil_env.identification.online import curve, identifier
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
 from soil_env.parameters import Belief, load_scenario
-from tests.identification.observing import observe, started
+from tests.identification.observing import numbers_of, observe, started
 
 SCENARIO = load_scenario("mixed")
 PLAIN = replace(SCENARIO, belief=Belief())
@@ -73,45 +73,29 @@ def test_wheels_that_do_not_drive_tell_nothing(changes):
     assert fed.p.points[0] == 0.0 and fed.ids.status[0] == Status.NO_DATA
 
 
-@pytest.fixture(scope="module")
-def known_along_a_soil():
-    """Median standard deviations [5, 2] of friction and K of eight wheels, a quarter of the drive apart."""
-    course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
-    changes = {"course": course, "control": {"action": "wheel_speed"}}
-    sim = started(load_scenario("mixed", changes), *([3, k] for k in range(8)))
-    sds = [np.median(sim.worlds.ids.sd[:, :2], axis=0)]
-    for step in range(240):
-        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
-        if step % 60 == 59:
-            sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))
-    return np.array(sds)
-
-
-def test_what_is_known_grows_along_a_soil(known_along_a_soil):
-    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
-    sds = known_along_a_soil
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.25 * sds[:-1]), sds
-
-
-@pytest.mark.xfail(
+UNSURE = pytest.mark.xfail(
     strict=True, reason="a next soil that may begin is part of the estimate: ln K is less sure for a while"
 )
-def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
-    sds = known_along_a_soil
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.15 * sds[:-1]), sds
 
 
-def numbers_of(ids):
-    """All that is remembered."""
-    return np.concatenate([ids.estimate.ravel(), ids.sd.ravel(), ids.covariance.ravel(), ids.best_pull.ravel(),
-                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel(),
-                           ids.banks.candidates.ravel()])  # fmt: skip
+@pytest.mark.parametrize("growth", [1.25, pytest.param(1.15, marks=UNSURE)])
+def test_what_is_known_grows_along_a_soil(growth):
+    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
+    course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
+    changes = {"course": course, "control": {"action": "wheel_speed"}}
+    sim, sds = started(load_scenario("mixed", changes), *([3, k] for k in range(8))), []
+    for step in range(241):
+        if step % 60 == 0:
+            sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))  # of friction and ln K
+        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
+    sds = np.array(sds)
+    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < growth * sds[:-1]), sds
 
 
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])
 @given(data=st.data())
 def test_wild_readings_never_give_nan(data):
-    """Nor more bins than there is memory for, nor a covariance that is none; and the filter recovers from them."""
+    """Nor more bins than there is memory for, nor a covariance that is none."""
     fed = Fed(data.draw(st.sampled_from([SCENARIO, PLAIN]), label=""))
     ids, wild, speed = fed.ids, st.floats(-1e6, 1e6), st.floats(-3.0, 3.0)
     scale = np.sqrt(1.0 / fed.numbers.precision)
@@ -129,12 +113,11 @@ def test_wild_readings_never_give_nan(data):
         assert isinstance(Status(ids.status[0]), Status)
 
 
-@pytest.mark.parametrize("which", range(len(SensorReading._fields)))
-def test_a_reading_that_is_not_a_number_is_passed_over(which):
+@pytest.mark.parametrize("name", SensorReading._fields)
+def test_a_reading_that_is_not_a_number_is_passed_over(name):
     for wrong in (math.nan, math.inf, -math.inf):
         fed = Fed()
         before = numbers_of(fed.ids)
-        name = SensorReading._fields[which]
         assert fed.feed(STEADY._replace(**{name: wrong}), 20) == [HELD] * 20
         np.testing.assert_array_equal(numbers_of(fed.ids), before)
         fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 5)
@@ -142,35 +125,19 @@ def test_a_reading_that_is_not_a_number_is_passed_over(which):
         assert fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 4)[-1] == RENEWED
 
 
-CONTRARY = SensorReading(0.25, 0.022, 14.0, 147.0, 5.5, 0.28, 0.375, 0.0, 12.0, -3.0)
+CONTRARY = STEADY._replace(rim_speed=0.375, motor_torque=12.0, acceleration=-3.0)
 
 
 def test_readings_that_contradict_each_other_give_no_current_estimate():
-    """A motor torque of twice the torque and an acceleration against the pull, at slips that vary, for sensors next to
-    exact: no soil has such a curve."""
+    """Motor torque twice the torque, acceleration against the pull, at slips that vary, by sensors next to exact."""
     exact = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "motor_torque"), 1e-6)
     fed, seen = Fed(load_scenario("mixed", {"noise": exact, "belief": {"grade_change_deg": 0.0}})), []
     for k in range(400):
         slip = 0.3 + 0.25 * math.sin(0.05 * k)
         pull, torque = 14.0 - 40.0 * slip, 3.0 + 25.0 * slip * (-1.0) ** (k // 30)
-        reading = CONTRARY._replace(slip=slip, speed=0.375 * (1.0 - slip), drawbar_pull=pull, torque=torque)
-        fed.feed(reading)
+        fed.feed(CONTRARY._replace(slip=slip, speed=0.375 * (1.0 - slip), drawbar_pull=pull, torque=torque))
         seen.append(Status(fed.ids.status[0]))
     assert seen.count(Status.MISFIT) > 150
-
-
-def test_steady_readings_of_one_soil_contradict_nothing():
-    """100 s at slips that vary on ground of one soil: neither a misfit nor a border."""
-    course = {"length": 60.0, "patch_length": [60.0, 60.0], "halt_interval": [1e5, 1e6], "margin": [0.1, 0.1]}
-    still = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
-    changes = {"course": course, "soils": {"dry_sand": 1}, "spread": still, "control": {"action": "wheel_speed"}}
-    sim = started(load_scenario("mixed", changes), *([9, k] for k in range(8)))
-    misfit = borders = 0
-    for step in range(300):
-        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.07 * step)), np.zeros(8, np.int8))
-        misfit += (sim.worlds.ids.status == Status.MISFIT).sum()
-        borders = sim.worlds.ids.borders.sum()
-    assert misfit < 0.1 * 8 * 300 and borders <= 2, (misfit, borders)
 
 
 def test_forget_leaves_nothing_of_the_course_before():
@@ -184,4 +151,3 @@ def test_forget_leaves_nothing_of_the_course_before():
         for _ in range(60):
             observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
     np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
-    assert used.banks.point.tobytes() == fresh.banks.point.tobytes()

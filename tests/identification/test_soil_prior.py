@@ -12,7 +12,6 @@ from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
-from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, load_scenario, scenario_names, to_dict
 from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
@@ -122,9 +121,3 @@ def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
             read()
     saved = to_dict(load_scenario("mixed").belief)
     assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
-
-
-def test_an_identifier_of_nothing_is_refused():
-    scenario = load_scenario("mixed", {"belief": {"method": "none"}})
-    with pytest.raises(ParameterError, match="method"):
-        OnlineIdentifier.of_scenario(scenario)
