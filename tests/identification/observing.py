@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from soil_env._numba.rows import Rows
 from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.identifier import new_outcomes, observe_rows
 
@@ -18,7 +17,9 @@ def observe(ids, wheel, reading, numbers):
 
 def numbers_of(ids):
     """All that identifiers remember, in one row."""
-    arrays = [x.data if isinstance(x, Rows) else x for x in (*ids._replace(banks=ids.estimate), *ids.banks)]
+    banks = ids.banks
+    arrays = (ids.estimate, ids.sd, ids.covariance, ids.best_pull, ids.status, ids.borders, banks.nodes, banks.known,
+              banks.sinkage, banks.candidates, banks.point.data)  # fmt: skip
     return np.concatenate([np.ravel(x) for x in arrays])
 
 

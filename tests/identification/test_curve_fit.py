@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.special import softmax
 
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT, fill, to_array
@@ -57,16 +58,6 @@ def forces(soil, sinkage, slip, load=LOAD_N):
     return reactions(x, load, R, B)[:2, 0, 0]
 
 
-def exact_points(soil, slips, sinkages, sd=(1e-3, 1e-4, 0.02, 0.003)):
-    """Points [n, FIELDS] without noise; `sd` of slip, sinkage [m], pull [N] and torque [N m] are their weights."""
-    out = np.zeros((len(slips), c.FIELDS))
-    for row, slip, sinkage in zip(out, slips, sinkages, strict=True):
-        row[[c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] = slip, sinkage, *forces(soil, sinkage, slip)
-        row[[c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1.0 / np.square(sd)
-        row[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD, c.ON_BORDER]] = 8.0, LOAD_N, slip, 0.1, 0.02, 0.0
-    return out
-
-
 SLIPS = np.array([0.03, 0.08, 0.15, 0.24, 0.35, 0.47, 0.6, 0.74])
 SINKAGES = 0.018 * (1.0 + 1.5 * SLIPS)
 
@@ -74,34 +65,26 @@ SINKAGES = 0.018 * (1.0 + 1.5 * SLIPS)
 class Fitted:
     """A filter whose curve has been fed with points."""
 
-    def __init__(self, points, error=NUMBERS.model_error, again=25):
+    def __init__(self, points, again=25):
         self.banks = new_banks(1)
         restart(self.banks, 0, NUMBERS)
-        self.banks.point.form_error[0], self.error = error, error
+        self.banks.point.form_error[0] = NUMBERS.model_error
         self.misfit = _feed(self.banks, points, NUMBERS.border, NUMBERS)
         for _ in range(again):
             self.misfit = _fit_again(self.banks, NUMBERS)
 
-    @property
-    def nodes(self):
-        return self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
-
-    @property
-    def mean(self):
-        return self.banks.known[0, : n.SOIL].copy()
-
-    @property
-    def covariance(self):
-        return symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
+        self.nodes = self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
+        self.mean = self.banks.known[0, : n.SOIL]
+        self.covariance = symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
 
 
 class Judge:
     """Scipy's least squares of the unknowns and of the slip and sinkage of each bin, each with its own error."""
 
-    def __init__(self, points, error=NUMBERS.model_error):
+    form, scale = NUMBERS.model_error * LOAD_N, np.sqrt(np.diag(PRIOR_COVARIANCE))
+
+    def __init__(self, points):
         self.points = points
-        self.form = error * LOAD_N
-        self.scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
 
     def residual(self, x, ln_K):
         """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior."""
@@ -128,10 +111,13 @@ class Judge:
 
 
 def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points of a soil as they are measured."""
-    points = exact_points(soil, SLIPS, SINKAGES, sd)
-    points[:, [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] += rng.standard_normal((len(points), 4)) * sd
-    points[:, c.KEY] = SLIPS
+    """Points [n, FIELDS] of a soil as they are measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
+    points, measured = np.zeros((len(SLIPS), c.FIELDS)), [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]
+    for row, slip, sinkage in zip(points, SLIPS, SINKAGES, strict=True):
+        row[measured] = slip, sinkage, *forces(soil, sinkage, slip)
+        row[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD]] = 8.0, LOAD_N, slip, 0.1, 0.02
+    points[:, [c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1.0 / np.square(sd)
+    points[:, measured] += rng.standard_normal((len(points), 4)) * sd
     return points
 
 
@@ -139,15 +125,13 @@ def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
     points = noisy_points(np.random.default_rng(seed))
-    fitted, judge = Fitted(points), Judge(points)
+    fitted, judge, log_weight = Fitted(points), Judge(points), np.empty(COUNT)
     nodes = fitted.nodes
-    log_weight = np.empty(COUNT)
-    scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
     likely = np.exp(nodes[n.LOG_WEIGHT]) > 2e-3
     assert likely.sum() >= 4
     for k in range(COUNT):
         mean, covariance, chi = judge.solve(nodes[n.LN_K, k])
-        away = (nodes[n.LN_K, k] - PRIOR[3]) / scale[3]
+        away = (nodes[n.LN_K, k] - PRIOR[3]) / judge.scale[3]
         log_weight[k] = -0.5 * away**2 - 0.5 * chi + 0.5 * np.linalg.slogdet(covariance)[1]
         if likely[k]:
             sd = np.sqrt(np.diag(covariance))
@@ -155,8 +139,7 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
             assert np.all(np.abs(nodes[:3, k] - mean) < 0.15 * sd), (k, (nodes[:3, k] - mean) / sd)
             np.testing.assert_allclose(found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08)
             assert nodes[n.COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
-    weight = np.exp(log_weight - log_weight.max())
-    np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), weight / weight.sum(), atol=0.03)
+    np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), softmax(log_weight), atol=0.03)
     assert fitted.misfit == pytest.approx(nodes[n.COST].min())
 
 
@@ -173,21 +156,20 @@ def test_errors_are_as_large_as_stated():
     assert np.all((inside > 0.5) & (inside < 0.9)), inside
 
 
-def share(x, spread, place, length):
-    """(share of the new soil, its slope by the place of the border)."""
-    out = np.zeros(2 * COUNT)
-    _share(x, spread, place, length, out)
-    return out[0], out[COUNT]
-
-
 def test_the_share_on_a_border_and_its_slope():
     """The mean of the terrain's share over two places; the slope by the place of the border is that of differences."""
     spread, length = 0.02, 0.3
+
+    def share(x, place):
+        out = np.zeros(2 * COUNT)
+        _share(x, spread, place, length, out)
+        return out[[0, COUNT]]
+
     for place in (-0.05, 0.0, 0.03):
         for x in np.linspace(-0.2, 0.2, 9):
-            found, slope = share(x, spread, place, length)
+            found, slope = share(x, place)
             of_terrain = 0.5 * sum(share_of_next((x + s - place) / length)[0] for s in (-spread, spread))
             assert found == pytest.approx(min(max(of_terrain, 1e-4), 1.0 - 1e-4), abs=1e-12)
             if 1e-3 < found < 1.0 - 1e-3:
-                rise = share(x, spread, place + 1e-6, length)[0] - share(x, spread, place - 1e-6, length)[0]
+                rise = share(x, place + 1e-6)[0] - share(x, place - 1e-6)[0]
                 assert slope == pytest.approx(rise / 2e-6, rel=1e-4, abs=1e-6)

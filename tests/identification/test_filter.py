@@ -140,6 +140,18 @@ def test_readings_that_contradict_each_other_give_no_current_estimate():
     assert seen.count(Status.MISFIT) > 150
 
 
+def test_steady_readings_of_one_soil_contradict_nothing():
+    """100 s at slips that vary on ground of one soil: neither a misfit nor a border."""
+    course = {"length": 60.0, "patch_length": [60.0, 60.0], "halt_interval": [1e5, 1e6], "margin": [0.1, 0.1]}
+    still = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+    changes = {"course": course, "soils": {"dry_sand": 1}, "spread": still, "control": {"action": "wheel_speed"}}
+    sim, misfits = started(load_scenario("mixed", changes), *([9, k] for k in range(8))), []
+    for step in range(300):
+        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.07 * step)), np.zeros(8, np.int8))
+        misfits.append(sim.worlds.ids.status == Status.MISFIT)
+    assert np.mean(misfits) < 0.1 and sim.worlds.ids.borders.sum() <= 2
+
+
 def test_forget_leaves_nothing_of_the_course_before():
     numbers, fresh = identifier.identifier_numbers(SCENARIO), identifier.new_identifiers(1)
     sim = started(SCENARIO, 1)

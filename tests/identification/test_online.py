@@ -102,16 +102,13 @@ def near(ids, truth):
 
 
 def test_driving_with_varied_slip_finds_the_soil():
-    """On twelve drives friction and K are right and far better known; noise is neither a misfit nor a border."""
-    borders = 0
+    """On twelve drives friction and K are right, far better known than before, and noise is no misfit of the laws."""
     for seed in range(12):
         sim, truth = driven(seed, 200)
         ids, prior = sim.worlds.ids, 1.0 / np.sqrt(sim.belief.identifier.precision)
         assert near(ids, truth), seed
         assert ids.status[0] in (Status.CONVERGED, Status.NOT_EXCITED), seed
         assert np.all(ids.sd[0, :3] < [0.9 * prior[0], 0.35 * prior[1], 0.5 * prior[2]]), seed
-        borders += ids.borders[0]
-    assert borders <= 2
 
 
 def level(soil_of_next):

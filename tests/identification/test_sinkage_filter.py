@@ -31,23 +31,26 @@ class Wheel:
     def start(self, sinkage, variance=1e-12):
         sf.start(self.banks, 0, sinkage, variance)
 
+    def set(self, i, value):
+        self.s[i * COUNT : (i + 1) * COUNT] = value
+
     def know(self, y, ln_gain, sd=1e-9):
         """Pressure and gain next to exactly."""
         for i, value in ((sf.PRESSURE, y), (sf.GAIN, ln_gain)):
-            self.s[i * COUNT : (i + 1) * COUNT] = value
+            self.set(i, value)
             for j in range(sf.STATES):
                 self.s[sf.cell(i, j) : sf.cell(i, j) + COUNT] = sd * sd if i == j else 0.0
         self.s[sf.LOG_WEIGHT * COUNT :] = -math.log(COUNT)
 
-    def follow(self, motion, bearing, depth=None, by_depth=-N, share=1.0, by_place=0.0, place_variance=0.0):
-        """Through a time in which the pressure mobilised at `depth` [m] is that of a bearing sinkage of `bearing` [m]
-        on the soil whose y is that of the prior."""
-        depth = sf.mean(self.s, sf.DEPTH) if depth is None else depth
-        y = self.numbers.prior.sinkage[0]
-        ln_s = y + N * math.log(bearing / self.numbers.depth) - N * math.log(depth)
-        sf.follow(
-            self.banks, 0, sf.Ground(ln_s, depth, by_depth, N, share, by_place, place_variance), motion, self.numbers
-        )
+    def follow(self, motion, bearing, by_depth=-N, share=1.0, by_place=0.0, place_variance=0.0):
+        """Follow a motion in which the pressure mobilised is that of a bearing sinkage of `bearing` [m].
+
+        That is on the soil whose y is the one of the prior.
+        """
+        depth = sf.mean(self.s, sf.DEPTH)
+        ln_s = self.numbers.prior.sinkage[0] + N * math.log(bearing / self.numbers.depth) - N * math.log(depth)
+        ground = sf.Ground(ln_s, depth, by_depth, N, share, by_place, place_variance)
+        sf.follow(self.banks, 0, ground, motion, self.numbers)
 
     @property
     def sinkage(self):
@@ -68,12 +71,11 @@ class Wheel:
             assert np.all(np.diag(p) >= 0.0) and np.linalg.eigvalsh(p / np.outer(sd, sd)).min() > -1e-7
 
 
-def moved(speed, sliding, seconds=DT, sinkage=0.02, variance=LOST, shock=0.0, time=None):
-    """Motion at a travel and a sliding speed [m/s]; `time` 0: what lacks in depth does not come by itself."""
+def moved(speed, sliding, seconds=DT, sinkage=0.02, variance=LOST, time=None):
+    """Motion at a travel and a sliding speed [m/s]; at `time` 0 a lack of depth does not come by itself."""
     a, _ = excavation_rate(speed, sliding, 1.0, RECOVERY, LENGTH)
-    return sf.Motion(
-        a * seconds, sliding * seconds / LENGTH, shock, seconds if time is None else time, sinkage, variance
-    )
+    time = seconds if time is None else time
+    return sf.Motion(a * seconds, sliding * seconds / LENGTH, 0.0, time, sinkage, variance)
 
 
 def law(z, bearing, gain, motions):
@@ -173,7 +175,7 @@ def test_covariances_stay_positive_and_weights_sum_to_one(data):
         )  # fmt: skip
         share = data.draw(st.floats(0.0, 0.999)) if on_border else 1.0
         wheel.follow(
-            motion, data.draw(st.floats(1e-3, 0.5)) * r, None, data.draw(st.floats(-2.0, 0.0)), share,
+            motion, data.draw(st.floats(1e-3, 0.5)) * r, data.draw(st.floats(-2.0, 0.0)), share,
             -5.0 * on_border, data.draw(st.floats(0.0, 0.01)),
         )  # fmt: skip
         wheel.check(sf.STATES if on_border else sf.HERE)
@@ -186,8 +188,8 @@ def test_on_a_border_the_ground_is_of_both_soils():
     wheel.know(y - 0.4, math.log(0.5))
     wheel.start(0.03)
     sf.begin_next_sinkage(wheel.banks, 0, NUMBERS)
-    wheel.s[sf.PRESSURE * COUNT : (sf.PRESSURE + 1) * COUNT] = y + 0.2
-    wheel.s[sf.GAIN * COUNT : (sf.GAIN + 1) * COUNT] = math.log(2.0)
+    wheel.set(sf.PRESSURE, y + 0.2)
+    wheel.set(sf.GAIN, math.log(2.0))
     share, speed, sliding = 0.3, 0.2, 0.1
     bearing = 0.02 * math.exp(-(share * 0.2 - (1.0 - share) * 0.4) / N)
     gain = NUMBERS.dig_gain * (share * 2.0 + (1.0 - share) * 0.5)
