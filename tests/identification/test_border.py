@@ -36,22 +36,10 @@ def _look(banks, numbers):
     cross_where_the_grade_changes(banks, 0, numbers)
 
 
-class Wheel:
-    """Border search of one filter."""
-
-    def __init__(self):
-        self.banks = new_banks(1)
-        restart(self.banks, 0, NUMBERS)
-        self.p = self.banks.point
-
-    def note(self, x, pitch, looks=True):
-        _note(self.banks, float(x), float(pitch), NUMBERS)
-        if looks and not self.crossing:
-            _look(self.banks, NUMBERS)
-
-    @property
-    def crossing(self):
-        return self.p.crossing[0] > 0.0
+def new_bank():
+    banks = new_banks(1)
+    restart(banks, 0, NUMBERS)
+    return banks, banks.point
 
 
 def pitches(x, middle, rise, rng):
@@ -62,14 +50,16 @@ def pitches(x, middle, rise, rng):
 
 def driven(seed, rise, middle=1.5, end_at=3.0):
     """(place where a border was found, its middle and sd as known at last) or None, of one drive over a border."""
-    wheel, found, x = Wheel(), None, np.arange(0.0, end_at, STEP)
+    (banks, p), found, x = new_bank(), None, np.arange(0.0, end_at, STEP)
     for at, pitch in zip(x, pitches(x, middle, rise, np.random.default_rng(seed)), strict=True):
-        wheel.note(at, pitch)
-        if wheel.crossing and found is None:
-            found = at
-        if wheel.crossing and at > wheel.p.border[0] + 0.5 * LENGTH:
-            break
-    return None if found is None else (found, wheel.p.border[0], math.sqrt(wheel.p.border_variance[0]))
+        _note(banks, at, pitch, NUMBERS)
+        if p.crossing[0] == 0.0:
+            _look(banks, NUMBERS)
+        if p.crossing[0] > 0.0:
+            found = at if found is None else found
+            if at > p.border[0] + 0.5 * LENGTH:
+                break
+    return None if found is None else (found, p.border[0], math.sqrt(p.border_variance[0]))
 
 
 @pytest.mark.parametrize("rise_deg", [-12.0, -4.0, 4.0, 12.0])
@@ -115,24 +105,23 @@ class Judge:
 @pytest.mark.parametrize("seed", range(4))
 def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
     """A border is begun when the evidence exceeds the odds, and is where and as steep as it says, also afterwards."""
-    rng, wheel, judge, crossed = np.random.default_rng(seed), Wheel(), Judge(), 0
-    wheel.p.grades[0], wheel.p.grade[0] = 1e6, 0.05
+    rng, (banks, p), judge, crossed = np.random.default_rng(seed), new_bank(), Judge(), 0
+    p.grades[0], p.grade[0] = 1e6, 0.05
     x = np.arange(-0.5 * LENGTH, 0.5, STEP)
     for at, pitch in zip(x, pitches(x, 0.25, math.radians(6.0), rng), strict=True):
-        judge.x.append(at), judge.y.append(pitch - wheel.p.grade[0])
-        before = wheel.crossing
-        wheel.note(at, pitch, looks=False)
-        odds, mean, sd, rise = judge.located(wheel.p.nearest[0] + NUMBERS.offsets)
+        judge.x.append(at), judge.y.append(pitch - p.grade[0])
+        before = p.crossing[0] > 0.0
+        _note(banks, at, pitch, NUMBERS)
+        odds, mean, sd, rise = judge.located(p.nearest[0] + NUMBERS.offsets)
         if not before:
-            _look(wheel.banks, NUMBERS)
-            assert wheel.crossing == (odds >= 3.0)
-        if wheel.crossing:
+            _look(banks, NUMBERS)
+            assert (p.crossing[0] > 0.0) == (odds >= 3.0)
+        if p.crossing[0] > 0.0:
             crossed += 1
-            assert wheel.p.border[0] == pytest.approx(mean, abs=1e-6)
-            assert wheel.p.rise[0] == pytest.approx(rise, abs=1e-6)
+            assert (p.border[0], p.rise[0]) == pytest.approx((mean, rise), abs=1e-6)
             between = 2.0 * NUMBERS.offsets[1]  # at most, of places that are tested at intervals
-            assert sd < math.sqrt(wheel.p.border_variance[0]) < math.hypot(sd, between)
-    assert crossed > 10 and abs(wheel.p.border[0] - 0.25) < 0.02
+            assert sd < math.sqrt(p.border_variance[0]) < math.hypot(sd, between)
+    assert crossed > 10 and abs(p.border[0] - 0.25) < 0.02
 
 
 WHEEL_SPEED = {"control": {"action": "wheel_speed"}}

@@ -1,4 +1,4 @@
-"""Forces of the ground and their slopes: against adaptive quadrature, the simulated steady wheel and differences."""
+"""Forces of the ground and their slopes: against adaptive quadrature and differences."""
 
 import math
 
@@ -8,8 +8,6 @@ import pytest
 from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
-from soil_env.parameters import soils
-from soil_env.terramechanics.steady import steady_state
 from tests.terramechanics import reference
 
 R, B = 0.15, 0.12
@@ -75,19 +73,6 @@ def test_forces_are_those_of_quadrature(seed, braking, tolerance):
         judge = reference.forces(soil, slip, math.acos(1.0 - sinkage / R), R, B)
         for found, expected in ((load, judge.load), (pull[k], judge.drawbar_pull), (torque[k] / R, judge.torque / R)):
             assert abs(found - expected) < tolerance * judge.scale
-
-
-@pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "sandy_loam_15"])
-def test_a_steady_wheel_mobilises_the_sinkage_coefficient_of_undisturbed_soil(name):
-    """Without digging: as `steady_state` finds the sinkage by the load, the coefficient follows from both."""
-    soil, load, slips = soils()[name].state(B)._replace(dig_gain=0.0), 140.0, np.linspace(-0.3, 0.7, COUNT)
-    steady = [steady_state(float(slip), load, soil, R, B) for slip in slips]
-    unknowns = soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)
-    x = np.vstack([*np.repeat(np.array(unknowns)[:, None], COUNT, axis=1), [s.sinkage for s in steady], slips])
-    expected = [(s.drawbar_pull, s.torque / R, load) for s in steady]
-    pull, torque, ln_s = reactions(x, load)[:, VALUE]
-    carried = load * np.exp(ln_s) / soil.sinkage_coefficient
-    np.testing.assert_allclose(np.transpose([pull, torque / R, carried]), expected, rtol=1e-5, atol=1e-5 * load)
 
 
 @pytest.mark.parametrize("depth", [1e-3, 0.01, 1.0, 1.9])

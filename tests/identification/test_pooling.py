@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online.identifier import (
-    RENEWED,
-    SensorReading,
-    forget,
-    identifier_numbers,
-    new_identifiers,
-)
+from soil_env.identification.online import identifier
 from soil_env.identification.online.pooling import pool, share
 from soil_env.identification.online.status import Status
 from soil_env.identification.online.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
@@ -18,7 +12,7 @@ from soil_env.parameters import load_scenario
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")
-NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier_numbers(SCENARIO)
+NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier.identifier_numbers(SCENARIO)
 SHARED = [0, 1, 3]
 PRIOR_MEAN, PRIOR = NUMBERS.prior[:3], NUMBERS.prior[3:].reshape(3, 3)
 SD = np.array([0.03, 0.2, 0.2, 150.0, 0.3])
@@ -34,10 +28,10 @@ class Wheels:
 
     def __init__(self, *posteriors):
         self.axles = len(posteriors)
-        self.ids, self.pools = new_identifiers(COUNT * self.axles), new_pools(COUNT * self.axles)
+        self.ids, self.pools = identifier.new_identifiers(COUNT * self.axles), new_pools(COUNT * self.axles)
         for a, (mean, covariance) in enumerate(posteriors):
             k = COUNT * a
-            forget(self.ids, k, IDENTIFIER)
+            identifier.forget(self.ids, k, IDENTIFIER)
             forget_stretches(self.pools, self.ids, k)
             self.ids.estimate[k], self.ids.covariance[k] = mean, covariance
             self.ids.sd[k], self.ids.status[k] = np.sqrt(np.diag(covariance)), Status.CONVERGED.value
@@ -85,9 +79,8 @@ def test_precisions_add_up_and_the_prior_counts_once():
 
 
 def test_those_who_differ_by_more_than_they_allow_are_less_sure():
-    agree = Wheels((MEAN, covariance()), (MEAN, covariance())).pooled()[1]
     apart = MEAN + SD * np.array([0.0, 8.0, 0.0, 0.0, 0.0])
-    mean, variance = Wheels((MEAN, covariance()), (apart, covariance())).pooled()
+    (_, agree), (mean, variance) = (Wheels((MEAN, covariance()), (m, covariance())).pooled() for m in (MEAN, apart))
     away = (apart - MEAN)[SHARED]
     ratio = away @ np.linalg.solve(2.0 * covariance()[np.ix_(SHARED, SHARED)], away) / 3.0
     assert ratio > 5.0 and variance[1] > 0.9 * ratio * agree[1]
@@ -125,7 +118,7 @@ def test_the_place_that_the_front_wheel_has_found_is_kept():
     """While the wheel behind reads one grade, which shows less of where the new soil begins: 1 cm to its tenth."""
     wheels = Wheels((MEAN, covariance()), (MEAN, covariance()))
     p, point = wheels.pools, wheels.ids.banks.point
-    reading, x = SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0), 4.2 - 0.49 * NUMBERS.border
+    reading = identifier.SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0)
 
     def read():
         observe(wheels.ids, COUNT, reading, IDENTIFIER)
@@ -134,8 +127,8 @@ def test_the_place_that_the_front_wheel_has_found_is_kept():
     for _ in range(20):
         read()
     p.left[0], p.ends[0, 0], p.start[0] = 1, 4.2, 4.2
-    note(p, wheels.ids, COUNT, x, 0, True, NUMBERS)
-    share(p, wheels.ids, 0, 2, RENEWED, NUMBERS, IDENTIFIER)
+    note(p, wheels.ids, COUNT, 4.2 - 0.49 * NUMBERS.border, 0, True, NUMBERS)
+    share(p, wheels.ids, 0, 2, identifier.RENEWED, NUMBERS, IDENTIFIER)
     handed = point.border[COUNT]
     assert point.crossing[COUNT] == 1.0 and handed - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
     for _ in range(20):  # 16 cm on, to the middle of the border

@@ -10,16 +10,15 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, grade, pack_effects, shear_softening
+from soil_env.terramechanics.effects import NO_EFFECTS, grade, pack_effects, shear_softening
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.steady import Conditions, Rim, steady_state, steady_with
+from tests.terramechanics.cases import of_every_form
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
 WHEEL = Rim(0.15, 0.12, 0.01)
 DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
 UNIT_WEIGHT = 16000.0
-FORMS = [(effect, form) for effect in CATALOGUE.values() for form in effect.forms]
-of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS, ids=[f"{e.name}-{f.name}" for e, f in FORMS])
 
 
 def on(name, **parameters):

@@ -10,9 +10,7 @@ from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import CATALOGUE, pack_effects, true_slip
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, predict_rows, steady_with
 from tests.terramechanics import reference
-from tests.terramechanics.cases import values
-
-FORMS = [(name, form) for name, effect in CATALOGUE.items() for form in effect.forms]
+from tests.terramechanics.cases import of_every_form, values
 
 
 def random_effects(rng, count):
@@ -66,11 +64,11 @@ def random_slip(rng):
 
 
 @pytest.mark.parametrize("case", range(3))
-@pytest.mark.parametrize(("name", "form"), FORMS, ids=[f"{name}-{form.name}" for name, form in FORMS])
-def test_one_effect_against_quadrature(name, form, case):
-    rng = np.random.default_rng([case, *map(ord, name + form.name)])
+@of_every_form
+def test_one_effect_against_quadrature(effect, form, case):
+    rng = np.random.default_rng([case, *map(ord, effect.name + form.name)])
     soil, site, load = random_place(rng)
-    compare(soil, random_slip(rng), load, site, values(name, form, rng.uniform))
+    compare(soil, random_slip(rng), load, site, values(effect.name, form, rng.uniform))
 
 
 @pytest.mark.parametrize(("first", "effects"), [(0, True), (100, False)], ids=["together", "none"])
