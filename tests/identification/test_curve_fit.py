@@ -52,14 +52,26 @@ def _share(x, spread, place, length, out):
     to_array(slope, out, COUNT)
 
 
-def forces(soil, sinkage, slip, load=LOAD_N):
-    """(pull, torque) of one soil, (tan phi, c, n, ln K)."""
-    x = np.repeat(np.append(soil, [sinkage, slip])[:, None], COUNT, axis=1)
-    return reactions(x, load, R, B)[:2, 0, 0]
-
-
-SLIPS = np.array([0.03, 0.08, 0.15, 0.24, 0.35, 0.47, 0.6, 0.74])
+SLIPS = np.array([0.03, 0.08, 0.15, 0.24, 0.35, 0.47, 0.6, 0.74])  # as many as there are lanes
 SINKAGES = 0.018 * (1.0 + 1.5 * SLIPS)
+MEASURED = [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]
+WEIGHTS = [c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]
+
+
+def forces(soil, sinkages, slips):
+    """(pull, torque) [2, COUNT] of one soil, (tan phi, c, n, ln K)."""
+    x = np.vstack([np.repeat(soil[:, None], COUNT, axis=1), sinkages, slips])
+    return reactions(x, LOAD_N, R, B)[:2, 0]
+
+
+def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
+    """Points [COUNT, FIELDS] of a soil as measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
+    points, exact = np.zeros((COUNT, c.FIELDS)), np.vstack([SLIPS, SINKAGES, forces(soil, SINKAGES, SLIPS)]).T
+    points[:, MEASURED] = exact + rng.standard_normal((COUNT, 4)) * sd
+    points[:, WEIGHTS] = 1.0 / np.square(sd)
+    points[:, [c.READINGS, c.LOAD, c.PLACE, c.SPREAD]] = 8.0, LOAD_N, 0.1, 0.02
+    points[:, c.KEY] = SLIPS
+    return points
 
 
 class Fitted:
@@ -72,66 +84,49 @@ class Fitted:
         self.misfit = _feed(self.banks, points, NUMBERS.border, NUMBERS)
         for _ in range(again):
             self.misfit = _fit_again(self.banks, NUMBERS)
-
         self.nodes = self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
         self.mean = self.banks.known[0, : n.SOIL]
         self.covariance = symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
 
 
-class Judge:
-    """Scipy's least squares of the unknowns and of the slip and sinkage of each bin, each with its own error."""
-
-    form, scale = NUMBERS.model_error * LOAD_N, np.sqrt(np.diag(PRIOR_COVARIANCE))
-
-    def __init__(self, points):
-        self.points = points
-
-    def residual(self, x, ln_K):
-        """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior."""
-        soil, of_bins = PRIOR + self.scale * np.append(x[:3], ln_K), x[3:].reshape(-1, 2)
-        away, P = soil - PRIOR, PRIOR_COVARIANCE
-        slope = P[:3, 3] / P[3, 3]
-        away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
-        out = [np.linalg.solve(np.linalg.cholesky(P), away), of_bins.ravel()]
-        for point, (slip_off, sinkage_off) in zip(self.points, of_bins, strict=True):
-            slip = point[c.SLIP] + slip_off / math.sqrt(point[c.SLIP_WEIGHT])
-            sinkage = point[c.SINKAGE] + sinkage_off / math.sqrt(point[c.SINKAGE_WEIGHT])
-            pull, torque = forces(soil, sinkage, slip)
-            sd = math.sqrt(1.0 / point[c.PULL_WEIGHT] + self.form**2)
-            of_torque = math.sqrt(1.0 / point[c.TORQUE_WEIGHT] + (self.form * R) ** 2)
-            out.append([(point[c.PULL] - pull) / sd, (point[c.TORQUE] - torque) / of_torque])
-        return np.concatenate([np.ravel(o) for o in out])
-
-    def solve(self, ln_K):
-        """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K."""
-        fixed, start = (ln_K - PRIOR[3]) / self.scale[3], np.zeros(3 + 2 * len(self.points))
-        found = least_squares(self.residual, start, args=(fixed,), xtol=1e-12, ftol=1e-12, gtol=1e-10)
-        covariance, scale = np.linalg.inv(found.jac.T @ found.jac)[:3, :3], self.scale[:3]
-        return PRIOR[:3] + scale * found.x[:3], covariance * np.outer(scale, scale), 2.0 * found.cost
+SCALE = np.sqrt(np.diag(PRIOR_COVARIANCE))
+BY_LN_K = PRIOR_COVARIANCE[:3, 3] / PRIOR_COVARIANCE[3, 3]
+GIVEN_LN_K = np.linalg.cholesky(PRIOR_COVARIANCE[:3, :3] - np.outer(BY_LN_K, PRIOR_COVARIANCE[:3, 3]))
 
 
-def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points [n, FIELDS] of a soil as they are measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
-    points, measured = np.zeros((len(SLIPS), c.FIELDS)), [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]
-    for row, slip, sinkage in zip(points, SLIPS, SINKAGES, strict=True):
-        row[measured] = slip, sinkage, *forces(soil, sinkage, slip)
-        row[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD]] = 8.0, LOAD_N, slip, 0.1, 0.02
-    points[:, [c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1.0 / np.square(sd)
-    points[:, measured] += rng.standard_normal((len(points), 4)) * sd
-    return points
+def residual(x, points, ln_K):
+    """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior and of the bins."""
+    away, of_bins = np.append(SCALE[:3] * x[:3], ln_K - PRIOR[3]), x[3:].reshape(2, COUNT)
+    measured, weights = points[:, MEASURED].T, points[:, WEIGHTS].T
+    slips, sinkages = measured[:2] + of_bins / np.sqrt(weights[:2])
+    form = NUMBERS.model_error * LOAD_N * np.array([[1.0], [R]])
+    off = (measured[2:] - forces(PRIOR + away, sinkages, slips)) / np.sqrt(1.0 / weights[2:] + form**2)
+    prior = np.linalg.solve(GIVEN_LN_K, away[:3] - BY_LN_K * away[3])
+    return np.concatenate([prior, of_bins.ravel(), off.ravel()])
+
+
+def judge(points, ln_K):
+    """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K by scipy.
+
+    Slip and sinkage of each bin are unknowns too.
+    """
+    start = np.zeros(3 + 2 * COUNT)
+    found = least_squares(residual, start, args=(points, ln_K), xtol=1e-12, ftol=1e-12, gtol=1e-10)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)[:3, :3] * np.outer(SCALE[:3], SCALE[:3])
+    return PRIOR[:3] + SCALE[:3] * found.x[:3], covariance, 2.0 * found.cost
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
     points = noisy_points(np.random.default_rng(seed))
-    fitted, judge, log_weight = Fitted(points), Judge(points), np.empty(COUNT)
+    fitted, log_weight = Fitted(points), np.empty(COUNT)
     nodes = fitted.nodes
     likely = np.exp(nodes[n.LOG_WEIGHT]) > 2e-3
     assert likely.sum() >= 4
     for k in range(COUNT):
-        mean, covariance, chi = judge.solve(nodes[n.LN_K, k])
-        away = (nodes[n.LN_K, k] - PRIOR[3]) / judge.scale[3]
+        mean, covariance, chi = judge(points, nodes[n.LN_K, k])
+        away = (nodes[n.LN_K, k] - PRIOR[3]) / SCALE[3]
         log_weight[k] = -0.5 * away**2 - 0.5 * chi + 0.5 * np.linalg.slogdet(covariance)[1]
         if likely[k]:
             sd = np.sqrt(np.diag(covariance))

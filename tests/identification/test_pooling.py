@@ -66,7 +66,7 @@ def by_numpy(mean, P, others):
 
 
 def test_precisions_add_up_and_the_prior_counts_once():
-    """Of any number of wheels in any order; one that knows no more than the prior adds nothing."""
+    """For any number of wheels in any order; one that knows no more than the prior adds nothing."""
     other = MEAN + 0.3 * SD * np.array([1.0, -1.0, 1.0, 0.5, 1.0])
     ignorant = MEAN.copy(), covariance()
     ignorant[0][SHARED], ignorant[1][np.ix_(SHARED, SHARED)] = PRIOR_MEAN, PRIOR

@@ -45,56 +45,47 @@ def conditional(mean, covariance, ln_K):
     return mean[OTHERS] + slope * (ln_K - mean[3]), covariance[:3, :3] - np.outer(slope, covariance[OTHERS, 3])
 
 
-def learn(banks, seed):
-    """Set the nodes to some posterior: random means, covariances and weights."""
-    rng, n = np.random.default_rng(seed), rows(banks)
-    n[:3] += 0.02 * rng.standard_normal((3, COUNT)) * np.array([[1.0], [500.0], [1.0]])
-    for k in range(COUNT):
-        factor = 0.01 * rng.standard_normal((soil.UNKNOWNS, soil.UNKNOWNS)) * np.array([1.0, 500.0, 1.0, 1.0])[:, None]
-        n[soil.COVARIANCE : soil.COVARIANCE + soil.TRIANGLE, k] = (factor @ factor.T)[np.tril_indices(soil.UNKNOWNS)]
-    w = rng.uniform(0.1, 1.0, COUNT)
-    n[soil.LOG_WEIGHT] = np.log(w / w.sum())
-
-
 def test_the_prior_follows_the_sinkage(filled):
     """As a Gaussian of all six unknowns that is conditioned on a reading of two of them, by numpy."""
     banks, numbers, scenario = filled
     mean, covariance = prior_of_belief(scenario)
+    n, s, sd = rows(banks), banks.sinkage[0], np.sqrt(np.diag(covariance))
     soil.renew_prior(banks, 0, numbers)
-    sd = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(banks.prior[0, 0], mean[3], atol=1e-9)
     np.testing.assert_allclose(banks.prior[0, 1], covariance[3, 3], rtol=0.1)
-    R = np.diag([0.2 * sd[4], 0.3 * sd[5]]) ** 2
-    H = np.eye(6)[4:]
+    R, H = np.diag([0.2 * sd[4], 0.3 * sd[5]]) ** 2, np.eye(6)[4:]
     gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + R)
     m, P = mean + gain @ ([0.7 * sd[4], -0.5 * sd[5]]), covariance - gain @ H @ covariance
-    s = banks.sinkage[0]
-    for i, row in ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN)):
-        s[row * COUNT : (row + 1) * COUNT] = m[i]
-        for j, column in ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN)):
-            s[cell(row, column) : cell(row, column) + COUNT] = P[i, j]
+    states = ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN))
+    for i, row in states:
+        s[row * COUNT :][:COUNT] = m[i]
+        for j, column in states:
+            s[cell(row, column) :][:COUNT] = P[i, j]
     soil.renew_prior(banks, 0, numbers)
     assert banks.prior[0, 0] == pytest.approx(m[3], abs=1e-6 * sd[3])
     assert banks.prior[0, 1] == pytest.approx(P[3, 3], rel=1e-6)
     soil.set_priors(banks, 0)
-    n = rows(banks)
     for k in range(COUNT):
         of_node, Q = conditional(m[:4], P[:4, :4], n[soil.LN_K, k])
         np.testing.assert_allclose(n[soil.PRIOR_MEAN : soil.PRIOR_MEAN + 3, k], of_node, rtol=1e-6, atol=1e-6)
         scale = np.sqrt(np.diag(Q))
         found = symmetric(n[soil.PRECISION : soil.PRECISION + 6, k]) * np.outer(scale, scale)
         np.testing.assert_allclose(found, np.linalg.inv(Q / np.outer(scale, scale)), rtol=3e-3, atol=3e-3)
-    # with the evidence of a Gaussian, that is the determinant of the posterior, the weights sum to the probability of
-    # the range of nodes
+    # with the evidence of a Gaussian, the determinant of the posterior, weights sum to the probability of their range
     weight = n[soil.LOG_PRIOR] - 0.5 * np.linalg.slogdet(symmetric(n[soil.PRECISION : soil.PRECISION + 6, 0]))[1]
     assert np.exp(weight).sum() == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_known_is_the_mixture_of_the_nodes(filled, seed):
-    banks, _, _ = filled
-    learn(banks, seed)
-    n = rows(banks)
+    """Of random means, covariances and weights."""
+    rng, banks, unknowns = np.random.default_rng(seed), filled[0], soil.UNKNOWNS
+    n, units = rows(banks), np.array([[1.0], [500.0], [1.0], [1.0]])
+    n[:3] += 0.02 * rng.standard_normal((3, COUNT)) * units[:3]
+    for k in range(COUNT):
+        factor = 0.01 * rng.standard_normal((unknowns, unknowns)) * units
+        n[soil.COVARIANCE :][: soil.TRIANGLE, k] = (factor @ factor.T)[np.tril_indices(unknowns)]
+    n[soil.LOG_WEIGHT] = log_softmax(np.log(rng.uniform(0.1, 1.0, COUNT)))
     n[6] = np.arange(COUNT) + 2.0  # chi-squared
     assert soil.gather(banks, 0) == 2.0
     w, values = np.exp(n[soil.LOG_WEIGHT]), n[[0, 1, 2, soil.LN_K]]

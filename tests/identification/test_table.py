@@ -126,9 +126,7 @@ def test_intervals_cover_the_truth(tmp_path, known, noise, draws, least):
 
 
 @pytest.mark.parametrize(
-    "stretched, smallest",
-    [(lambda slip: slip / 0.35, 0.03), (lambda slip: np.log1p(slip / 0.05), 0.02)],
-    ids=["with slip", "with its logarithm"],
+    ("stretched", "smallest"), [(lambda slip: slip / 0.35, 0.03), (lambda slip: np.log1p(slip / 0.05), 0.02)]
 )
 def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smallest):
     """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the noise."""
@@ -190,7 +188,7 @@ def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
 
 
 def test_names_what_the_data_cannot_tell(tmp_path):
-    """One load and no torque: cohesion cannot be told from friction, and a prior stays what it was."""
+    """One load and no torque: cohesion and friction look alike, and a prior stays what it was."""
     rows = clean()[:8]
     table = table_of(tmp_path, rows, np.random.default_rng(1), leave_out=("torque",))
     e = identify_table(table, setup_of((), sinkage_exponent=Prior(0.9, 0.02)))
@@ -262,7 +260,7 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
 def line(x, y, sd):
     """Problem for `Scatter`: a straight line through one channel (the last), its noise not known.
 
-    The unknowns have priors a thousand times wider than what the line tells of them.
+    The unknowns have priors a thousand times wider than what the line shows of them.
     """
     count, wide = len(x), 1e3
     J = np.zeros((count, 3, 2))
