@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import INPUTS, Process
+from tests.terramechanics.reference import Ground
 
 RNG = np.random.default_rng(0)
 CONDITIONS = {"slip": RNG.uniform(0.0, 0.6, 60), "load": np.exp(RNG.uniform(4.0, 5.5, 60)),
@@ -86,10 +87,7 @@ def test_a_mixture_has_the_moments_of_its_parts():
 
 
 def test_stress_changes_scale_the_stresses():
-    soil = {
-        "friction_angle_deg": 30.0, "cohesion": 1000.0, "shear_modulus": 0.01, "sinkage_coefficient": 1e6,
-        "sinkage_exponent": 1.0,
-    }  # fmt: skip
+    soil = Ground(30.0, 1000.0, 0.01, 1e6, 1.0)._asdict()
     normal, shear, moved, spread, later = form_error.stress_changes(soil, 0.1, 0.02)
     assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, {})
     assert shear.soil["cohesion"] == pytest.approx(1100.0)
@@ -113,9 +111,8 @@ def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
     def moments(w):
         return x @ w, (x - x @ stress(0.5, 1.0)) ** 2 @ w
 
-    errors = np.linalg.cholesky(gauss(x, 0.5) + 1e-9 * np.eye(x.size)) @ np.random.default_rng(0).standard_normal(
-        (x.size, 20000)
-    )
+    errors = np.random.default_rng(0).standard_normal((x.size, 20000))
+    errors = np.linalg.cholesky(gauss(x, 0.5) + 1e-9 * np.eye(x.size)) @ errors
     size = 0.01
     wrong = stress(0.5, 1.0)[:, None] * (1.0 + size * errors)
     place, spread = (np.std(m) / size for m in moments(wrong / wrong.sum(axis=0)))

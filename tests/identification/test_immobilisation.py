@@ -63,10 +63,8 @@ def test_a_wheel_of_another_size_reads_the_same():
 
 
 def test_inputs_have_the_estimate_without_dimension():
-    estimate, sd = (
-        np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]]),
-        np.array([[0.1, 0.2, 0.3, 400.0, 0.5]]),
-    )
+    estimate = np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]])
+    sd = np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
     inputs = im.ImmobilisationWarning(SCENARIO).inputs(np.array([0]), follow([READING])[None], estimate, sd)
     found = dict(zip(im.INPUTS, inputs[0], strict=True))
     wheel, n = SCENARIO.wheel, SCENARIO.belief.sinkage_exponent
@@ -121,8 +119,7 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
 
 def test_held_actions_miss_no_reading():
     """An action of five periods leaves the same averages as five of one."""
-    change = {"action": "torque", "course": {"length": 3.0}}
-    one, five = SoilWheelEnv(repeat=1, **change), SoilWheelEnv(repeat=5, **change)
+    one, five = (SoilWheelEnv(repeat=n, action="torque", course={"length": 3.0}) for n in (1, 5))
     one.reset(seed=4), five.reset(seed=4)
     for _ in range(6):
         for _ in range(5):

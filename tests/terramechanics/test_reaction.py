@@ -139,6 +139,5 @@ def test_a_base_reaction_is_that_of_the_whole_without_effects():
         (v, u), sinkage, load = motion(rng), rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
         ground = reaction.ground_under(sinkage, v, u, load, soil, 0.0, 1.0, wheel)
         assert ground[2:] == (0.0,) * 5 and ground.arc == contact.smooth_arc(sinkage, R)
-        assert react(ground, v, u, load, wheel) == pytest.approx(
-            reaction.reaction(v, u, sinkage, load, soil, R, R), rel=1e-12
-        )
+        expected = reaction.reaction(v, u, sinkage, load, soil, R, R)
+        assert react(ground, v, u, load, wheel) == pytest.approx(expected, rel=1e-12)
