@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from scipy.stats import linregress, t
 
 from soil_env._io.loading import ParameterError
@@ -37,12 +36,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "data"
 
 def steady(slip, load, soil=SAND, wheel=WHEEL):
     """(sinkage, drawbar pull, torque) at a load normal to the ground."""
-
-    def at(z):
-        return reference.forces(soil, slip, math.acos(1.0 - z / wheel.radius), wheel.radius, wheel.width)
-
-    z = brentq(lambda z: at(z).load - load, 1e-6, 0.9 * wheel.radius, xtol=1e-10, rtol=1e-9)
-    return z, at(z).drawbar_pull, at(z).torque
+    return reference.steady(soil, slip, load, reference.Site(wheel.radius, wheel.width), {})[:3]
 
 
 @cache
