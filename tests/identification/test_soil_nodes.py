@@ -78,7 +78,7 @@ def test_the_prior_follows_the_sinkage(filled):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_known_is_the_mixture_of_the_nodes(filled, seed):
-    """Of random means, covariances and weights."""
+    """Nodes have random means, covariances and weights."""
     rng, banks, unknowns = np.random.default_rng(seed), filled[0], soil.UNKNOWNS
     n, units = rows(banks), np.array([[1.0], [500.0], [1.0], [1.0]])
     n[:3] += 0.02 * rng.standard_normal((3, COUNT)) * units[:3]

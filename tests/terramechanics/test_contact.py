@@ -45,7 +45,7 @@ def random_case(rng, softest_k):
 @pytest.mark.parametrize("seed", range(40))
 @pytest.mark.parametrize(("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)])
 def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
-    """Where the shear reverses within the arc, de/dj has a kink that the nodes do not see: the bound is wider.
+    """The bound is wider where the shear reverses within the arc: de/dj has a kink that the nodes do not see.
 
     At K/r below 0.05 and deep entry that error grows further, to 1 % of the stresses at K/r = 0.01.
     """
