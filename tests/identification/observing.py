@@ -15,6 +15,14 @@ def observe(ids, wheel, reading, numbers):
     return outcomes.outcome.item()
 
 
+def numbers_of(ids):
+    """All that identifiers remember, in one row."""
+    banks = ids.banks
+    arrays = (ids.estimate, ids.sd, ids.covariance, ids.best_pull, ids.status, ids.borders, banks.nodes, banks.known,
+              banks.sinkage, banks.candidates, banks.point.data)  # fmt: skip
+    return np.concatenate([np.ravel(x) for x in arrays])
+
+
 def started(scenario, *seeds):
     """Simulation of identified wheels, one for each seed of `default_rng`, each at the start of its course."""
     simulation = Simulation(len(seeds), scenario, "identified", threads=1)

@@ -22,45 +22,37 @@ SECONDS = 20.0  # of a smoke test
 
 
 @compiled_root
-def _truth(state, counts, courses, border, exponent, bearing_ln, out):
-    """(phi, ln K, ln S at `exponent`) of the ground under each wheel into `out` [n, 3]."""
+def _truth(state, counts, courses, border, out):
+    """(phi, ln K) of the ground under each wheel into `out` [n, 2]."""
     for k in range(len(out)):
         soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], border)
         out[k, 0], out[k, 1] = math.atan(soil.tan_phi), math.log(soil.shear_modulus)
-        out[k, 2] = math.log(soil.sinkage_coefficient) + (soil.sinkage_exponent - exponent) * bearing_ln[k]
-
-
-def record(scenario, name, seed=SEED, courses=COURSES):
-    """Errors and standard deviations [n, 3] of (phi, ln K, ln S) at all driven steps of a controller, and the errors
-    that the prior makes there."""
-    prior, exponent = identifier_numbers(scenario).prior[:3], scenario.belief.sinkage_exponent
-    errors, sds, without = [], [], []
-    for w, alive in drive(make_controller(name, scenario), scenario, seed, 0, courses, threads=1, warnings=True):
-        truth = np.empty((courses, 3))
-        bearing = np.log(np.maximum(w.state["bearing_sinkage"], 1e-4))
-        _truth(w.state, w.counts, w.courses, scenario.course.border, exponent, bearing, truth)
-        driven = alive & (w.state["halt_left"] == 0.0)
-        errors.append((w.ids.estimate[:, :3] - truth)[driven])
-        sds.append(w.ids.sd[driven, :3])
-        without.append((prior - truth)[driven])
-    return tuple(map(np.concatenate, (errors, sds, without)))
 
 
 def test_intervals_hold_on_the_default_task():
     """Friction angle and ln K on 40 courses that no threshold was set on: 68 % intervals hold about so often."""
-    error, sd, without = record(load_scenario("two_lines"), "best_slip_identified")
+    scenario, errors, sds, without = load_scenario("two_lines"), [], [], []
+    prior = identifier_numbers(scenario).prior[:2]
+    controller = make_controller("best_slip_identified", scenario)
+    for w, alive in drive(controller, scenario, SEED, 0, COURSES, threads=1, warnings=True):
+        truth = np.empty((COURSES, 2))
+        _truth(w.state, w.counts, w.courses, scenario.course.border, truth)
+        driven = alive & (w.state["halt_left"] == 0.0)
+        errors.append((w.ids.estimate[:, :2] - truth)[driven])
+        sds.append(w.ids.sd[driven, :2])
+        without.append((prior - truth)[driven])
+    error, sd, without = map(np.concatenate, (errors, sds, without))
     assert len(error) > 10_000
-    scaled = np.abs(error / sd)[:, :2]
+    scaled = np.abs(error / sd)
     inside, beyond = np.mean(scaled < 1.0, axis=0), np.mean(scaled > 3.0, axis=0)
     assert np.all((inside > 0.60) & (inside < 0.80)), inside
     assert np.all(beyond < 0.02), beyond
-    rms, of_prior = (np.sqrt(np.mean(np.square(e), axis=0))[:2] for e in (error, without))
+    rms, of_prior = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (error, without))
     assert np.all(rms < of_prior), (rms, of_prior)
 
 
 def check(ids, scenario):
-    """Estimates are finite and those of some soil, standard deviations are positive, covariances semidefinite and
-    symmetric, and the two agree."""
+    """Estimates are finite; covariances are symmetric, positive semidefinite and those of the standard deviations."""
     prior = 1.0 / np.sqrt(identifier_numbers(scenario).precision)
     assert np.all(np.isfinite(ids.estimate)) and np.all(np.isfinite(ids.covariance))
     assert np.all(ids.sd > 0.0) and np.all(np.isfinite(ids.sd))
@@ -86,10 +78,10 @@ def test_every_scenario_gives_finite_estimates(name):
 @pytest.mark.parametrize("name", rover_names())
 def test_every_rover_gives_finite_estimates(name):
     scenario = load_rover(name, {"control": {"action": "wheel_speed", "repeat": 1}})
-    simulation, rovers = RoverSimulation(2, scenario, "blind", 1, estimates=True), 2
-    for j in range(rovers):
+    simulation = RoverSimulation(2, scenario, "blind", 1, estimates=True)
+    for j in range(2):
         simulation.seed(j, np.random.default_rng([SEED, j]))
-    simulation.restart_where(np.ones(rovers, dtype=bool))
+    simulation.restart_where(np.ones(2, dtype=bool))
     w, rows = simulation.worlds, simulation.wheels.ravel()
     for step in range(round(SECONDS / scenario.control.period)):
         going = w.cause == Cause.RUNNING.value

@@ -1,4 +1,4 @@
-"""Forces of the ground and their slopes: against adaptive quadrature, the simulated steady wheel and differences."""
+"""Forces of the ground and their slopes: against adaptive quadrature and differences."""
 
 import math
 
@@ -8,8 +8,6 @@ import pytest
 from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
-from soil_env.parameters import soils
-from soil_env.terramechanics.steady import steady_state
 from tests.terramechanics import reference
 
 R, B = 0.15, 0.12
@@ -20,12 +18,9 @@ VALUE = Slopes._fields.index("value")
 @compiled_inline
 def _store(slopes, out, row):
     to_array(slopes.value, out, row * COUNT)
-    to_array(slopes.by_tangent, out, (row + 1) * COUNT)
-    to_array(slopes.by_cohesion, out, (row + 2) * COUNT)
-    to_array(slopes.by_exponent, out, (row + 3) * COUNT)
-    to_array(slopes.by_ln_K, out, (row + 4) * COUNT)
-    to_array(slopes.by_sinkage, out, (row + 5) * COUNT)
-    to_array(slopes.by_slip, out, (row + 6) * COUNT)
+    by_soil = slopes.by_tangent, slopes.by_cohesion, slopes.by_exponent, slopes.by_ln_K
+    for i, slope in enumerate((*by_soil, slopes.by_sinkage, slopes.by_slip)):
+        to_array(slope, out, (row + 1 + i) * COUNT)
 
 
 @compiled_root
@@ -80,20 +75,6 @@ def test_forces_are_those_of_quadrature(seed, braking, tolerance):
             assert abs(found - expected) < tolerance * judge.scale
 
 
-@pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "sandy_loam_15"])
-def test_a_steady_wheel_mobilises_the_sinkage_coefficient_of_undisturbed_soil(name):
-    """Without digging: as `steady_state` finds the sinkage by the load, the coefficient follows from both."""
-    soil, load = soils()[name].state(B)._replace(dig_gain=0.0), 140.0
-    slips = np.linspace(-0.3, 0.7, COUNT)
-    steady = [steady_state(float(slip), load, soil, R, B) for slip in slips]
-    x = np.array([[soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)]] * COUNT).T
-    x = np.vstack([x, [s.sinkage for s in steady], slips])
-    pull, torque, ln_s = reactions(x, load)[:, VALUE]
-    np.testing.assert_allclose(np.exp(ln_s), soil.sinkage_coefficient, rtol=1e-5)
-    np.testing.assert_allclose(pull, [s.drawbar_pull for s in steady], rtol=1e-5, atol=1e-5 * load)
-    np.testing.assert_allclose(torque, [s.torque for s in steady], rtol=1e-5, atol=1e-5 * load * R)
-
-
 @pytest.mark.parametrize("depth", [1e-3, 0.01, 1.0, 1.9])
 def test_all_is_finite_from_the_surface_to_the_top_of_the_wheel(depth):
     """Also under no load, at the wildest soils that nodes may be at; the filter keeps sinkages within these."""
@@ -103,10 +84,3 @@ def test_all_is_finite_from_the_surface_to_the_top_of_the_wheel(depth):
         x[TANGENT, :4], x[COHESION, 2:6], x[EXPONENT, 4:] = 0.005, -500.0, 0.2
         x[LN_K, :2], x[LN_K, 2:4] = -12.0, 3.0
         assert np.all(np.isfinite(reactions(x, load)))
-
-
-def test_a_lane_does_not_depend_on_the_others():
-    x = cases(6)
-    for k in range(COUNT):
-        alone = reactions(np.repeat(x[:, k : k + 1], COUNT, axis=1), 90.0)
-        np.testing.assert_array_equal(alone[..., 0], reactions(x, 90.0)[..., k])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.special import softmax
 
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT, fill, to_array
@@ -51,103 +52,81 @@ def _share(x, spread, place, length, out):
     to_array(slope, out, COUNT)
 
 
-def forces(soil, sinkage, slip, load=LOAD_N):
-    """(pull, torque) of one soil, (tan phi, c, n, ln K)."""
-    x = np.repeat(np.append(soil, [sinkage, slip])[:, None], COUNT, axis=1)
-    return reactions(x, load, R, B)[:2, 0, 0]
-
-
-def exact_points(soil, slips, sinkages, sd=(1e-3, 1e-4, 0.02, 0.003)):
-    """Points [n, FIELDS] without noise; `sd` of slip, sinkage [m], pull [N] and torque [N m] are their weights."""
-    out = np.zeros((len(slips), c.FIELDS))
-    for row, slip, sinkage in zip(out, slips, sinkages, strict=True):
-        row[[c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] = slip, sinkage, *forces(soil, sinkage, slip)
-        row[[c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]] = 1.0 / np.square(sd)
-        row[[c.READINGS, c.LOAD, c.KEY, c.PLACE, c.SPREAD, c.ON_BORDER]] = 8.0, LOAD_N, slip, 0.1, 0.02, 0.0
-    return out
-
-
-SLIPS = np.array([0.03, 0.08, 0.15, 0.24, 0.35, 0.47, 0.6, 0.74])
+SLIPS = np.array([0.03, 0.08, 0.15, 0.24, 0.35, 0.47, 0.6, 0.74])  # as many as there are lanes
 SINKAGES = 0.018 * (1.0 + 1.5 * SLIPS)
+MEASURED = [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]
+WEIGHTS = [c.SLIP_WEIGHT, c.SINKAGE_WEIGHT, c.PULL_WEIGHT, c.TORQUE_WEIGHT]
+
+
+def forces(soil, sinkages, slips):
+    """(pull, torque) [2, COUNT] of one soil, (tan phi, c, n, ln K)."""
+    x = np.vstack([np.repeat(soil[:, None], COUNT, axis=1), sinkages, slips])
+    return reactions(x, LOAD_N, R, B)[:2, 0]
+
+
+def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
+    """Points [COUNT, FIELDS] of a soil as measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
+    points, exact = np.zeros((COUNT, c.FIELDS)), np.vstack([SLIPS, SINKAGES, forces(soil, SINKAGES, SLIPS)]).T
+    points[:, MEASURED] = exact + rng.standard_normal((COUNT, 4)) * sd
+    points[:, WEIGHTS] = 1.0 / np.square(sd)
+    points[:, [c.READINGS, c.LOAD, c.PLACE, c.SPREAD]] = 8.0, LOAD_N, 0.1, 0.02
+    points[:, c.KEY] = SLIPS
+    return points
 
 
 class Fitted:
     """A filter whose curve has been fed with points."""
 
-    def __init__(self, points, error=NUMBERS.model_error, again=25):
+    def __init__(self, points, again=25):
         self.banks = new_banks(1)
         restart(self.banks, 0, NUMBERS)
-        self.banks.point.form_error[0], self.error = error, error
+        self.banks.point.form_error[0] = NUMBERS.model_error
         self.misfit = _feed(self.banks, points, NUMBERS.border, NUMBERS)
         for _ in range(again):
             self.misfit = _fit_again(self.banks, NUMBERS)
-
-    @property
-    def nodes(self):
-        return self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
-
-    @property
-    def mean(self):
-        return self.banks.known[0, : n.SOIL].copy()
-
-    @property
-    def covariance(self):
-        return symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
+        self.nodes = self.banks.nodes[0].reshape(n.NODE_ROWS, COUNT)
+        self.mean = self.banks.known[0, : n.SOIL]
+        self.covariance = symmetric(self.banks.known[0, n.SOIL : n.GAUSSIAN])
 
 
-class Judge:
-    """Scipy's least squares of the unknowns and of the slip and sinkage of each bin, each with its own error."""
-
-    def __init__(self, points, error=NUMBERS.model_error):
-        self.points = points
-        self.form = error * LOAD_N
-        self.scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
-
-    def residual(self, x, ln_K):
-        """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior."""
-        soil, of_bins = PRIOR + self.scale * np.append(x[:3], ln_K), x[3:].reshape(-1, 2)
-        away, P = soil - PRIOR, PRIOR_COVARIANCE
-        slope = P[:3, 3] / P[3, 3]
-        away, P = away[:3] - slope * away[3], P[:3, :3] - np.outer(slope, P[:3, 3])
-        out = [np.linalg.solve(np.linalg.cholesky(P), away), of_bins.ravel()]
-        for point, (slip_off, sinkage_off) in zip(self.points, of_bins, strict=True):
-            slip = point[c.SLIP] + slip_off / math.sqrt(point[c.SLIP_WEIGHT])
-            sinkage = point[c.SINKAGE] + sinkage_off / math.sqrt(point[c.SINKAGE_WEIGHT])
-            pull, torque = forces(soil, sinkage, slip)
-            sd = math.sqrt(1.0 / point[c.PULL_WEIGHT] + self.form**2)
-            of_torque = math.sqrt(1.0 / point[c.TORQUE_WEIGHT] + (self.form * R) ** 2)
-            out.append([(point[c.PULL] - pull) / sd, (point[c.TORQUE] - torque) / of_torque])
-        return np.concatenate([np.ravel(o) for o in out])
-
-    def solve(self, ln_K):
-        """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K."""
-        fixed, start = (ln_K - PRIOR[3]) / self.scale[3], np.zeros(3 + 2 * len(self.points))
-        found = least_squares(self.residual, start, args=(fixed,), xtol=1e-12, ftol=1e-12, gtol=1e-10)
-        covariance, scale = np.linalg.inv(found.jac.T @ found.jac)[:3, :3], self.scale[:3]
-        return PRIOR[:3] + scale * found.x[:3], covariance * np.outer(scale, scale), 2.0 * found.cost
+SCALE = np.sqrt(np.diag(PRIOR_COVARIANCE))
+BY_LN_K = PRIOR_COVARIANCE[:3, 3] / PRIOR_COVARIANCE[3, 3]
+GIVEN_LN_K = np.linalg.cholesky(PRIOR_COVARIANCE[:3, :3] - np.outer(BY_LN_K, PRIOR_COVARIANCE[:3, 3]))
 
 
-def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points of a soil as they are measured."""
-    points = exact_points(soil, SLIPS, SINKAGES, sd)
-    points[:, [c.SLIP, c.SINKAGE, c.PULL, c.TORQUE]] += rng.standard_normal((len(points), 4)) * sd
-    points[:, c.KEY] = SLIPS
-    return points
+def residual(x, points, ln_K):
+    """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior and of the bins."""
+    away, of_bins = np.append(SCALE[:3] * x[:3], ln_K - PRIOR[3]), x[3:].reshape(2, COUNT)
+    measured, weights = points[:, MEASURED].T, points[:, WEIGHTS].T
+    slips, sinkages = measured[:2] + of_bins / np.sqrt(weights[:2])
+    form = NUMBERS.model_error * LOAD_N * np.array([[1.0], [R]])
+    off = (measured[2:] - forces(PRIOR + away, sinkages, slips)) / np.sqrt(1.0 / weights[2:] + form**2)
+    prior = np.linalg.solve(GIVEN_LN_K, away[:3] - BY_LN_K * away[3])
+    return np.concatenate([prior, of_bins.ravel(), off.ravel()])
+
+
+def judge(points, ln_K):
+    """(mean, covariance, chi-squared) of tan phi, cohesion and exponent at ln K by scipy.
+
+    Slip and sinkage of each bin are unknowns too.
+    """
+    start = np.zeros(3 + 2 * COUNT)
+    found = least_squares(residual, start, args=(points, ln_K), xtol=1e-12, ftol=1e-12, gtol=1e-10)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)[:3, :3] * np.outer(SCALE[:3], SCALE[:3])
+    return PRIOR[:3] + SCALE[:3] * found.x[:3], covariance, 2.0 * found.cost
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
     points = noisy_points(np.random.default_rng(seed))
-    fitted, judge = Fitted(points), Judge(points)
+    fitted, log_weight = Fitted(points), np.empty(COUNT)
     nodes = fitted.nodes
-    log_weight = np.empty(COUNT)
-    scale = np.sqrt(np.diag(PRIOR_COVARIANCE))
     likely = np.exp(nodes[n.LOG_WEIGHT]) > 2e-3
     assert likely.sum() >= 4
     for k in range(COUNT):
-        mean, covariance, chi = judge.solve(nodes[n.LN_K, k])
-        away = (nodes[n.LN_K, k] - PRIOR[3]) / scale[3]
+        mean, covariance, chi = judge(points, nodes[n.LN_K, k])
+        away = (nodes[n.LN_K, k] - PRIOR[3]) / SCALE[3]
         log_weight[k] = -0.5 * away**2 - 0.5 * chi + 0.5 * np.linalg.slogdet(covariance)[1]
         if likely[k]:
             sd = np.sqrt(np.diag(covariance))
@@ -155,8 +134,7 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
             assert np.all(np.abs(nodes[:3, k] - mean) < 0.15 * sd), (k, (nodes[:3, k] - mean) / sd)
             np.testing.assert_allclose(found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08)
             assert nodes[n.COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
-    weight = np.exp(log_weight - log_weight.max())
-    np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), weight / weight.sum(), atol=0.03)
+    np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), softmax(log_weight), atol=0.03)
     assert fitted.misfit == pytest.approx(nodes[n.COST].min())
 
 
@@ -173,21 +151,20 @@ def test_errors_are_as_large_as_stated():
     assert np.all((inside > 0.5) & (inside < 0.9)), inside
 
 
-def share(x, spread, place, length):
-    """(share of the new soil, its slope by the place of the border)."""
-    out = np.zeros(2 * COUNT)
-    _share(x, spread, place, length, out)
-    return out[0], out[COUNT]
-
-
 def test_the_share_on_a_border_and_its_slope():
     """The mean of the terrain's share over two places; the slope by the place of the border is that of differences."""
     spread, length = 0.02, 0.3
+
+    def share(x, place):
+        out = np.zeros(2 * COUNT)
+        _share(x, spread, place, length, out)
+        return out[[0, COUNT]]
+
     for place in (-0.05, 0.0, 0.03):
         for x in np.linspace(-0.2, 0.2, 9):
-            found, slope = share(x, spread, place, length)
+            found, slope = share(x, place)
             of_terrain = 0.5 * sum(share_of_next((x + s - place) / length)[0] for s in (-spread, spread))
             assert found == pytest.approx(min(max(of_terrain, 1e-4), 1.0 - 1e-4), abs=1e-12)
             if 1e-3 < found < 1.0 - 1e-3:
-                rise = share(x, spread, place + 1e-6, length)[0] - share(x, spread, place - 1e-6, length)[0]
+                rise = share(x, place + 1e-6)[0] - share(x, place - 1e-6)[0]
                 assert slope == pytest.approx(rise / 2e-6, rel=1e-4, abs=1e-6)

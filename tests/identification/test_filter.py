@@ -11,7 +11,7 @@ from soil_env.identification import Status
 from soil_env.identification.online import curve, identifier
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
 from soil_env.parameters import Belief, load_scenario
-from tests.identification.observing import observe, started
+from tests.identification.observing import numbers_of, observe, started
 
 SCENARIO = load_scenario("mixed")
 PLAIN = replace(SCENARIO, belief=Belief())
@@ -21,23 +21,19 @@ STEADY = SensorReading(0.25, 0.022, 14.0, 147.0, 5.5, 0.28, 0.28 / 0.75, 0.0, 5.
 class Fed:
     """One identifier fed with readings."""
 
-    def __init__(self, scenario=SCENARIO, wheels=1):
-        self.numbers, self.ids = identifier.identifier_numbers(scenario), identifier.new_identifiers(wheels)
-        for k in range(wheels):
-            identifier.forget(self.ids, k, self.numbers)
+    def __init__(self, scenario=SCENARIO):
+        self.numbers, self.ids = identifier.identifier_numbers(scenario), identifier.new_identifiers(1)
+        identifier.forget(self.ids, 0, self.numbers)
         self.p = self.ids.banks.point
 
-    def feed(self, reading, times=1, wheel=0):
+    def feed(self, reading, times=1):
         """Outcome of each reading."""
-        return [observe(self.ids, wheel, reading, self.numbers) for _ in range(times)]
+        return [observe(self.ids, 0, reading, self.numbers) for _ in range(times)]
 
     @property
     def bins(self):
         """Bins of the curve [n, FIELDS]."""
         return self.ids.banks.bins[0].reshape(curve.BINS + 1, curve.FIELDS)[: int(self.p.bins[0])]
-
-
-# --- points -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_point_is_a_few_readings():
@@ -76,61 +72,41 @@ def test_wheels_that_do_not_drive_tell_nothing(changes):
     assert fed.p.points[0] == 0.0 and fed.ids.status[0] == Status.NO_DATA
 
 
-# --- on courses -------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def known_along_a_soil():
-    """Median standard deviations [5, 2] of friction and K of eight wheels, a quarter of the drive apart."""
-    course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
-    changes = {"course": course, "control": {"action": "wheel_speed"}}
-    sim = started(load_scenario("mixed", changes), *([3, k] for k in range(8)))
-    sds = [np.median(sim.worlds.ids.sd[:, :2], axis=0)]
-    for step in range(240):
-        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
-        if step % 60 == 59:
-            sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))
-    return np.array(sds)
-
-
-def test_what_is_known_grows_along_a_soil(known_along_a_soil):
-    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
-    sds = known_along_a_soil
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.25 * sds[:-1]), sds
-
-
-@pytest.mark.xfail(
+UNSURE = pytest.mark.xfail(
     strict=True, reason="a next soil that may begin is part of the estimate: ln K is less sure for a while"
 )
-def test_what_is_known_hardly_ever_shrinks_along_a_soil(known_along_a_soil):
-    sds = known_along_a_soil
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < 1.15 * sds[:-1]), sds
 
 
-# --- what enters ------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("growth", [1.25, pytest.param(1.15, marks=UNSURE)])
+def test_what_is_known_grows_along_a_soil(growth):
+    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
+    course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
+    changes = {"course": course, "control": {"action": "wheel_speed"}}
+    sim, sds = started(load_scenario("mixed", changes), *([3, k] for k in range(8))), []
+    for step in range(241):
+        if step % 60 == 0:
+            sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))  # of friction and ln K
+        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
+    sds = np.array(sds)
+    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < growth * sds[:-1]), sds
 
 
-def numbers_of(ids):
-    """All that is remembered."""
-    return np.concatenate([ids.estimate.ravel(), ids.sd.ravel(), ids.covariance.ravel(), ids.best_pull.ravel(),
-                           ids.banks.nodes.ravel(), ids.banks.known.ravel(), ids.banks.sinkage.ravel(),
-                           ids.banks.candidates.ravel()])  # fmt: skip
+wild, speed = st.floats(-1e6, 1e6), st.floats(-3.0, 3.0)
+wild_reading = st.builds(
+    SensorReading, st.floats(-1.0, 1.0), st.floats(-0.2, 0.4), wild, wild, wild, speed, speed, st.floats(-1.6, 1.6),
+    wild, wild,
+)  # fmt: skip
 
 
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])
-@given(data=st.data())
-def test_wild_readings_never_give_nan(data):
-    """Nor more bins than there is memory for, nor a covariance that is none; and the filter recovers from them."""
-    fed = Fed(data.draw(st.sampled_from([SCENARIO, PLAIN]), label=""))
-    ids, wild, speed = fed.ids, st.floats(-1e6, 1e6), st.floats(-3.0, 3.0)
-    scale = np.sqrt(1.0 / fed.numbers.precision)
-    for _ in range(data.draw(st.integers(5, 25))):
-        reading = SensorReading(
-            data.draw(st.floats(-1.0, 1.0)), data.draw(st.floats(-0.2, 0.4)), *[data.draw(wild)] * 3,
-            data.draw(speed), data.draw(speed), data.draw(st.floats(-1.6, 1.6)), data.draw(wild), data.draw(wild),
-        )  # fmt: skip
+@given(st.sampled_from([SCENARIO, PLAIN]), st.lists(wild_reading, min_size=5, max_size=25))
+def test_wild_readings_never_give_nan(scenario, readings):
+    """Nor more bins than there is memory for, nor a covariance that is none."""
+    fed = Fed(scenario)
+    ids, scale = fed.ids, np.sqrt(1.0 / fed.numbers.precision)
+    for reading in readings:
         for _ in range(5):
-            observe(ids, 0, reading, fed.numbers)
+            fed.feed(reading)
             assert 0.0 <= fed.p.bins[0] <= curve.BINS
         assert np.all(np.isfinite(numbers_of(ids))) and np.all(ids.sd > 0.0)
         if np.all(ids.sd < 1e3 * scale):
@@ -138,12 +114,11 @@ def test_wild_readings_never_give_nan(data):
         assert isinstance(Status(ids.status[0]), Status)
 
 
-@pytest.mark.parametrize("which", range(len(SensorReading._fields)))
-def test_a_reading_that_is_not_a_number_is_passed_over(which):
+@pytest.mark.parametrize("name", SensorReading._fields)
+def test_a_reading_that_is_not_a_number_is_passed_over(name):
     for wrong in (math.nan, math.inf, -math.inf):
         fed = Fed()
         before = numbers_of(fed.ids)
-        name = SensorReading._fields[which]
         assert fed.feed(STEADY._replace(**{name: wrong}), 20) == [HELD] * 20
         np.testing.assert_array_equal(numbers_of(fed.ids), before)
         fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 5)
@@ -151,19 +126,17 @@ def test_a_reading_that_is_not_a_number_is_passed_over(which):
         assert fed.feed(STEADY._replace(rim_speed=0.1, speed=0.075), 4)[-1] == RENEWED
 
 
-CONTRARY = SensorReading(0.25, 0.022, 14.0, 147.0, 5.5, 0.28, 0.375, 0.0, 12.0, -3.0)
+CONTRARY = STEADY._replace(rim_speed=0.375, motor_torque=12.0, acceleration=-3.0)
 
 
 def test_readings_that_contradict_each_other_give_no_current_estimate():
-    """A motor torque of twice the torque and an acceleration against the pull, at slips that vary, for sensors next to
-    exact: no soil has such a curve."""
+    """Motor torque twice the torque, acceleration against the pull, at slips that vary, by sensors next to exact."""
     exact = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "motor_torque"), 1e-6)
     fed, seen = Fed(load_scenario("mixed", {"noise": exact, "belief": {"grade_change_deg": 0.0}})), []
     for k in range(400):
         slip = 0.3 + 0.25 * math.sin(0.05 * k)
         pull, torque = 14.0 - 40.0 * slip, 3.0 + 25.0 * slip * (-1.0) ** (k // 30)
-        reading = CONTRARY._replace(slip=slip, speed=0.375 * (1.0 - slip), drawbar_pull=pull, torque=torque)
-        fed.feed(reading)
+        fed.feed(CONTRARY._replace(slip=slip, speed=0.375 * (1.0 - slip), drawbar_pull=pull, torque=torque))
         seen.append(Status(fed.ids.status[0]))
     assert seen.count(Status.MISFIT) > 150
 
@@ -173,24 +146,19 @@ def test_steady_readings_of_one_soil_contradict_nothing():
     course = {"length": 60.0, "patch_length": [60.0, 60.0], "halt_interval": [1e5, 1e6], "margin": [0.1, 0.1]}
     still = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
     changes = {"course": course, "soils": {"dry_sand": 1}, "spread": still, "control": {"action": "wheel_speed"}}
-    sim = started(load_scenario("mixed", changes), *([9, k] for k in range(8)))
-    misfit = borders = 0
+    sim, misfits = started(load_scenario("mixed", changes), *([9, k] for k in range(8))), []
     for step in range(300):
         sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.07 * step)), np.zeros(8, np.int8))
-        misfit += (sim.worlds.ids.status == Status.MISFIT).sum()
-        borders = sim.worlds.ids.borders.sum()
-    assert misfit < 0.1 * 8 * 300 and borders <= 2, (misfit, borders)
+        misfits.append(sim.worlds.ids.status == Status.MISFIT)
+    assert np.mean(misfits) < 0.1 and sim.worlds.ids.borders.sum() <= 2
 
 
 def test_forget_leaves_nothing_of_the_course_before():
-    numbers, fresh = identifier.identifier_numbers(SCENARIO), identifier.new_identifiers(1)
-    sim = started(SCENARIO, 1)
+    sim, used, fresh = started(SCENARIO, 1), Fed(), Fed()
     for k in range(160):
         sim.step(0, 0.35 + 0.15 * math.sin(0.1 * k))
-    used = sim.worlds.ids
-    for ids in (used, fresh):
-        identifier.forget(ids, 0, numbers)
-        for _ in range(60):
-            observe(ids, 0, CONTRARY._replace(load=14.7), numbers)
-    np.testing.assert_array_equal(numbers_of(used), numbers_of(fresh))
-    assert used.banks.point.tobytes() == fresh.banks.point.tobytes()
+    used.ids = sim.worlds.ids
+    identifier.forget(used.ids, 0, used.numbers)
+    for fed in (used, fresh):
+        fed.feed(CONTRARY._replace(load=14.7), 60)
+    np.testing.assert_array_equal(numbers_of(used.ids), numbers_of(fresh.ids))

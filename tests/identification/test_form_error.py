@@ -1,24 +1,28 @@
 """Form errors: the process, its compression, and unknowns with the sizes marginalised."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import INPUTS, Process
+from tests.terramechanics.reference import Ground
 
 RNG = np.random.default_rng(0)
 CONDITIONS = {"slip": RNG.uniform(0.0, 0.6, 60), "load": np.exp(RNG.uniform(4.0, 5.5, 60)),
               "pass": RNG.integers(1, 4, 60).astype(float), "speed": np.full(60, 0.05)}  # fmt: skip
 
 
-def kernel(names, a=CONDITIONS, b=CONDITIONS):
-    """exp(-d^2/2) of the conditions, by its definition."""
-    square = 0.0
-    for name in names:
-        x, y = (np.log(c[name]) if name != "slip" else c[name] for c in (a, b))
-        square = square + ((x[:, None] - y[None, :]) / form_error.LENGTHS[name]) ** 2
-    return np.exp(-0.5 * square)
+def gauss(x, length):
+    """exp(-d^2/2) of all pairs of x, by its definition."""
+    return np.exp(-0.5 * ((x[:, None] - x) / length) ** 2)
+
+
+def kernel(names):
+    each = {name: CONDITIONS[name] if name == "slip" else np.log(CONDITIONS[name]) for name in names}
+    return math.prod(gauss(x, form_error.LENGTHS[name]) for name, x in each.items())
 
 
 def test_the_functions_have_the_covariance_of_the_process():
@@ -28,8 +32,8 @@ def test_the_functions_have_the_covariance_of_the_process():
     of_a_law = Process.over(CONDITIONS, of=INPUTS)  # what goes with the pass is no error of the law
     assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(kernel(("slip", "load")), abs=0.03)
     over = Process.over(CONDITIONS, of=INPUTS, lengths=form_error.LAW_LENGTHS[1])
-    slip = (CONDITIONS["slip"][:, None] - CONDITIONS["slip"]) / 0.6
-    assert over.at_points @ over.at_points.T == pytest.approx(kernel(("load",)) * np.exp(-0.5 * slip**2), abs=0.03)
+    expected = kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6)
+    assert over.at_points @ over.at_points.T == pytest.approx(expected, abs=0.03)
 
 
 def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ_by_its_sign():
@@ -39,8 +43,7 @@ def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ
     place = np.array([-0.6, -0.05, 0.0, 0.05, 0.5, 0.55])
     at = process.at({"slip": place, "load": np.full(6, 120.0), "pass": np.ones(6), "speed": np.full(6, 0.05)})
     logarithm = np.sign(place) * np.log(1.0 + np.abs(place) / 0.05)
-    expected = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / 0.8) ** 2)
-    assert at @ at.T == pytest.approx(expected, abs=0.1)
+    assert at @ at.T == pytest.approx(gauss(logarithm, 0.8), abs=0.1)
 
 
 def test_beyond_the_table_the_variance_is_open():
@@ -84,10 +87,7 @@ def test_a_mixture_has_the_moments_of_its_parts():
 
 
 def test_stress_changes_scale_the_stresses():
-    soil = {
-        "friction_angle_deg": 30.0, "cohesion": 1000.0, "shear_modulus": 0.01, "sinkage_coefficient": 1e6,
-        "sinkage_exponent": 1.0,
-    }  # fmt: skip
+    soil = Ground(30.0, 1000.0, 0.01, 1e6, 1.0)._asdict()
     normal, shear, moved, spread, later = form_error.stress_changes(soil, 0.1, 0.02)
     assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, {})
     assert shear.soil["cohesion"] == pytest.approx(1100.0)
@@ -111,8 +111,8 @@ def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
     def moments(w):
         return x @ w, (x - x @ stress(0.5, 1.0)) ** 2 @ w
 
-    kernel = np.exp(-0.5 * ((x[:, None] - x) / 0.5) ** 2) + 1e-9 * np.eye(x.size)
-    errors = np.linalg.cholesky(kernel) @ np.random.default_rng(0).standard_normal((x.size, 20000))
+    errors = np.random.default_rng(0).standard_normal((x.size, 20000))
+    errors = np.linalg.cholesky(gauss(x, 0.5) + 1e-9 * np.eye(x.size)) @ errors
     size = 0.01
     wrong = stress(0.5, 1.0)[:, None] * (1.0 + size * errors)
     place, spread = (np.std(m) / size for m in moments(wrong / wrong.sum(axis=0)))
@@ -137,7 +137,7 @@ def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it
         return x @ shear(ln_more_K) / shear(ln_more_K).sum()
 
     weight = shear(0.0) / shear(0.0).sum() * (x - place(0.0))
-    by_error = np.sqrt(weight @ np.exp(-0.5 * ((x[:, None] - x) / 0.5) ** 2) @ weight)
+    by_error = np.sqrt(weight @ gauss(x, 0.5) @ weight)
     by_K = (place(0.01) - place(-0.01)) / 0.02
     assert form_error._TURNED == pytest.approx(by_error / abs(by_K), rel=0.05)
     lost = -np.log(shear(0.01).sum() / shear(-0.01).sum()) / 0.02

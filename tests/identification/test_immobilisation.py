@@ -11,13 +11,13 @@ from soil_env.identification.online.identifier import SensorReading
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout
 
-SIZE = len(im.INPUTS)
+SCENARIO = load_scenario("mixed")
 READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
 
 
-def follow(readings, halted=None, numbers=None):
+def follow(readings, halted=None, scenario=SCENARIO):
     """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a period each."""
-    numbers = numbers or im.warning_numbers(load_scenario("mixed"))
+    numbers = im.warning_numbers(scenario)
     recent = np.zeros((1, im.MEMORY))
     im.begin(recent, 0, readings[0], numbers)
     for i, reading in enumerate(readings[1:]):
@@ -28,12 +28,8 @@ def follow(readings, halted=None, numbers=None):
 AVERAGES = len(im.SCALES) * len(im.Channels._fields)
 
 
-def by_name(recent):
-    return dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
-
-
 def test_the_compiled_network_is_the_one_of_matrices():
-    warning, rng, k = im.ImmobilisationWarning(load_scenario("mixed")), np.random.default_rng(1), np.arange(200)
+    warning, rng, k = im.ImmobilisationWarning(SCENARIO), np.random.default_rng(1), np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.MEMORY)))
     estimate, sd = 0.3 * rng.normal(size=(200, 5)), np.abs(rng.normal(size=(200, 5)))
     expected = im.score_inputs(warning.inputs(k, recent, estimate, sd), im.shipped_network())
@@ -41,9 +37,9 @@ def test_the_compiled_network_is_the_one_of_matrices():
 
 
 def test_averages_answer_a_step_with_their_time_constants():
-    period, after = load_scenario("mixed").control.period, 7
-    changed = READING._replace(slip=0.8)
-    found = by_name(follow([READING] + [changed] * after))
+    period, after = SCENARIO.control.period, 7
+    recent = follow([READING] + [READING._replace(slip=0.8)] * after)
+    found = dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
     for scale in im.SCALES:
         left = math.exp(-after * period / scale)
         assert found[f"slip_{scale:g}s"] == pytest.approx(0.8 - 0.5 * left, rel=1e-12)
@@ -60,60 +56,53 @@ def test_halts_are_left_out():
 
 def test_a_wheel_of_another_size_reads_the_same():
     """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the same to it."""
-    plain = load_scenario("mixed")
     wheel = {"radius": 0.45, "width": 0.45, "body_mass": 15.0 * 8.0, "stall_torque": 35.0 * 24.0, "inertia": 40.0}
     large = load_scenario("mixed", {"wheel": wheel})
-    r = READING
-    similar = SensorReading(
-        r.slip, 3 * r.sinkage, 8 * r.drawbar_pull, 8 * r.load, 24 * r.torque, 3 * r.speed, 3 * r.rim_speed, r.pitch,
-        24 * r.motor_torque, r.acceleration,
-    )  # fmt: skip
-    np.testing.assert_allclose(follow([similar] * 3, None, im.warning_numbers(large)), follow([r] * 3, None,
-                               im.warning_numbers(plain)), rtol=1e-12)  # fmt: skip
+    similar = SensorReading(*np.multiply(READING, (1, 3, 8, 8, 24, 3, 3, 1, 24, 1)))
+    np.testing.assert_allclose(follow([similar] * 3, scenario=large), follow([READING] * 3), rtol=1e-12)
 
 
 def test_inputs_have_the_estimate_without_dimension():
-    scenario = load_scenario("mixed")
-    warning, recent = im.ImmobilisationWarning(scenario), follow([READING])[None]
-    soil = [0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]
-    estimate, sd = np.array([soil]), np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
-    found = dict(zip(im.INPUTS, warning.inputs(np.array([0]), recent, estimate, sd)[0], strict=True))
-    wheel, n = scenario.wheel, scenario.belief.sinkage_exponent
+    estimate = np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]])
+    sd = np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
+    inputs = im.ImmobilisationWarning(SCENARIO).inputs(np.array([0]), follow([READING])[None], estimate, sd)
+    found = dict(zip(im.INPUTS, inputs[0], strict=True))
+    wheel, n = SCENARIO.wheel, SCENARIO.belief.sinkage_exponent
     area = wheel.radius * wheel.width
     assert found["strength"] == pytest.approx(math.tan(0.5) + 600.0 * area / 150.0)
     assert found["log_modulus"] == pytest.approx(math.log(0.015 / wheel.radius))
-    assert found["log_bearing"] == pytest.approx(math.log(8e5 * wheel.radius**n * area / scenario.weight))
-    assert found["log_digging"] == pytest.approx(math.log(scenario.belief.dig_gain) + 0.2)
+    assert found["log_bearing"] == pytest.approx(math.log(8e5 * wheel.radius**n * area / SCENARIO.weight))
+    assert found["log_digging"] == pytest.approx(math.log(SCENARIO.belief.dig_gain) + 0.2)
     assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
 
 
-def views(scenario, steps):
-    """(inputs of the view by name, observation by name) after each of `steps` steps to the line with more margin."""
-    env = SoilWheelEnv(scenario, observation="identified", action="torque", repeat=1)
+def views(steps):
+    """(inputs of the view, observation, radius) by name after each of `steps` steps to the line with more margin."""
+    env = SoilWheelEnv("two_lines", observation="identified", action="torque", repeat=1)
     env.reset(seed=3)
-    worlds, names = env.simulation.worlds, [e.name for e in layout("identified", env.scenario.course)]
-    warning, out = im.ImmobilisationWarning(env.scenario), []
+    worlds, warning = env.simulation.worlds, im.ImmobilisationWarning(env.scenario)
+    names = [e.name for e in layout("identified", env.scenario.course)]
+    observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
     for _ in range(steps):
-        observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
-        beside = observed.get("choice") and observed["beside_margin"] > observed["ahead_margin"]
+        beside = observed["choice"] and observed["beside_margin"] > observed["ahead_margin"]
         *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
         inputs = warning.inputs(np.array([0]), worlds.recent, worlds.ids.estimate, worlds.ids.sd)[0]
-        found = dict(zip(im.INPUTS, inputs.tolist(), strict=True)) | {"radius": env.scenario.wheel.radius}
-        out.append((found, dict(zip(names, worlds.observation[0].tolist(), strict=True))))
+        observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
+        yield dict(zip(im.INPUTS, inputs.tolist(), strict=True)), observed, env.scenario.wheel.radius
         if ended:
             env.reset()
-    return out
+            observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
 
 
 def test_with_a_camera_the_view_is_that_of_the_observation():
     ways, forks, before = [], {"open": 0, "settled": 0}, None
-    for found, observed in views("two_lines", 1200):
+    for found, observed, radius in views(1200):
         assert found["camera"] == 1.0
         assert found["ahead_seen"] == (observed["ahead_friction_angle"] > 0.0)
         if not found["ahead_seen"]:
             before = None
             continue
-        assert found["border_ahead"] * found["radius"] == pytest.approx(observed["border_distance"], abs=1e-6)
+        assert found["border_ahead"] * radius == pytest.approx(observed["border_distance"], abs=1e-6)
         two = observed["beside_friction_angle"] > 0.0
         margins = [observed["ahead_margin"], observed["beside_margin"] if two else observed["ahead_margin"]]
         assert sorted([found["line_margin"], found["beside_margin"]]) == pytest.approx(sorted(margins), abs=1e-6)
@@ -130,8 +119,7 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
 
 def test_held_actions_miss_no_reading():
     """An action of five periods leaves the same averages as five of one."""
-    change = {"action": "torque", "course": {"length": 3.0}}
-    one, five = SoilWheelEnv(repeat=1, **change), SoilWheelEnv(repeat=5, **change)
+    one, five = (SoilWheelEnv(repeat=n, action="torque", course={"length": 3.0}) for n in (1, 5))
     one.reset(seed=4), five.reset(seed=4)
     for _ in range(6):
         for _ in range(5):

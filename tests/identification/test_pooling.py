@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 
 from soil_env._numba.lanes import COUNT
-from soil_env.identification.online.identifier import (
-    RENEWED,
-    SensorReading,
-    forget,
-    identifier_numbers,
-    new_identifiers,
-)
+from soil_env.identification.online import identifier
 from soil_env.identification.online.pooling import pool, share
 from soil_env.identification.online.status import Status
 from soil_env.identification.online.stretches import ERROR_OF_MODEL, forget_stretches, new_pools, note, pool_numbers
@@ -18,7 +12,7 @@ from soil_env.parameters import load_scenario
 from tests.identification.observing import observe
 
 SCENARIO = load_scenario("mixed")
-NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier_numbers(SCENARIO)
+NUMBERS, IDENTIFIER = pool_numbers(SCENARIO), identifier.identifier_numbers(SCENARIO)
 SHARED = [0, 1, 3]
 PRIOR_MEAN, PRIOR = NUMBERS.prior[:3], NUMBERS.prior[3:].reshape(3, 3)
 SD = np.array([0.03, 0.2, 0.2, 150.0, 0.3])
@@ -32,13 +26,12 @@ MEAN = np.array([0.5, -4.5, 13.5, 700.0, 0.1])
 class Wheels:
     """So many axles of one rover, each with a posterior on the stretch from the start on."""
 
-    def __init__(self, means, covariances) -> None:
-        rows = COUNT * len(means)
-        self.axles = len(means)
-        self.ids, self.pools = new_identifiers(rows), new_pools(rows)
-        for a, (mean, covariance) in enumerate(zip(means, covariances, strict=True)):
+    def __init__(self, *posteriors):
+        self.axles = len(posteriors)
+        self.ids, self.pools = identifier.new_identifiers(COUNT * self.axles), new_pools(COUNT * self.axles)
+        for a, (mean, covariance) in enumerate(posteriors):
             k = COUNT * a
-            forget(self.ids, k, IDENTIFIER)
+            identifier.forget(self.ids, k, IDENTIFIER)
             forget_stretches(self.pools, self.ids, k)
             self.ids.estimate[k], self.ids.covariance[k] = mean, covariance
             self.ids.sd[k], self.ids.status[k] = np.sqrt(np.diag(covariance)), Status.CONVERGED.value
@@ -73,93 +66,85 @@ def by_numpy(mean, P, others):
 
 
 def test_precisions_add_up_and_the_prior_counts_once():
+    """For any number of wheels in any order; one that knows no more than the prior adds nothing."""
     other = MEAN + 0.3 * SD * np.array([1.0, -1.0, 1.0, 0.5, 1.0])
+    ignorant = MEAN.copy(), covariance()
+    ignorant[0][SHARED], ignorant[1][np.ix_(SHARED, SHARED)] = PRIOR_MEAN, PRIOR
     others = [(other, covariance(1.3)), (MEAN - 0.3 * SD, covariance(0.9))]
-    for known in (others[:1], others, others[::-1]):
-        mean, variance = Wheels([MEAN, *(m for m, _ in known)], [covariance(), *(P for _, P in known)]).pooled()
+    for known, most in ((others[:1], 0.8), (others, 0.8), (others[::-1], 0.8), ([ignorant], 1.0 + 1e-9)):
+        mean, variance = Wheels((MEAN, covariance()), *known).pooled()
         expected = by_numpy(MEAN, covariance(), known)
         assert mean == pytest.approx(expected[0], rel=1e-9) and variance == pytest.approx(expected[1], rel=1e-9)
-        assert np.all(variance[SHARED] < 0.8 * np.diag(covariance())[SHARED])
-
-
-def test_who_knows_no_more_than_the_prior_adds_nothing():
-    nothing = covariance(1.0, SD)
-    nothing[np.ix_(SHARED, SHARED)] = PRIOR
-    ignorant = MEAN.copy()
-    ignorant[SHARED] = PRIOR_MEAN
-    mean, variance = Wheels([MEAN, ignorant], [covariance(), nothing]).pooled()
-    assert mean == pytest.approx(MEAN, rel=1e-9) and variance == pytest.approx(np.diag(covariance()), rel=1e-9)
+        assert np.all(variance[SHARED] < most * np.diag(covariance())[SHARED])
 
 
 def test_those_who_differ_by_more_than_they_allow_are_less_sure():
-    agree = Wheels([MEAN, MEAN], [covariance(), covariance()]).pooled()[1]
     apart = MEAN + SD * np.array([0.0, 8.0, 0.0, 0.0, 0.0])
-    wheels = Wheels([MEAN, apart], [covariance(), covariance()])
-    mean, variance = wheels.pooled()
-    both = 2.0 * covariance()[np.ix_(SHARED, SHARED)]
+    (_, agree), (mean, variance) = (Wheels((MEAN, covariance()), (m, covariance())).pooled() for m in (MEAN, apart))
     away = (apart - MEAN)[SHARED]
-    ratio = away @ np.linalg.solve(both, away) / 3.0
+    ratio = away @ np.linalg.solve(2.0 * covariance()[np.ix_(SHARED, SHARED)], away) / 3.0
     assert ratio > 5.0 and variance[1] > 0.9 * ratio * agree[1]
     assert MEAN[1] < mean[1] < apart[1]
 
 
-def test_what_another_knows_of_another_soil_is_not_taken():
-    wheels = Wheels([MEAN, MEAN + SD], [covariance(), covariance()])
+def leave_behind(wheels, border):
+    """The front wheel has left a border [m] behind and is on the next soil."""
     p = wheels.pools
-    p.left[0], p.begins[0, 0], p.ends[0, 0], p.start[0] = 1, p.start[0], 4.8, 4.8  # the front wheel is on the next one
+    p.left[0], p.begins[0, 0], p.ends[0, 0], p.start[0] = 1, p.start[0], border, border
+
+
+def test_what_another_knows_of_another_soil_is_not_taken():
+    wheels = Wheels((MEAN, covariance()), (MEAN + SD, covariance()))
+    leave_behind(wheels, 4.8)
     mean, variance = wheels.pooled()
     assert np.array_equal(mean, MEAN) and variance == pytest.approx(np.diag(covariance()), rel=1e-9)
 
 
-def crossed(k=COUNT, border=4.2, share=0.5):
-    """The front wheel has left a border behind and knows both soils; wheel k is on it with the share of the new one."""
-    wheels = Wheels([MEAN + SD, MEAN], [covariance(0.01), covariance(100.0)])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share):
+    """The front wheel knows both soils; the other is on the border with that share of the new one."""
+    wheels, k, border = Wheels((MEAN + SD, covariance(0.01)), (MEAN, covariance(100.0))), COUNT, 4.2
     p = wheels.pools
-    p.left[0], p.begins[0, 0], p.ends[0, 0], p.start[0] = 1, p.start[0], border, border
+    leave_behind(wheels, border)
     p.belief[0, 0] = belief(MEAN - SD, covariance(0.01))
     p.crossing[k], p.left[k], p.begins[k, 0], p.ends[k, 0] = 1.0, 1, p.start[k], border
     p.place[k] = border + NUMBERS.border * (share - 0.5)
-    return wheels
-
-
-@pytest.mark.parametrize(("share", "of_sd"), [(0.0, -1.0), (0.5, 0.0), (1.0, 1.0)])
-def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share, of_sd):
-    mean, variance = crossed(share=share).pooled(1)
-    assert mean[SHARED] == pytest.approx(
-        (MEAN + of_sd * SD)[SHARED], abs=0.05 * SD.max(initial=0.0) / SD.max(), rel=1e-2
-    )
+    mean, variance = wheels.pooled(1)
+    assert mean[SHARED] == pytest.approx((MEAN + (2.0 * share - 1.0) * SD)[SHARED], abs=0.05, rel=1e-2)
     assert np.all(np.sqrt(variance[SHARED]) < 0.05 * SD[SHARED])
 
 
 def test_the_place_that_the_front_wheel_has_found_is_kept():
-    """While the wheel behind reads one grade, which tells less of where the new soil begins: 1 cm to its tenth."""
-    wheels = Wheels([MEAN, MEAN], [covariance(), covariance()])
+    """While the wheel behind reads one grade, which shows less of where the new soil begins: 1 cm to its tenth."""
+    wheels = Wheels((MEAN, covariance()), (MEAN, covariance()))
     p, point = wheels.pools, wheels.ids.banks.point
-    reading, x = SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0), 4.2 - 0.49 * NUMBERS.border
+    reading = identifier.SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0)
 
     def read():
         observe(wheels.ids, COUNT, reading, IDENTIFIER)
-        wheels.ids.status[COUNT], point.misfit[COUNT] = Status.CONVERGED.value, 0.0  # the forces tell of no border
+        wheels.ids.status[COUNT], point.misfit[COUNT] = Status.CONVERGED.value, 0.0  # no border by the forces
 
     for _ in range(20):
         read()
     p.left[0], p.ends[0, 0], p.start[0] = 1, 4.2, 4.2
-    note(p, wheels.ids, COUNT, x, 0, True, NUMBERS)
-    share(p, wheels.ids, 0, 2, RENEWED, NUMBERS, IDENTIFIER)
-    told = point.border[COUNT]
-    assert point.crossing[COUNT] == 1.0 and told - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
+    note(p, wheels.ids, COUNT, 4.2 - 0.49 * NUMBERS.border, 0, True, NUMBERS)
+    share(p, wheels.ids, 0, 2, identifier.RENEWED, NUMBERS, IDENTIFIER)
+    handed = point.border[COUNT]
+    assert point.crossing[COUNT] == 1.0 and handed - point.place[COUNT] == pytest.approx(0.49 * NUMBERS.border)
     for _ in range(20):  # 16 cm on, to the middle of the border
         read()
-    assert point.border[COUNT] == pytest.approx(told, abs=0.1 * NUMBERS.border)
+    assert point.border[COUNT] == pytest.approx(handed, abs=0.1 * NUMBERS.border)
 
 
 def test_a_posterior_wider_than_the_prior_does_not_throw_the_other():
-    """As met at small loads, where readings tell the cohesion and not the friction angle: with all of the prior taken
-    out, the angle of one of two wheels that nearly agree went to 100 deg."""
+    """As met at small loads, where readings show the cohesion and not the friction angle.
+
+    With all of the prior taken out, the angle of one of two wheels that nearly agree went to 100 deg.
+    """
     wide = SD.copy()
     wide[0], wide[3] = 1.6 * np.sqrt(PRIOR[0, 0]), 100.0
     near = MEAN + np.array([0.05, 0.0, 0.0, -60.0, 0.0])
-    wheels = Wheels([MEAN, near], [covariance(sd=wide), covariance(0.95, sd=wide)])
+    wheels = Wheels((MEAN, covariance(sd=wide)), (near, covariance(0.95, sd=wide)))
     for axle in range(2):
         mean, variances = wheels.pooled(axle)
         assert np.all(np.abs(mean - 0.5 * (MEAN + near))[SHARED] < 0.5 * wide[SHARED])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import log_softmax
 
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as soil
@@ -44,58 +45,47 @@ def conditional(mean, covariance, ln_K):
     return mean[OTHERS] + slope * (ln_K - mean[3]), covariance[:3, :3] - np.outer(slope, covariance[OTHERS, 3])
 
 
-def learn(banks, seed=0, same=0.0):
-    """Set the nodes to some posterior: random means, covariances and weights; `same` of the last one on a border."""
-    rng, n = np.random.default_rng(seed), rows(banks)
-    n[:3] += 0.02 * rng.standard_normal((3, COUNT)) * np.array([[1.0], [500.0], [1.0]])
-    for k in range(COUNT):
-        factor = 0.01 * rng.standard_normal((soil.UNKNOWNS, soil.UNKNOWNS)) * np.array([1.0, 500.0, 1.0, 1.0])[:, None]
-        n[soil.COVARIANCE : soil.COVARIANCE + soil.TRIANGLE, k] = (factor @ factor.T)[np.tril_indices(soil.UNKNOWNS)]
-    w = rng.uniform(0.1, 1.0, COUNT)
-    if same:
-        w[soil.STAYS] = same * w[: soil.STAYS].sum() / (1.0 - same)
-    n[soil.LOG_WEIGHT] = np.log(w / w.sum())
-
-
-def test_the_prior_follows_what_the_sinkage_has_told(filled):
+def test_the_prior_follows_the_sinkage(filled):
     """As a Gaussian of all six unknowns that is conditioned on a reading of two of them, by numpy."""
     banks, numbers, scenario = filled
     mean, covariance = prior_of_belief(scenario)
+    n, s, sd = rows(banks), banks.sinkage[0], np.sqrt(np.diag(covariance))
     soil.renew_prior(banks, 0, numbers)
-    sd = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(banks.prior[0, 0], mean[3], atol=1e-9)
     np.testing.assert_allclose(banks.prior[0, 1], covariance[3, 3], rtol=0.1)
-    R = np.diag([0.2 * sd[4], 0.3 * sd[5]]) ** 2
-    H = np.eye(6)[4:]
+    R, H = np.diag([0.2 * sd[4], 0.3 * sd[5]]) ** 2, np.eye(6)[4:]
     gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + R)
     m, P = mean + gain @ ([0.7 * sd[4], -0.5 * sd[5]]), covariance - gain @ H @ covariance
-    s = banks.sinkage[0]
-    for i, row in ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN)):
-        s[row * COUNT : (row + 1) * COUNT] = m[i]
-        for j, column in ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN)):
-            s[cell(row, column) : cell(row, column) + COUNT] = P[i, j]
+    states = ((4, SINKAGE_PRESSURE), (5, SINKAGE_GAIN))
+    for i, row in states:
+        s[row * COUNT :][:COUNT] = m[i]
+        for j, column in states:
+            s[cell(row, column) :][:COUNT] = P[i, j]
     soil.renew_prior(banks, 0, numbers)
     assert banks.prior[0, 0] == pytest.approx(m[3], abs=1e-6 * sd[3])
     assert banks.prior[0, 1] == pytest.approx(P[3, 3], rel=1e-6)
     soil.set_priors(banks, 0)
-    n = rows(banks)
     for k in range(COUNT):
         of_node, Q = conditional(m[:4], P[:4, :4], n[soil.LN_K, k])
         np.testing.assert_allclose(n[soil.PRIOR_MEAN : soil.PRIOR_MEAN + 3, k], of_node, rtol=1e-6, atol=1e-6)
         scale = np.sqrt(np.diag(Q))
         found = symmetric(n[soil.PRECISION : soil.PRECISION + 6, k]) * np.outer(scale, scale)
         np.testing.assert_allclose(found, np.linalg.inv(Q / np.outer(scale, scale)), rtol=3e-3, atol=3e-3)
-    # with the evidence of a Gaussian, that is the determinant of the posterior, the weights sum to the probability of
-    # the range of nodes
+    # with the evidence of a Gaussian, the determinant of the posterior, weights sum to the probability of their range
     weight = n[soil.LOG_PRIOR] - 0.5 * np.linalg.slogdet(symmetric(n[soil.PRECISION : soil.PRECISION + 6, 0]))[1]
     assert np.exp(weight).sum() == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_is_known_is_the_mixture_of_the_nodes(filled, seed):
-    banks, _, _ = filled
-    learn(banks, seed)
-    n = rows(banks)
+    """Nodes have random means, covariances and weights."""
+    rng, banks, unknowns = np.random.default_rng(seed), filled[0], soil.UNKNOWNS
+    n, units = rows(banks), np.array([[1.0], [500.0], [1.0], [1.0]])
+    n[:3] += 0.02 * rng.standard_normal((3, COUNT)) * units[:3]
+    for k in range(COUNT):
+        factor = 0.01 * rng.standard_normal((unknowns, unknowns)) * units
+        n[soil.COVARIANCE :][: soil.TRIANGLE, k] = (factor @ factor.T)[np.tril_indices(unknowns)]
+    n[soil.LOG_WEIGHT] = log_softmax(np.log(rng.uniform(0.1, 1.0, COUNT)))
     n[6] = np.arange(COUNT) + 2.0  # chi-squared
     assert soil.gather(banks, 0) == 2.0
     w, values = np.exp(n[soil.LOG_WEIGHT]), n[[0, 1, 2, soil.LN_K]]
@@ -112,30 +102,24 @@ def test_nodes_come_closer_where_ln_K_becomes_known():
     """They move by a bounded factor each time, until they cover three standard deviations, and stay then."""
     banks, numbers = new_banks(1), filter_numbers(SCENARIOS["plain"])
     restart(banks, 0, numbers)
-    truth, sd = -4.0, 0.05
-    moves = 0
-    for _ in range(12):
-        n = rows(banks)
+    n, truth, sd = rows(banks), -4.0, 0.05
+    ln_K = n[soil.LN_K]
+    for moves in range(12):  # noqa: B007 (read below)
         before = n.copy()
-        w = np.exp(-0.5 * ((n[soil.LN_K] - truth) / sd) ** 2) + 1e-300
-        n[soil.LOG_WEIGHT] = np.log(w / w.sum())
+        n[soil.LOG_WEIGHT] = log_softmax(-0.5 * ((ln_K - truth) / sd) ** 2)
         soil.gather(banks, 0)
         if not soil.spread_anew(banks, 0):
             break
-        moves += 1
-        assert np.ptp(rows(banks)[soil.LN_K]) >= 0.5 * np.ptp(before[soil.LN_K])
+        was = before[soil.LN_K]
+        assert np.ptp(ln_K) >= 0.5 * np.ptp(was)
+        inside = (ln_K >= was[0]) & (ln_K <= was[-1])
         for i in range(3):  # between the nodes so far
-            expected = np.interp(rows(banks)[soil.LN_K], before[soil.LN_K], before[i])
-            inside = (rows(banks)[soil.LN_K] >= before[soil.LN_K, 0]) & (
-                rows(banks)[soil.LN_K] <= before[soil.LN_K, -1]
-            )
-            np.testing.assert_allclose(rows(banks)[i, inside], expected[inside], rtol=1e-9)
+            np.testing.assert_allclose(n[i, inside], np.interp(ln_K, was, before[i])[inside], rtol=1e-9)
     assert 0 < moves < 11
     found, P = known(banks)
     assert found[3] == pytest.approx(truth, abs=0.1 * sd) and math.sqrt(P[3, 3]) == pytest.approx(sd, rel=0.1)
-    n = rows(banks)
-    np.testing.assert_allclose(np.diff(n[soil.LN_K]), np.ptp(n[soil.LN_K]) / (COUNT - 1), rtol=1e-9)
-    assert n[soil.LN_K, 0] < truth - 2.0 * sd and n[soil.LN_K, -1] > truth + 2.0 * sd
+    np.testing.assert_allclose(np.diff(ln_K), np.ptp(ln_K) / (COUNT - 1), rtol=1e-9)
+    assert ln_K[0] < truth - 2.0 * sd and ln_K[-1] > truth + 2.0 * sd
 
 
 def test_a_soil_that_stays_the_same_is_known_as_well_as_before():
@@ -146,11 +130,9 @@ def test_a_soil_that_stays_the_same_is_known_as_well_as_before():
     soil.begin_next_soil(banks, 0, numbers)
     n = rows(banks)
     n[soil.LOG_WEIGHT] = [-700.0] * soil.STAYS + [0.0]
-    given = conditional(known(banks, old=True)[0], before, 0.0)[1]
-    n[soil.COVARIANCE : soil.COVARIANCE + soil.TRIANGLE, soil.STAYS] = 0.0
-    for i in range(3):
-        for j in range(i + 1):
-            n[soil.COVARIANCE + soil.below_diagonal(i, j), soil.STAYS] = given[i, j]
+    given = np.zeros((soil.UNKNOWNS, soil.UNKNOWNS))
+    given[:3, :3] = conditional(known(banks, old=True)[0], before, 0.0)[1]
+    n[soil.COVARIANCE : soil.COVARIANCE + soil.TRIANGLE, soil.STAYS] = given[np.tril_indices(soil.UNKNOWNS)]
     soil.gather(banks, 0)
     sd = np.sqrt(np.diag(before))
     np.testing.assert_allclose(known(banks)[1] / np.outer(sd, sd), before / np.outer(sd, sd), atol=0.01)

@@ -12,38 +12,17 @@ from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
-from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, load_scenario, scenario_names, to_dict
 from soil_env.simulation.world.courses import course_numbers, draw_soil
 from soil_env.vehicle import load_rover, rover_names
 from tests.logs.bags import write_map
 
-
-def believing(**belief):
-    """The scenario "mixed" with a belief of its own: changes of a scenario cannot take a library away."""
-    return replace(load_scenario("mixed"), belief=Belief(**belief))
-
-
-def every_scenario():
-    return [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in rover_names()]
-
-
-def test_moments_are_those_of_draws_of_the_mixture():
-    rng, gaussians = np.random.default_rng(0), soil_prior.of_library(load_scenario("mixed"))
-    weights = np.array([g[0] for g in gaussians])
-    which = rng.choice(len(gaussians), 400_000, p=weights / weights.sum())
-    rows = np.concatenate([
-        rng.multivariate_normal(mean, covariance, (which == k).sum())
-        for k, (_, mean, covariance) in enumerate(gaussians)
-    ])  # fmt: skip
-    mean, covariance = soil_prior.moments(gaussians)
-    sd = np.sqrt(np.diag(covariance))
-    assert np.all(np.abs(rows.mean(axis=0) - mean) < 0.01 * sd)
-    np.testing.assert_allclose(np.cov(rows.T) / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.015)
+MIXED = load_scenario("mixed")
+EVERY = [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in rover_names()]
 
 
 def test_the_library_is_what_the_world_draws():
-    """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, of all patches, passable or not."""
+    """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, passable or not."""
 
     @compiled_root
     def drawn(streams, numbers, out):
@@ -52,19 +31,19 @@ def test_the_library_is_what_the_world_draws():
             for j in range(7):
                 out[k, j] = soil[j]
 
-    scenario, out = load_scenario("mixed"), np.empty((4000, 7))
-    drawn(np.array([seed_stream(np.random.default_rng(0))]), course_numbers(scenario), out)
+    out = np.empty((4000, 7))
+    drawn(np.array([seed_stream(np.random.default_rng(0))]), course_numbers(MIXED), out)
     tangent, cohesion, K, S, n, gain = out[:, :6].T
-    y = np.log(S) + n * math.log(soil_prior.depth_of(scenario))
-    rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / scenario.belief.dig_gain)])
-    mean, covariance = soil_prior.prior_of_belief(scenario)
+    y = np.log(S) + n * math.log(soil_prior.depth_of(MIXED))
+    rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / MIXED.belief.dig_gain)])
+    mean, covariance = soil_prior.prior_of_belief(MIXED)
     sd = np.sqrt(np.diag(covariance))
     assert np.all(np.abs(rows.mean(axis=1) - mean) < 0.1 * sd)
     np.testing.assert_allclose(rows.std(axis=1), sd, rtol=0.1)
     assert np.abs(np.corrcoef(rows) - covariance / np.outer(sd, sd)).max() < 0.1
 
 
-@pytest.mark.parametrize("scenario", every_scenario(), ids=lambda s: s.name)
+@pytest.mark.parametrize("scenario", EVERY, ids=lambda s: s.name)
 def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
     """Symmetric, positive definite, and as wide as soils differ: neither sure nor without any idea."""
     for mean, covariance in (soil_prior.prior_of_belief(scenario), soil_prior.published_prior(scenario)):
@@ -72,13 +51,11 @@ def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
         np.testing.assert_allclose(covariance, covariance.T, rtol=1e-12)
         sd = np.sqrt(np.diag(covariance))
         assert np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min() > 1e-4
-    mean, covariance = soil_prior.published_prior(scenario)
-    sd = np.sqrt(np.diag(covariance))
     assert np.all((np.degrees(mean[0]) > 15.0) & (np.degrees(mean[0]) < 45.0))
     assert np.all(sd[[0, 1, 2]] > [math.radians(1.0), 0.1, 0.1]) and np.all(sd[[1, 2, 4]] < 3.0)
 
 
-@pytest.mark.parametrize("scenario", [load_scenario("mixed"), believing()], ids=["library", "plain"])
+@pytest.mark.parametrize("scenario", [MIXED, replace(MIXED, belief=Belief())], ids=["library", "plain"])
 def test_the_regression_is_that_of_the_forces_on_the_sinkage(scenario):
     """Least squares over draws of the joint Gaussian; the rest of the variance is that of the residuals."""
     mean, covariance = soil_prior.prior_of_belief(scenario)
@@ -120,11 +97,4 @@ def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
                  lambda: read_map(write_map(tmp_path, {"belief": belief}))):  # fmt: skip
         with pytest.raises(ParameterError, match=r"belief\.\w+: without effect beside belief.soils"):
             read()
-    saved = to_dict(load_scenario("mixed").belief)
-    assert read_map(write_map(tmp_path, {"belief": saved})).belief == load_scenario("mixed").belief
-
-
-def test_an_identifier_of_nothing_is_refused():
-    scenario = load_scenario("mixed", {"belief": {"method": "none"}})
-    with pytest.raises(ParameterError, match="method"):
-        OnlineIdentifier.of_scenario(scenario)
+    assert read_map(write_map(tmp_path, {"belief": to_dict(MIXED.belief)})).belief == MIXED.belief

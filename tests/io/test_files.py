@@ -25,19 +25,18 @@ def full():
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_text_and_bytes(tmp_path):
-    replace_file(tmp_path / "a", "grün\n")
-    replace_file(str(tmp_path / "b"), b"\x00\xff")
-    assert (tmp_path / "a").read_bytes() == "grün\n".encode() and (tmp_path / "b").read_bytes() == b"\x00\xff"
-
-
 def test_a_full_disk_leaves_the_old_file_and_nothing_beside_it(tmp_path):
     path = tmp_path / "a"
-    replace_file(path, "old")
+    replace_file(str(path), b"\x00\xff")
+    assert path.read_bytes() == b"\x00\xff"
+    replace_file(path, "grün\n")
     with full(), pytest.raises(OSError) as raised:
         replace_file(path, "x" * 5000)
     assert raised.value.filename == str(path) and raised.value.strerror
-    assert path.read_text() == "old" and os.listdir(tmp_path) == ["a"]
+    assert path.read_bytes() == "grün\n".encode() and os.listdir(tmp_path) == ["a"]
+    with pytest.raises(OSError) as raised:
+        replace_file(tmp_path / "no" / "a", "x")
+    assert raised.value.filename == str(tmp_path / "no" / "a")
 
 
 def test_several_files_all_or_none(tmp_path):
@@ -52,13 +51,11 @@ def test_outputs_that_could_not_be_written_are_named_and_nothing_is_made(tmp_pat
     (tmp_path / "file").write_text("mine")
     (tmp_path / "a.md").mkdir()
     check_outputs(tmp_path / "new", ("a.md", "plots/b.png"))
-    for folder, names, said in (
-        (tmp_path / "file" / "out", (), "is a file"),
-        (tmp_path, ("file/b.png",), "is a file"),
-        (tmp_path, ("a.md",), "is a folder"),
-    ):
+    for name, said in (("file/out/b.png", "is a file"), ("file/b.png", "is a file"), ("a.md", "is a folder")):
         with pytest.raises(OSError, match=said):
-            check_outputs(folder, names)
+            check_outputs(tmp_path, (name,))
+    with pytest.raises(OSError, match="is a file"):
+        check_outputs(tmp_path / "file" / "out", ())
     assert sorted(os.listdir(tmp_path)) == ["a.md", "file"]
 
 
@@ -66,17 +63,8 @@ def test_a_figure_is_whole_or_not_at_all(tmp_path):
     with full(), pytest.raises(OSError):
         save_figure(matplotlib.figure.Figure(), tmp_path / "a.png")
     assert os.listdir(tmp_path) == []
-
-
-def test_a_figure(tmp_path):
     save_figure(matplotlib.figure.Figure(), tmp_path / "a.png", dpi=30)
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_no_folder(tmp_path):
-    with pytest.raises(OSError) as raised:
-        replace_file(tmp_path / "no" / "a", "x")
-    assert raised.value.filename == str(tmp_path / "no" / "a")
 
 
 def test_json_has_no_numpy_and_no_nan(tmp_path):

@@ -26,9 +26,6 @@ def results():
     return compare.compute(seed=3)
 
 
-# --- the equations ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("compaction", [True, False])
 def test_forces_against_the_independent_judge(compaction):
     """Exact integration agrees with adaptive quadrature, at the working point of the paper (9)."""
@@ -45,17 +42,15 @@ def test_forces_against_the_independent_judge(compaction):
 @pytest.mark.parametrize("soil", [(30.0, 0.03, 4e5), (100.0, 0.06, -2e5)])
 def test_derivatives_against_central_differences(e, soil):
     """Also outside what a soil can be: the plain iteration goes there."""
-    at = model.forces(soil, *MEASURED[:2], e)
-    for k, unit in enumerate((math.pi / 180.0, 1.0, 1.0)):
-        step = np.zeros(3)
-        step[k] = 1e-5 * soil[k]
+    at = model.forces(soil, *MEASURED[:2], e)[:, 3:6] * [math.pi / 180.0, 1.0, 1.0]
+    for k, step in enumerate(1e-5 * np.diag(soil)):
         ahead, behind = (model.forces(np.add(soil, s * step), *MEASURED[:2], e)[:, 0] for s in (1, -1))
-        np.testing.assert_allclose(at[:, 3 + k] * unit, (ahead - behind) / (2.0 * step[k]), rtol=1e-5)
+        np.testing.assert_allclose(at[:, k], (ahead - behind) / (2.0 * step[k]), rtol=1e-5)
 
 
 def bounded(start):
     """(phi [deg], K, S) of the three points as printed by a trust-region method in (phi, ln K, ln S), from `start`."""
-    low, high = (math.radians(1.0), math.log(2e-4), math.log(1e3)), (math.radians(89.0), math.log(0.3), math.log(1e13))
+    bounds = np.transpose([np.radians([1.0, 89.0]), np.log([2e-4, 0.3]), np.log([1e3, 1e13])])
 
     def soil(x):
         return math.degrees(x[0]), math.exp(x[1]), math.exp(x[2])
@@ -64,14 +59,11 @@ def bounded(start):
         return model.forces(soil(x), *MEASURED[:2], HELD[0])[:, 0] / MEASURED.pull - 1.0
 
     x = math.radians(start[0]), math.log(start[1]), math.log(start[2])
-    return soil(least_squares(misfit, x, bounds=(low, high), xtol=1e-14, ftol=1e-14, gtol=1e-14).x)
+    return soil(least_squares(misfit, x, bounds=bounds, xtol=1e-14, ftol=1e-14, gtol=1e-14).x)
 
 
 def test_an_independent_solver_finds_the_same_root():
     np.testing.assert_allclose(bounded((30.0, 0.03, 5e5)), compare.root(HELD[0]), rtol=1e-6)
-
-
-# --- printed numbers --------------------------------------------------------------------------------------------------
 
 
 def test_drawbar_pull_and_cohesion_to_the_last_digit():
@@ -132,11 +124,8 @@ def rounding(e):
     A = np.hstack(effects)
     n = A.shape[1]
     within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])  # |error| <= the largest
-    found = linprog(
-        np.eye(n + 1)[n], within, np.zeros(2 * n), np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0],
-        bounds=(None, None),
-    )  # fmt: skip
-    return float(found.x[n])
+    fits = np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0]
+    return linprog(np.eye(n + 1)[n], within, np.zeros(2 * n), *fits, bounds=(None, None)).x[n]
 
 
 def test_table_3_is_a_root_with_wong_and_reeces_peak():
@@ -153,13 +142,14 @@ def roots(points, e, K):
 
     At a given K the three equations are linear in S and S tan(phi); they have a solution where their determinant is 0.
     """
-    signs = np.empty(len(K))
-    for k, value in enumerate(K):
+    signs = []
+    for value in K:
         by_cohesion, level, friction = (
             model.forces((phi, value, S), *points[:2], e)[:, 0] for phi, S in ((0.0, 0.0), (0.0, 1e6), (45.0, 1e6))
         )
-        columns = level - by_cohesion, friction - level, points.pull - by_cohesion
-        signs[k] = np.sign(np.linalg.det(np.stack([c / np.abs(c).max() for c in columns])))
+        columns = np.stack([level - by_cohesion, friction - level, points.pull - by_cohesion])
+        signs.append(np.sign(np.linalg.det(columns / np.abs(columns).max(axis=1, keepdims=True))))
+    signs = np.array(signs)
     return np.sqrt(K[1:] * K[:-1])[signs[1:] != signs[:-1]]
 
 
@@ -211,9 +201,6 @@ def test_soils_of_fig_9_are_not_those_of_the_paper():
     assert np.nanmax(compare.torque(excluded)) < P.fig9_about["clayey_soil"]
     high = {name for name, row in rows.items() if compare.torque_at_37_deg(row).max() > P.available_torque}
     assert high == {"sandy_loam"} and set(P.fig9_about) == {"clayey_soil"}
-
-
-# --- the page and its data --------------------------------------------------------------------------------------------
 
 
 def test_page_and_figures_are_written(tmp_path, results):

@@ -1,5 +1,7 @@
 """Values of the named effects for tests: every form of every effect, and several together."""
 
+import pytest
+
 from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, pack_effects
 from soil_env.terramechanics.model import ModelWheel
 from soil_env.terramechanics.residual import ResidualTerm
@@ -47,7 +49,9 @@ def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
     return {name: drawn | dict(form.fixed)}
 
 
-CASES = {f"{name}-{form.name}": values(name, form) for name, effect in CATALOGUE.items() for form in effect.forms}
+FORMS = {f"{e.name}-{form.name}": (e, form) for e in CATALOGUE.values() for form in e.forms}
+of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS.values(), ids=FORMS)
+CASES = {case: values(effect.name, form) for case, (effect, form) in FORMS.items()}
 for effects in CASES.values():
     for name, drawn in effects.items():
         drawn.update({p: v for p, v in TUNED.get(name, {}).items() if p in drawn})

@@ -83,27 +83,22 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam  # Eq. (9)
     arc = (soil, r, theta1, theta2, thetam)
     kinks = {theta2, thetam, theta1, _turning_point(slip, r, theta1, theta2)} - {None}
-    points = sorted(kinks)
 
-    def total(stress, shape):
-        return integrate(lambda theta: stress(theta) * shape(theta), points)
+    def total(shape):
+        """Integral [N] of shape(theta, sigma, tau) over the contact."""
 
-    def sigma(theta):
-        return normal_stress(theta, *arc)
+        def stresses(theta):
+            return shape(theta, normal_stress(theta, *arc), shear_stress(theta, slip, *arc))
 
-    def tau(theta):
-        return shear_stress(theta, slip, *arc)
+        return r * b * integrate(stresses, sorted(kinks))
 
-    def one(theta):
-        return 1.0
-
-    load = r * b * (total(sigma, math.cos) + total(tau, math.sin))  # (1)
-    thrust = r * b * total(tau, math.cos)
-    resistance = r * b * total(sigma, math.sin)  # (11)
+    load = total(lambda theta, sigma, tau: sigma * math.cos(theta) + tau * math.sin(theta))  # (1)
+    thrust = total(lambda theta, sigma, tau: tau * math.cos(theta))
+    resistance = total(lambda theta, sigma, tau: sigma * math.sin(theta))  # (11)
     z0, n = r * (1.0 - math.cos(theta1)), soil.sinkage_exponent
     resistance_paper = r * b * soil.sinkage_coefficient * z0 ** (n + 1.0) / (r * (n + 1.0))  # (12)
-    torque = r * r * b * total(tau, one)  # (3)
-    scale = r * b * (total(sigma, one) + total(lambda theta: abs(tau(theta)), one))
+    torque = r * total(lambda theta, sigma, tau: tau)  # (3)
+    scale = total(lambda theta, sigma, tau: sigma + abs(tau))
     return Result(load, thrust - resistance, thrust - resistance_paper, torque, scale)
 
 

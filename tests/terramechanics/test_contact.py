@@ -42,13 +42,10 @@ def random_case(rng, softest_k):
     return soil, rng.uniform(0.1, 1.5), r, r * rng.uniform(0.2, 1.5)
 
 
-# --- against quadrature -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("seed", range(40))
 @pytest.mark.parametrize(("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)])
 def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
-    """Where the shear reverses within the arc, de/dj has a kink that the nodes do not see: the bound is wider.
+    """The bound is wider where the shear reverses within the arc: de/dj has a kink that the nodes do not see.
 
     At K/r below 0.05 and deep entry that error grows further, to 1 % of the stresses at K/r = 0.01.
     """
@@ -65,31 +62,24 @@ def test_simpson_converges_to_the_quadrature():
     """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
     soil, r, b, theta1 = PAPER_SOIL._replace(sinkage_exponent=1.0), 0.15, 0.15, 0.9
     judge = reference.forces(soil, 0.3, theta1, r, b)
-    errors = []
+    errors, motion = [], motion_from_slip(0.3)
     for m in (2, 4, 8, 16):
-        motion = motion_from_slip(0.3)
         q = quadrature.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
         w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
         errors.append(relative_error(w, judge, r))
     assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
 
 
-# --- limits -----------------------------------------------------------------------------------------------------------
-
-
 def test_resting_wheel_has_no_shear():
     """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries the load."""
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
-    assert q.p_cos > 0.0
-    assert (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
+    assert q.p_cos > 0.0 and (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
 
 
 @pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
 def test_small_shear_modulus_mobilises_everything(slip, sign):
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
-    assert q.e == pytest.approx(sign * 0.8, rel=1e-6)
-    assert q.pe_cos == pytest.approx(sign * q.p_cos, rel=1e-6)
-    assert q.pe_sin == pytest.approx(sign * q.p_sin, rel=1e-6)
+    assert (q.e, q.pe_cos, q.pe_sin) == pytest.approx((sign * 0.8, sign * q.p_cos, sign * q.p_sin), rel=1e-6)
 
 
 def test_spinning_wheel_shears_over_the_whole_arc():
@@ -101,12 +91,9 @@ def test_spinning_wheel_shears_over_the_whole_arc():
 
 def test_exponent_zero_is_constant_stress():
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
-    assert q.p_cos == pytest.approx(math.sin(0.8), rel=1e-9)
-    assert q.p_sin == pytest.approx(1.0 - math.cos(0.8), rel=1e-9)
+    assert (q.p_cos, q.p_sin) == pytest.approx((math.sin(0.8), 1.0 - math.cos(0.8)), rel=1e-9)
     assert contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0 and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
 
-
-# --- symmetry, range, derivatives -------------------------------------------------------------------------------------
 
 speeds = st.floats(-5.0, 5.0)
 
@@ -126,14 +113,9 @@ def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
 @example(theta1=1e-4, back=0.0, rim=0.0, travel=0.0, k=1e-4, n=0.0, r=0.01)
 @example(theta1=math.pi, back=-1.0, rim=1.0, travel=1e9, k=1e-4, n=3.0, r=3.0)
 @given(
-    theta1=st.floats(1e-6, math.pi),
-    back=st.floats(-1.0, 0.999),
-    rim=st.floats(-1.0, 1.0),
-    travel=st.floats(-1e9, 1e9),
-    k=st.floats(1e-4, 0.3),
-    n=st.floats(0.0, 3.0),
-    r=st.floats(0.01, 3.0),
-)
+    theta1=st.floats(1e-6, math.pi), back=st.floats(-1.0, 0.999), rim=st.floats(-1.0, 1.0),
+    travel=st.floats(-1e9, 1e9), k=st.floats(1e-4, 0.3), n=st.floats(0.0, 3.0), r=st.floats(0.01, 3.0),
+)  # fmt: skip
 def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
     theta2 = back * theta1
     out = quadrature.arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
@@ -146,19 +128,16 @@ def test_rates_against_central_differences(seed):
     rng = np.random.default_rng(seed)
     theta1, k, n, r = rng.uniform(0.2, 1.3), rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.5), 0.3
     rim, travel = rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)
+    at, d = np.array([rim, travel, k]), 1e-6
     for rule, extra in ((quadrature.arc_integrals, ()), (quadrature.simpson_integrals, (3,))):
 
-        def shear(rim, travel, k, rule=rule, extra=extra):
-            return np.array(rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)[0])[2:]
+        def integrals(at, rule=rule, extra=extra):
+            return rule(theta1, -0.1, 0.4 * theta1, *at, n, r, *extra)
 
-        _, by_rim, by_travel = rule(theta1, -0.1, 0.4 * theta1, rim, travel, k, n, r, *extra)
+        _, by_rim, by_travel = integrals(at)
         by_k = quadrature.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
-        d = 1e-6
-        for rates, up, down in (
-            (by_rim, shear(rim + d, travel, k), shear(rim - d, travel, k)),
-            (by_travel, shear(rim, travel + d, k), shear(rim, travel - d, k)),
-            (by_k, shear(rim, travel, k + d), shear(rim, travel, k - d)),
-        ):
+        for rates, step in zip((by_rim, by_travel, by_k), d * np.eye(3), strict=True):
+            up, down = (np.array(integrals(at + sign * step)[0])[2:] for sign in (1.0, -1.0))
             np.testing.assert_allclose(rates, (up - down) / (2 * d), rtol=1e-4, atol=1e-6)
 
 
@@ -167,6 +146,5 @@ def test_rates_against_central_differences(seed):
 def test_mobilised_sinkage_coefficient_inverts_the_balance(slip, cohesion):
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 0.02, 0.8, 0.15)[0]
     load = contact.forces(q, 7e5, 0.5, cohesion, 0.15, 0.15, 1.0).load
-    assert contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0) == pytest.approx(
-        7e5, rel=1e-9
-    )
+    found = contact.mobilised_sinkage_coefficient(q, load, 0.5, cohesion, 0.15, 0.15, 1.0)
+    assert found == pytest.approx(7e5, rel=1e-9)

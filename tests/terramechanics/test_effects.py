@@ -10,16 +10,15 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact, effects, reaction
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, grade, pack_effects, shear_softening
+from soil_env.terramechanics.effects import NO_EFFECTS, grade, pack_effects, shear_softening
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
 from soil_env.terramechanics.steady import Conditions, Rim, steady_state, steady_with
+from tests.terramechanics.cases import of_every_form
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
 WHEEL = Rim(0.15, 0.12, 0.01)
 DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
 UNIT_WEIGHT = 16000.0
-FORMS = [(effect, form) for effect in CATALOGUE.values() for form in effect.forms]
-of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS, ids=[f"{e.name}-{f.name}" for e, f in FORMS])
 
 
 def on(name, **parameters):
@@ -27,15 +26,11 @@ def on(name, **parameters):
     return pack_effects({name: parameters})
 
 
-# --- the catalogue ----------------------------------------------------------------------------------------------------
-
 #: Parameters whose prior scale comes from the table; a rig's size for them.
 RIG = {
-    ("drivetrain_friction", "constant"): 2.0,
-    ("drivetrain_friction", "viscous"): 2.0,
-    ("sinkage_offset", "offset"): 0.003,
-    ("shear_softening", "onset"): 0.02,
-}
+    ("drivetrain_friction", "constant"): 2.0, ("drivetrain_friction", "viscous"): 2.0,
+    ("sinkage_offset", "offset"): 0.003, ("shear_softening", "onset"): 0.02,
+}  # fmt: skip
 #: Parameters of a law that change nothing alone, beside those with a centre of their own.
 NUISANCES = {("shear_softening", "onset")}
 #: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift; apparent
@@ -85,8 +80,6 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
             assert steady(idle | {name: value}, effect.name, fresh) == steady(idle, effect.name, fresh)
 
 
-# --- properties of the laws -------------------------------------------------------------------------------------------
-
 R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
 
 
@@ -114,10 +107,9 @@ def test_spinning_on_the_spot_excavates_and_resting_does_not(name):
 
 
 def test_bearing_on_a_slope_is_even_and_stays_above_0():
-    fx = on("grade", weakening=1.0)
-    for degrees in (10.0, 40.0):  # the latter steeper than phi
-        sine = math.sin(math.radians(degrees))
-        assert grade.slope_factor(SOIL, sine, fx) == grade.slope_factor(SOIL, -sine, fx) > 0.0
+    for sine in np.sin(np.radians([10.0, 40.0])):  # the latter steeper than phi
+        uphill, downhill = (grade.slope_factor(SOIL, x, on("grade", weakening=1.0)) for x in (sine, -sine))
+        assert uphill == downhill > 0.0
 
 
 @settings(deadline=None)
@@ -132,19 +124,14 @@ def test_measured_slip_inverts_true_slip(slip, offset, error):
 def test_friction_takes_power_either_way(torque, speed, size):
     fx = on("drivetrain_friction", constant=10.0 * size, share=size, viscous=5.0 * size)
     found = effects.drive_torque(torque, speed, 1e-3, fx)
-    assert (found - torque) * speed >= -1e-9
-    assert effects.drive_torque(-torque, -speed, 1e-3, fx) == -found
+    assert (found - torque) * speed >= -1e-9 and effects.drive_torque(-torque, -speed, 1e-3, fx) == -found
 
 
 @settings(deadline=None)
 @given(
-    theta1=st.floats(1e-3, 3.0),
-    slip=st.floats(-1.0, 1.0),
-    ratio=st.floats(0.0, 0.95),
-    follows=st.floats(0.0, 1.0),
-    offset=st.floats(-0.4, 0.4),
-    slope=st.floats(-0.6, 0.9),
-)
+    theta1=st.floats(1e-3, 3.0), slip=st.floats(-1.0, 1.0), ratio=st.floats(0.0, 0.95), follows=st.floats(0.0, 1.0),
+    offset=st.floats(-0.4, 0.4), slope=st.floats(-0.6, 0.9),
+)  # fmt: skip
 def test_the_peak_lies_inside_the_arc(theta1, slip, ratio, follows, offset, slope):
     fx = pack_effects({
         "rear_contact": {"ratio": ratio, "peak_follows": follows},

@@ -8,11 +8,9 @@ import pytest
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects
 from soil_env.terramechanics.contact import mobilised
-from soil_env.terramechanics.effects import CATALOGUE, bulldozing, grade, grousers, pack_effects, shear_softening, text
-from tests.terramechanics.cases import CASES
+from soil_env.terramechanics.effects import bulldozing, grade, grousers, pack_effects, shear_softening, text
+from tests.terramechanics.cases import CASES, of_every_form
 
-FORMS = [(effect, form) for effect in CATALOGUE.values() for form in effect.forms]
-of_every_form = pytest.mark.parametrize(("effect", "form"), FORMS, ids=[f"{e.name}-{f.name}" for e, f in FORMS])
 SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
 GAMMA, WIDTH, HEIGHT, RADIUS = 15000.0, 0.12, 0.012, 0.15
 AT = {"i": 0.3, "z": 0.03, "z_w": 0.02, "theta1": 0.7, "r": RADIUS, "h": HEIGHT, "b": WIDTH, "N": 3.0, "S": 3e5,
@@ -38,8 +36,7 @@ def evaluated(effect, form, values, **more):
 
 def model(name, form, values):
     """{left side: value} by the compiled laws."""
-    fx = pack_effects({name: values})
-    at = AT
+    fx, at = pack_effects({name: values}), AT
     ground = effects.soil_in_contact(SOIL, fx, at["i"], at["V"], at["v"], at["N"], 0.0)
     if name == "slip_sinkage":
         ratio = effects.slip_sinkage_ratio(at["i"], *effects.digging(SOIL, fx))

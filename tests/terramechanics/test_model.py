@@ -22,11 +22,9 @@ SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, di
 BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
 WHEEL = ModelWheel(0.15, 0.12, 0.01)
 EFFECTS = {
-    "slip_sinkage": {"gain": 1.2, "recovery": 0.4},
-    "bulldozing": {"rankine": 1},
-    "drivetrain_friction": {"constant": 0.5, "viscous": 0.2},
-    "multipass": {"hardening": 0.2},
-}
+    "slip_sinkage": {"gain": 1.2, "recovery": 0.4}, "bulldozing": {"rankine": 1},
+    "drivetrain_friction": {"constant": 0.5, "viscous": 0.2}, "multipass": {"hardening": 0.2},
+}  # fmt: skip
 TERMS = (
     ResidualTerm("sinkage", 0.01, {"slip": 2.0}, {"slip": [0.0, 0.5]}),
     ResidualTerm("drawbar_pull", -0.05, {"load": 1.0, "pass": 1.0}),
@@ -50,9 +48,6 @@ def stacked(prediction):
     return np.stack(prediction[:3], axis=1)
 
 
-# --- predict ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     given = {
         "slip": [0.1, 0.3, -0.2], "load": [80.0, 100.0, 90.0], "speed": [0.05, 0.1, 0.2], "pass": [1, 2, 3],
@@ -69,12 +64,16 @@ def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     np.testing.assert_array_equal(stacked(MODEL.predict(read_table(tmp_path / "data.csv"))), stacked(found))
 
 
-def test_what_is_not_given_is_level_fresh_soil_and_the_wheel_of_the_model():
+def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
+    """A steady point is a turning wheel, however slow: friction shows without a speed."""
     plain = WheelSoilModel(WHEEL, SOIL)
     found = plain.predict({"slip": 0.3, "load": 90.0})
     assert tuple(stacked(found)[0]) == pytest.approx(single(plain, 0.3, 90.0)[:3], rel=1e-12)
     for same in ({"speed": math.nan}, {"pass": 1}, {"grade_deg": 0.0}, {"wheel_radius": 0.15}):
         np.testing.assert_array_equal(stacked(plain.predict({"slip": 0.3, "load": 90.0} | same)), stacked(found))
+    with_friction = WheelSoilModel(WHEEL, SOIL, {"drivetrain_friction": {"constant": 0.5}})
+    given = {"slip": [0.0, 0.3, -0.3], "load": 90.0}
+    assert with_friction.predict(given).torque - plain.predict(given).torque == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("soil", [SOIL, BEKKER], ids=["S", "k_c and k_phi"])
@@ -87,26 +86,14 @@ def test_a_row_may_have_another_wheel(soil):
     assert found.sinkage[1] > found.sinkage[0]
 
 
-def test_friction_shows_where_no_speed_is_given():
-    """A steady point is a turning wheel, however slow; only a locked one has no friction of its own."""
-    with_friction = WheelSoilModel(WHEEL, SOIL, {"drivetrain_friction": {"constant": 0.5}})
-    given = {"slip": [0.0, 0.3, -0.3], "load": 90.0}
-    more = with_friction.predict(given).torque - WheelSoilModel(WHEEL, SOIL).predict(given).torque
-    assert more == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"sped": 1.0}, "did you mean 'speed'"),
-        ({"slip": None}, "conditions: missing slip"),
-        ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
-        ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
-        ({"grouser_height": 0.15}, "conditions: grouser_height: expected metres, less than the wheel radius"),
-        ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"sped": 1.0}, "did you mean 'speed'"),
+    ({"slip": None}, "conditions: missing slip"),
+    ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
+    ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
+    ({"grouser_height": 0.15}, "conditions: grouser_height: expected metres, less than the wheel radius"),
+    ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
+], ids=str)  # fmt: skip
 def test_wrong_conditions_are_refused_in_one_line(change, message):
     given = {k: v for k, v in (conditions() | change).items() if v is not None}
     with pytest.raises(ParameterError, match=message) as error:
@@ -114,12 +101,9 @@ def test_wrong_conditions_are_refused_in_one_line(change, message):
     assert "\n" not in str(error.value)
 
 
-# --- residual terms ---------------------------------------------------------------------------------------------------
-
-
 def test_residual_terms_are_added():
     """z + r 0.01 i^2 (i at most 0.5), DP - W 0.05 N W/(S b r^(n+1)), T + W r 0.02."""
-    plain, found = MODEL.predict(conditions(**{"pass": 2})), None
+    plain = MODEL.predict(conditions(**{"pass": 2}))
     found = WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS).predict(conditions(**{"pass": 2}))
     i = np.minimum(conditions()["slip"], 0.5)
     assert found.sinkage == pytest.approx(plain.sinkage + 0.15 * 0.01 * i**2)
@@ -128,20 +112,11 @@ def test_residual_terms_are_added():
     assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
 
 
-# --- model.yaml -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
-        WheelSoilModel(WHEEL, BEKKER, EFFECTS),
-        WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS),
-        WheelSoilModel(WHEEL, SOIL, {"slip_bias": {"offset": 1e-7}}),
-        WheelSoilModel(WHEEL, SOIL, {"bulldozing": {"rankine": 1.0}}, gravity=1.62, validity={"slip": (0.0, 0.6)}),
-    ],
-    ids=["plain", "bekker", "residual", "small number", "moon"],
-)
+@pytest.mark.parametrize("model", [
+    WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
+    WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
+    WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
+], ids=["plain", "bekker", "residual"])  # fmt: skip
 def test_save_and_load(tmp_path, model):
     path = tmp_path / "model.yaml"
     model.save(path)
@@ -154,25 +129,19 @@ def test_save_and_load(tmp_path, model):
 BARE = {"wheel": {"radius": 0.15, "width": 0.12}, "soil": SOIL.__dict__ | {"k_c": None, "k_phi": None}}
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
-        ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
-        ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
-        ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
-        ({"effects": {"bulldozing": {"rankin": 1.0}}}, "bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
-        ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
-        ({"residual": {"channel": "torque"}}, "residual: expected a list of terms"),
-        ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
-        ({"validity": {"slip": [1, 0]}}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
+    ({"format": "soil_env model 2"}, "format = 'soil_env model 2': expected 'soil_env model 1'"),
+    ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
+    ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
+    ({"effects": {"bulldozing": {"rankin": 1.0}}}, "bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
+    ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
+    ({"residual": {"channel": "torque"}}, "residual: expected a list of terms"),
+    ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
+    ({"validity": {"slip": [1, 0]}}, r"validity.slip = \[1, 0\]: expected \[lowest, highest\]"),
+], ids=str)  # fmt: skip
 def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
     path = tmp_path / "model.yaml"
-    path.write_text(yaml.safe_dump(BARE))
-    assert WheelSoilModel.load(path).effects == {}
     path.write_text(yaml.safe_dump(BARE | change))
     with pytest.raises(ParameterError, match=message) as error:
         WheelSoilModel.load(path)
@@ -180,19 +149,14 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
     assert str(error.value).count(str(path)) == 1 and "\n" not in str(error.value)
 
 
-# --- range of validity ------------------------------------------------------------------------------------------------
-
 RANGE = {"slip": (0.05, 0.6), "load": (100.0, 200.0), "speed": (0.02, 0.1)}
 
 
-@pytest.mark.parametrize(
-    "conditions, word",
-    [
-        ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
-        ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
-        ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
-    ],
-)
+@pytest.mark.parametrize(("conditions", "word"), [
+    ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
+    ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
+    ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
+])  # fmt: skip
 def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(conditions, word):
     model = WheelSoilModel(WHEEL, SOIL, validity=RANGE)
     with pytest.warns(OutsideValidity, match=word):

@@ -44,11 +44,9 @@ def test_groups_are_held_inside_their_range(x, held):
 
 def test_downhill_and_rest():
     """Whole powers keep the sign of a grade; where a power has no value, the term is 0, never inf or nan."""
-    downhill = (*POINT[:6], -0.1)
-    assert value([ResidualTerm("torque", 1.0, {"grade": 1.0})], downhill)[2] == pytest.approx(-0.1)
-    assert value([ResidualTerm("torque", 1.0, {"grade": 2.0})], downhill)[2] == pytest.approx(0.01)
-    assert value([ResidualTerm("torque", 1.0, {"grade": -1.0})], downhill)[2] == pytest.approx(-10.0)
-    assert value([ResidualTerm("torque", 1.0, {"grade": 0.5})], downhill)[2] == 0.0
+    for power, expected in ((1.0, -0.1), (2.0, 0.01), (-1.0, -10.0), (0.5, 0.0)):
+        found = value([ResidualTerm("torque", 1.0, {"grade": power})], (*POINT[:6], -0.1))[2]
+        assert found == pytest.approx(expected)
     for power in (-6.0, -1.0, -0.5, 0.5, 1.0, 2.0):
         assert value([ResidualTerm("torque", 1.0, {"slip": power})], (0.0, *POINT[1:]))[2] == 0.0
 
