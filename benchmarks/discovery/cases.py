@@ -23,8 +23,7 @@ import yaml
 
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS, UNLISTED, VARIES, Form, Hidden, forms_of
 from benchmarks.discovery.laws import BASE_LAWS, StressError, log_slip, regimes, smooth
-from benchmarks.discovery.limits import Measure
-from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, draw_bench
+from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
 from soil_env._io.loading import ParameterError
 
 KINDS = ("one", "two", "unlisted", "none")
@@ -141,7 +140,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "laws", "limits", "listed", "plan", "world")
+    names = ("cases", "forms", "laws", "listed", "plan", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 

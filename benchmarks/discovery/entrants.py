@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -109,8 +110,7 @@ BOUNDS = {"friction_angle_deg": (3.0, 70.0), "cohesion": (0.0, 1.9e5), "shear_mo
 LUGS = 0.1  # height over the radius where the setup says nothing of lugs
 
 
-@dataclass(frozen=True)
-class Chosen:
+class Chosen(NamedTuple):
     """Effect in one of its forms."""
 
     effect: str
@@ -159,15 +159,17 @@ class Bank:
         self.speed = float(np.exp(np.nanmean(np.log(np.maximum(self.table.speed, 1e-4)))))
         self.unit = {"constant": 0.05 * load * r, "viscous": 0.05 * load * r * r / self.speed, "offset": 0.02 * r,
                      "onset": 0.01}  # fmt: skip
+        #: Parameters that no form fits: rate laws leave the soil as it is at the mean speed, of travel or of sliding.
+        self.of_table = {"penetration_rate": {"reference_speed": self.speed},
+                         "shear_rate": {"reference_speed": 0.4 * self.speed}}  # fmt: skip
 
     def _soil(self, x: np.ndarray) -> dict[str, float]:
         """Parameters of the soil at unknowns x, in standard deviations of the prior."""
         out = {}
         for name, u in zip(SOIL, x, strict=True):
             value, sd = self.prior[name]
-            out[name] = value * math.exp(np.clip(u * sd / value, -12, 12)) if name in LOGARITHMIC else value + sd * u
-        for name, (low, high) in BOUNDS.items():
-            out[name] = float(np.clip(out[name], low, high))
+            at = value * math.exp(np.clip(u * sd / value, -12, 12)) if name in LOGARITHMIC else value + sd * u
+            out[name] = float(np.clip(at, *BOUNDS[name]))
         return out
 
     @cached_property
@@ -195,13 +197,9 @@ class Bank:
     def _model(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> WheelSoilModel:
         effects, k = {}, 0
         for c in chosen:
-            parameters = dict(c.form.fixed)
-            known = [p.name for p in CATALOGUE[c.effect].parameters]
-            if "reference_speed" in known:
-                parameters["reference_speed"] = self.speed if c.effect == "penetration_rate" else 0.4 * self.speed
-            parameters |= {name: float(values[k + j]) for j, name in enumerate(c.form.free)}
-            k += len(c.form.free)
-            effects[c.effect] = parameters
+            free = dict(zip(c.form.free, values[k : k + len(c.form.free)].tolist(), strict=True))
+            effects[c.effect] = self.of_table.get(c.effect, {}) | dict(c.form.fixed) | free
+            k += len(free)
         density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
         wheel = ModelWheel(self.setup.wheel.radius, self.setup.wheel.width, self.lugs)
         return WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects)

@@ -18,8 +18,7 @@ from benchmarks.discovery.cases import GROUPS, SETS, Task, draw_case, task_of, t
 from benchmarks.discovery.entrants import Answer, entrant
 from benchmarks.discovery.forms import CHANNELS, FORMS, MECHANISMS, UNLISTED, Hidden, forms_of
 from benchmarks.discovery.laws import LENGTHS, RandomFunction, StressError, covariance, log_slip, regimes
-from benchmarks.discovery.limits import Measure
-from benchmarks.discovery.plan import draw_bench
+from benchmarks.discovery.plan import Measure, draw_bench
 from benchmarks.discovery.score import judged, reliability
 from benchmarks.discovery.world import Arc, Contact, Rows, Wheel
 from soil_env.measurement.setup import read_setup
