@@ -23,10 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.effects import CATALOGUE
@@ -185,7 +184,7 @@ def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarr
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
     stresses = there.stresses(values, fit.choices, out, guess)
     added = there.added(values, fit.choices, out, guess)
-    law, effect = there.form_errors(values, fit.choices, out, added, guess, at)
+    law, effect = there.form_errors(fit.choices, stresses, added, at)
     a, e = fit.linearised(sizes)
     inside = fit.free_unknowns
     columns = [

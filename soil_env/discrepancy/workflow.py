@@ -14,9 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.discrepancy.fits import EXACT, Choice, Fit
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.next_tests import law_tests, next_tests
@@ -93,7 +92,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
     by_effect = _held_out_by_effect(problem, finding, final, after)
-    shares = judgement.shares(problem, before, by_effect) if by_effect else {}
+    shares = judgement.shares(problem, before, by_effect)
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
         if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
@@ -114,9 +113,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         effects=_effects(problem, finding, final, intervals, shares),
         law=law,
         soil=_soil(problem, intervals),
-        ranking=judgement.ranking(finding),
         gap=gap,
-        remainder=judgement.remainder(gap),
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
         next_tests=next_tests(problem, finding) if law is None else law_tests(problem, plain, law, model),

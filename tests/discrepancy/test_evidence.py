@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from soil_env.discrepancy import anonymous, evidence
-from soil_env.discrepancy.fits import Choice, Sizes
+from soil_env.discrepancy import evidence
+from soil_env.discrepancy.calibrate import Choice, Sizes
 from soil_env.discrepancy.search import forms
 from tests.discrepancy.tables import NOISE, problem, table
 
@@ -115,7 +115,7 @@ def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
     wave = np.sin(7.0 * slip) * (np.sign(speed - 0.06) if "speed" in pattern else 1.0)
     p = problem(data, np.random.default_rng(7), np.outer(wave, place * NOISE))
     base = evidence.settle(p, ())
-    free = anonymous.anonymous(p, base)
+    free = evidence.anonymous(p, base)
     assert free.log > base.log + 10.0
     assert free.sizes.pattern == pattern and free.sizes.scatter == 1.0
     assert base.sizes.pattern == "" and base.sizes.free == Sizes().free
@@ -124,7 +124,7 @@ def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
 def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     rng = np.random.default_rng(8)
     p = problem(data, rng, 3.0 * NOISE * rng.normal(size=data.y.shape))
-    free = anonymous.anonymous(p, evidence.settle(p, ()))
+    free = evidence.anonymous(p, evidence.settle(p, ()))
     assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.pattern == ""
     fit = p.fit((), sizes=Sizes(scatter=3.0))
     a, e = fit.linearised()

@@ -13,7 +13,6 @@ from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
-from soil_env.identification.table.problem import TableProblem
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
@@ -119,24 +118,6 @@ def test_a_tilt_is_a_nuisance_of_the_fit(tmp_path, load):
     assert fitted(tmp_path, text, f"load: {load}\n")[0] > 1.3
     assert fitted(tmp_path, text, f"load: {load}\ntilt_deg: 1.5\n")[0] < 1.2
     assert "tilt_deg" not in model_of(problem, fit).content()["soil"]
-
-
-def test_both_commands_fit_the_same_rig(tmp_path):
-    """Identification and calibration of one table of two widths, a tilt and a vertical load: the same prediction."""
-    setup = SETUP.replace(
-        "sinkage_coefficient: {value: 770000, sd: 88000}", "k_c: 20000\n  k_phi: {value: 600000, sd: 9e4}"
-    )
-    lines = hilly(1.5).splitlines()
-    rows = [f"{line},{0.12 if k % 2 else 0.2}" for k, line in enumerate(lines[1:])]
-    text = "\n".join([lines[0] + ",wheel_width", *rows]) + "\n"
-    data = data_of(tmp_path, text, setup + "load: vertical\ntilt_deg: {value: 0, sd: 1}\n")
-    problem, identified = calibrate(data)[0], TableProblem(data.table, data.setup)
-    u = np.linspace(-0.3, 0.4, len(identified.unknowns))
-    values = identified.values(u)
-    there = problem.predict(values, (), np.zeros(len(data.table)))
-    assert identified.steady(u, identified.rows) == pytest.approx(there, rel=1e-6)
-    b, width = np.radians(1.5 + data.table.grade_deg), data.table.wheel_width
-    assert np.ptp(width) > 0.0 and np.ptp(b) > 0.0
 
 
 def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):

@@ -39,9 +39,9 @@ def content(report: Report) -> dict[str, Any]:
              "words": sentences.disagreement(report, d)}
             for d in report.where
         ],
-        "ranking": [r._asdict() for r in report.ranking],
+        "ranking": [r._asdict() for r in report.finding.ranking],
         "gap": {name: g._asdict() for name, g in report.gap.items()},
-        "remainder": {name: r._asdict() for name, r in report.remainder.items()},
+        "remainder": {n: dict(zip(("rms", "share"), g.remainder, strict=True)) for n, g in report.gap.items()},
         "closed": report.closed,
         "closed_interval": report.closed_interval,
         "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
