@@ -68,7 +68,7 @@ def of_table(problem: Problem) -> tuple[str, ...]:
             f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
             f"{reading.remedy}"
         )
-        broken = _broken(problem, reading.name)
+        broken = {"pull": _pull_falls, "load": _beyond_strength}.get(reading.name, lambda problem: "")(problem)
         if broken:
             raise ParameterError(f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
         doubts.append(f"{text}.")
@@ -111,8 +111,7 @@ def _channels_doubted(problem: Problem) -> tuple[str, ...]:
 
 
 def _rms(problem: Problem) -> float:
-    fit = problem.fit()
-    return math.sqrt(float(np.mean(fit.residual**2)))
+    return math.sqrt(float(np.mean(problem.fit().residual ** 2)))
 
 
 def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
@@ -153,15 +152,6 @@ def _resized(rows: Rows, radius: float) -> Rows:
 
 
 # --- what cannot be ---------------------------------------------------------------------------------------------------
-
-
-def _broken(problem: Problem, name: str) -> str:
-    """Return the physical limit that a table breaks and a reading of that name would mend; "" if none."""
-    if name == "pull":
-        return _pull_falls(problem)
-    if name == "load":
-        return _beyond_strength(problem)
-    return ""
 
 
 def _pull_falls(problem: Problem) -> str:

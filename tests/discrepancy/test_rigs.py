@@ -47,7 +47,7 @@ def test_no_clean_value_of_two_wheels_is_struck_out(tmp_path, seed):
     """Lugs make two curves over slip: neither is noise, nor outliers of the other."""
     for setup in (SETUP, SETUP.split("noise:")[0]):
         problem, noise = calibrate(data_of(tmp_path, two_wheels(seed=seed), setup))
-        assert noise.outliers == 0
+        assert np.array_equal(noise.used, problem.data.measured)
         assert noise.sd == pytest.approx(list(NOISE.values()), rel=0.6)
 
 
@@ -74,7 +74,7 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
     setup = SETUP.replace(", torque: 0.1", "")
     data = data_of(tmp_path, "\n".join(lines) + "\n", setup)
     problem, noise = calibrate(data)
-    assert noise.outliers == 0 and noise.sd[2] == 0.1 and data.relative_sd[8, 2] == 10.0
+    assert noise.used.all() and noise.sd[2] == 0.1 and data.relative_sd[8, 2] == 10.0
     whitened = np.full(problem.used.shape, np.nan)
     whitened[problem.used] = problem.whiten(np.ones_like(data.y))
     assert whitened[8, 2] == pytest.approx(1.0) and whitened[0, 2] == pytest.approx(10.0)
