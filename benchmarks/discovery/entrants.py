@@ -215,7 +215,7 @@ class Bank:
 
     def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
         """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
-        start, low, high, scale = self._start(chosen) if chosen else np.zeros((4, 0))
+        start, low, high, scale = self._start(chosen)
         lower = np.concatenate([np.full(5, -8.0), low / scale])
         upper = np.concatenate([np.full(5, 8.0), high / scale])
         x0 = np.clip(np.concatenate([np.zeros(5), start / scale]), lower + 1e-9, upper - 1e-9)
@@ -235,13 +235,9 @@ class Bank:
             float(found.x[:5] @ found.x[:5]), found.x.size - 5, self.stated, table, soil, values,
         )  # fmt: skip
 
-    def signature(self, base: Fitted, chosen: Chosen) -> np.ndarray:
-        """Change of the table [3, N] by an effect of a fifth of its prior scale, on the soil of a fit."""
-        return self.predict(base.soil, [chosen], self._start([chosen])[0]) - base.predicted
-
-    def soil_signatures(self, base: Fitted) -> list[np.ndarray]:
-        """Changes of the table [3, N] by a hundredth of each soil parameter."""
-        return [self.predict(base.soil | {n: 1.01 * base.soil[n]}, (), np.zeros(0)) - base.predicted for n in SOIL]
+    def change(self, base: Fitted, chosen: Sequence[Chosen] = (), **soil: float) -> np.ndarray:
+        """Change of the table [3, N] of a fit by other soil parameters, or an effect of a fifth of its prior scale."""
+        return self.predict(base.soil | soil, chosen, self._start(chosen)[0]) - base.predicted
 
     @cached_property
     def candidates(self) -> list[Chosen]:
@@ -249,13 +245,10 @@ class Bank:
         columns = {"pass": self.table.passes, "speed": self.table.speed, "grade_deg": self.table.grade_deg}
         out = []
         for effect in CATALOGUE.values():
-            if effect.varies is not None:
-                column = columns[effect.varies]
-                if not np.ptp(column[np.isfinite(column)] if np.isfinite(column).any() else np.zeros(1)) > 0.0:
-                    continue
-            if not any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
-                continue
-            out += [Chosen(effect.name, form) for form in effect.forms]
+            column = columns.get(effect.varies)
+            varies = column is None or np.unique(column[np.isfinite(column)]).size > 1
+            if varies and any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
+                out += [Chosen(effect.name, form) for form in effect.forms]
         return out
 
 
@@ -384,12 +377,12 @@ def pysindy(data: Path, setup: Path) -> Answer:
     def flat(table):
         return (table / noise[:, None])[bank.there]
 
-    q, _ = np.linalg.qr(np.stack([flat(s) for s in bank.soil_signatures(base)], axis=1))
+    q, _ = np.linalg.qr(np.stack([flat(bank.change(base, **{n: 1.01 * base.soil[n]})) for n in SOIL], axis=1))
     target = flat(np.where(bank.there, bank.measured, 0.0) - base.predicted)
     target = target - q @ (q.T @ target)
     names, columns = [], []
     for chosen in bank.candidates:
-        column = flat(bank.signature(base, chosen))
+        column = flat(bank.change(base, [chosen]))
         column = column - q @ (q.T @ column)
         if np.all(np.isfinite(column)) and np.linalg.norm(column) > 1e-6:
             names.append(chosen.effect)

@@ -56,14 +56,10 @@ def of_table(problem: Problem) -> tuple[str, ...]:
     rms = _rms(problem)
     if rms < LARGE:
         return always
-    found = []
-    for reading in _reinterpretations(problem):
-        other = _rms(reading.problem)
-        if BETTER * (other**2 - 1.0) < rms**2 - 1.0:
-            found.append((other, reading))
-    found.sort(key=lambda f: f[0])
-    doubts = []
-    for other, reading in found[:1]:
+    tried = [(_rms(reading.problem), reading) for reading in _reinterpretations(problem)]
+    better = [(other, reading) for other, reading in tried if BETTER * (other**2 - 1.0) < rms**2 - 1.0]
+    if better:
+        other, reading = min(better, key=lambda f: f[0])
         text = (
             f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
             f"{reading.remedy}"
@@ -71,10 +67,10 @@ def of_table(problem: Problem) -> tuple[str, ...]:
         broken = {"pull": _pull_falls, "load": _beyond_strength}.get(reading.name, lambda problem: "")(problem)
         if broken:
             raise ParameterError(f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
-        doubts.append(f"{text}.")
-    if not doubts and _pull_falls(problem):
-        doubts.append(f"{_pull_falls(problem)}: check the sign of drawbar_pull (positive = the wheel pulls).")
-    return (*doubts, *always)
+        return (f"{text}.", *always)
+    if falls := _pull_falls(problem):
+        return (f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls).", *always)
+    return always
 
 
 def _grades_doubted(data: Data) -> tuple[str, ...]:

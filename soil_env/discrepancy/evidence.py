@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -287,18 +287,16 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     """[M, R] of each pattern at the size 1, whitened, about a fit."""
     at = problem.data.conditions | problem.data.elapsed
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
-    channels = {
-        n: np.broadcast_to(problem.size * u, fit.output.shape) for n, u in zip(CHANNELS, np.eye(3), strict=True)
-    }
-    channels = {n: x for j, (n, x) in enumerate(channels.items()) if problem.used[:, j].any()}
+    sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
+    channels = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     out = {}
     for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
         process = Process.over(at, of=names, most=_FUNCTIONS)
         if process.names != names:
             continue
-        stresses = {} if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True))
-        for place, change in {**stresses, **channels}.items():
+        places = channels if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True)) | channels
+        for place, change in places.items():
             errors = change[:, :, None] * process.at_points[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
     return out
@@ -311,24 +309,19 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit) -> Grid:
     usual = plain_grid(fit)
     prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
     before = np.array([prior[s] for s in likely])
-    options = [(0.0, *FREE_SIZES) if used else (0.0,) for used in problem.used.any(axis=0)]
+    options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
-    kinds = (
-        ([{"free": f} for f in free], [-math.log(len(FREE_SIZES)) * np.count_nonzero(f) for f in free]),
-        ([{"pattern": n, "part": x} for n in by for x in PATTERN_SIZES], [0.0] * (len(by) * len(PATTERN_SIZES))),
-        ([{"scatter": x} for x in SCATTERS], [0.0] * len(SCATTERS)),
-    )
-    kinds = [(points, np.array(cost)) for points, cost in kinds if points]
-    cost = np.concatenate([c - logsumexp(c) - math.log(len(kinds)) for _, c in kinds])
-    sizes = [s._replace(**point) for s in likely for points, _ in kinds for point in points]
+    kinds: list[list[tuple[dict[str, Any], float]]] = [  # (sizes, log of their probability up to a constant)
+        [({"free": f}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f)) for f in free],
+        [({"pattern": n, "part": x}, 0.0) for n in by for x in PATTERN_SIZES],
+        [({"scatter": x}, 0.0) for x in SCATTERS],
+    ]
+    costs = [np.array([cost for _, cost in points]) for points in kinds if points]
+    cost = np.concatenate([c - logsumexp(c) - math.log(len(costs)) for c in costs])
+    sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
     log_prior = ((before - logsumexp(before))[:, None] + cost).ravel()
-    which = {n: k for k, n in enumerate(by)}
-    table = np.zeros((len(sizes), 4 + len(fit.law) + len(by)))
-    for row, s in zip(table, sizes, strict=True):
-        row[: 4 + len(fit.law)] = (s.effect, *s.laws, *s.free)
-        if s.pattern:
-            row[4 + len(fit.law) + which[s.pattern]] = s.part
+    table = np.array([(s.effect, *s.laws, *s.free, *(s.part * (s.pattern == n) for n in by)) for s in sizes])
     return Grid(sizes, log_prior, (fit.effect, *fit.law, *fit.free, *by.values()), table, 1 + len(fit.law))
 
 

@@ -70,7 +70,7 @@ class Grid(NamedTuple):
 def next_tests(problem: Problem, finding: Finding) -> tuple[NextTest, ...]:
     """The tests that would best separate the most probable set of effects from the others that are within reach."""
     plain = [h for h in finding.hypotheses if not h.free]
-    first = finding.best(*finding.names) if finding.has(*finding.names) else plain[0]
+    first = next((h for h in plain if {*h.names} == {*finding.names}), plain[0])
     rest = [h for h in plain if {*h.names} != {*first.names} and h.probability >= WITHIN_REACH]
     return separating(problem, [h.evidence for h in (first, *rest[: CANDIDATES - 1])])
 

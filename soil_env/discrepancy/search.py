@@ -149,10 +149,6 @@ class Finding:
         """Scatter of the values about the model over their noise, root mean square over the probabilities."""
         return math.sqrt(sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses))
 
-    def has(self, *names: str) -> bool:
-        """True if exactly these effects were tried together."""
-        return any({*h.names} == {*names} and not h.free for h in self.hypotheses)
-
     def best(self, *names: str, free: bool = False) -> Hypothesis:
         """The hypothesis with exactly these effects, with an anonymous contribution or without."""
         return next(h for h in self.hypotheses if {*h.names} == {*names} and h.free == free)

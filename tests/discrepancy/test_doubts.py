@@ -62,9 +62,7 @@ def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust
     "column, change, words",
     [
         ("torque", lambda x: 0.0, "torque is 0 in every row: expected measured values"),
-        ("torque", lambda x: 2.5, "torque is 2.5 in every row: expected measured values"),
         ("sinkage", lambda x: 0.02, "sinkage is 0.02 in every row"),
-        ("drawbar_pull", lambda x: 0.0, "drawbar_pull is 0 in every row"),
         ("drawbar_pull", lambda x: x / 1000.0, "expected newtons (if it is kilonewtons, times 1000)"),
         ("torque", lambda x: x / 1000.0, "expected newton metres (if it is kilonewton metres, times 1000)"),
     ],
@@ -78,10 +76,9 @@ def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it
     assert words in said
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_sinkage_alone_does_not_tell_the_sign_of_the_slip(tmp_path, seed):
+def test_sinkage_alone_does_not_decide_the_sign_of_the_slip(tmp_path):
     """Slip-sinkage may raise it with slip, and the base model lets it fall."""
-    text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",), seed=seed)
+    text = table_text({"slip_sinkage": {"gain": 4.0, "apparent": 1.0}}, channels=("sinkage",))
     assert examined(tmp_path, text, SETUP.replace(", drawbar_pull: 0.8, torque: 0.1", "")) == ()
 
 

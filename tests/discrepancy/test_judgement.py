@@ -29,19 +29,19 @@ def linear(unknown, u, *parts):
 def test_intervals_are_those_of_a_linear_problem():
     """One unknown with prior sd 2 seen once with noise 1: posterior variance 1/(1/4 + 1), 0.2 of the prior's."""
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
-    told = judgement.intervals(*linear(unknown, 0.5, (1.0, 0.5, 0.2)))
-    assert told["x"].value == pytest.approx(6.0)
-    assert told["x"].high - told["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
+    result = judgement.intervals(*linear(unknown, 0.5, (1.0, 0.5, 0.2)))
+    assert result["x"].value == pytest.approx(6.0)
+    assert result["x"].high - result["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
     logarithmic = Unknown("x", 0.0, 2.0, -math.inf, math.inf, True)
-    told = judgement.intervals(*linear(logarithmic, 0.5, (1.0, 0.5, 0.2)))
-    assert told["x"].high / told["x"].value == pytest.approx(told["x"].value / told["x"].low)
+    result = judgement.intervals(*linear(logarithmic, 0.5, (1.0, 0.5, 0.2)))
+    assert result["x"].high / result["x"].value == pytest.approx(result["x"].value / result["x"].low)
 
 
 def test_intervals_are_over_all_hypotheses():
     unknown = Unknown("x", 0.0, 1.0, -math.inf, math.inf, False)
-    told = judgement.intervals(*linear(unknown, 0.0, (0.5, 0.0, 0.01), (0.5, 1.0, 0.01)))
-    assert told["x"].value == pytest.approx(0.5)
-    assert told["x"].high == pytest.approx(0.5 + 1.959964 * math.sqrt(0.26))
+    result = judgement.intervals(*linear(unknown, 0.0, (0.5, 0.0, 0.01), (0.5, 1.0, 0.01)))
+    assert result["x"].value == pytest.approx(0.5)
+    assert result["x"].high == pytest.approx(0.5 + 1.959964 * math.sqrt(0.26))
 
 
 @given(st.floats(-50, 50), st.floats(1e-6, 10), st.floats(0.1, 5))
@@ -49,8 +49,8 @@ def test_intervals_are_over_all_hypotheses():
 def test_intervals_stay_within_the_bounds(u, variance, sd):
     unknown = Unknown("x", 0.0, sd, -1.0, 1.0, False)
     at = unknown.at(min(max(unknown.value(u), -1.0), 1.0))
-    told = judgement.intervals(*linear(unknown, at, (1.0, at, variance)))["x"]
-    assert -1.0 - 1e-9 <= told.low <= told.value <= told.high <= 1.0 + 1e-9
+    result = judgement.intervals(*linear(unknown, at, (1.0, at, variance)))["x"]
+    assert -1.0 - 1e-9 <= result.low <= result.value <= result.high <= 1.0 + 1e-9
 
 
 def test_closed_weighs_what_is_above_the_noise(planted):

@@ -59,8 +59,8 @@ def test_an_effect_is_named_under_a_law_error(effect):
     assert finding.names[:1] == tuple(effect)
     assert finding.stated.evidence.typical("law") > 0.03
     ((name, strength),) = next(iter(effect.values())).items()
-    told = judgement.intervals(finding, finding.stated.evidence)[f"{next(iter(effect))}_{name}"]
-    assert 0.0 < told.low < told.value < told.high and abs(told.value - strength) < 0.5 * strength
+    result = judgement.intervals(finding, finding.stated.evidence)[f"{next(iter(effect))}_{name}"]
+    assert 0.0 < result.low < result.value < result.high and abs(result.value - strength) < 0.5 * strength
 
 
 def test_what_depends_on_time_alone_is_unlisted():

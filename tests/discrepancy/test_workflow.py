@@ -41,8 +41,8 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
     assert ("slip_sinkage",) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
     assert "slip_sinkage" not in report.model.effects and (report.closed is None or report.closed >= 0.0)
     assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
-    told = content(report)
-    assert ["slip_sinkage"] in told["refuted"] and "It is not slip-sinkage" in told["summary"]
+    result = content(report)
+    assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
 
 
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
