@@ -8,14 +8,12 @@ import pytest
 
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.data import WHEEL, folds, prepare
+from soil_env.discrepancy.data import WHEEL, folds
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
-from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
+from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_files
 
 LUGS = {"grousers": {"shear_share": 1.0}}
 
@@ -34,12 +32,6 @@ def two_wheels(sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0,
                       for i, v in zip(SLIPS, values, strict=True)]  # fmt: skip
     names = ("slip", "load", "wheel_radius", "grouser_height", "sinkage", "drawbar_pull", "torque", *columns)
     return "\n".join([",".join(names), *lines]) + "\n"
-
-
-def data_of(folder, text, setup=SETUP):
-    table, setup = write_files(folder, text, setup)
-    setup = read_setup(setup)
-    return prepare(read_table(table, setup.wheel, setup.ignore_columns), setup)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -7,12 +7,9 @@ import pytest
 
 from soil_env.discrepancy import judgement
 from soil_env.discrepancy.calibrate import Problem, calibrate
-from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Detectable
 from soil_env.discrepancy.search import Finding, Hypothesis, candidates, search
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
-from tests.discrepancy.files import SETUP, write_files
+from tests.discrepancy.files import SETUP, data_of
 from tests.discrepancy.tables import NOISE as NOISE_SD, problem, table
 
 SMALL = SETUP.split("noise:")[0].replace("grouser_height: 0.01", "grouser_height: 0")
@@ -29,8 +26,7 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
     text = "slip,load,sinkage,drawbar_pull\n" + "".join(
         f"{s},100,{0.007 - 0.0003 * k},{-8 + 6 * k}\n" for k, s in enumerate((0.05, 0.15, 0.25, 0.35, 0.45))
     )
-    data, setup = write_files(tmp_path, text, SMALL + NOISE)
-    p, _ = calibrate(prepare(read_table(data), read_setup(setup)))
+    p, _ = calibrate(data_of(tmp_path, text, SMALL + NOISE))
     names, reasons = candidates(p)
     assert set(reasons) == {"grousers", "multipass", "penetration_rate", "shear_rate", "grade", "drivetrain_friction"}
     assert "speed" in reasons["penetration_rate"] and "torque" in reasons["drivetrain_friction"]

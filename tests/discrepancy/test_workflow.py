@@ -8,14 +8,11 @@ import pytest
 
 from soil_env.discrepancy import judgement, run, workflow
 from soil_env.discrepancy.calibrate import Choice, Problem
-from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
-from tests.discrepancy.files import PLANTED, table_text, write_files
+from tests.discrepancy.files import PLANTED, SETUP, data_of, table_text, write_files
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -84,10 +81,8 @@ def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):
 
 def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
     """On a wheel of two metres the rig's own scales are larger than these."""
-    data, setup = write_files(tmp_path, "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n")
-    setup.write_text(setup.read_text().replace("radius: 0.15", "radius: 2"))
-    read = read_setup(setup)
-    table = prepare(read_table(data, read.wheel), read)
+    text = "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n"
+    table = data_of(tmp_path, text, SETUP.replace("radius: 0.15", "radius: 2"))
     problem = Problem(table, np.ones(3), table.measured)
     for effect in CATALOGUE.values():
         for k, form in enumerate(effect.forms):
