@@ -92,11 +92,7 @@ def workflow(data: Path, setup: Path) -> Answer:
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])
     others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
-    chance: dict[str, float] = {}
-    for rank in report["ranking"]:
-        for name in str(rank["name"]).replace(" ", "").split("+"):
-            if rank["probability"] is not None and name in MECHANISMS:
-                chance[name] = min(chance.get(name, 0.0) + float(rank["probability"]), 1.0)
+    chance = {rank["name"]: min(rank["probability"], 1.0) for rank in report["ranking"]}
     return Answer(report["verdict"], named, tuple(others), chance)
 
 
@@ -372,7 +368,10 @@ def pysindy(data: Path, setup: Path) -> Answer:
 
     bank = Bank(data, setup)
     base = bank.fit()
-    noise = bank.noise if bank.stated else _estimated(bank, base.predicted)
+    noise = bank.noise
+    if not bank.stated:  # root mean square of what the base model leaves
+        residual = np.where(bank.there, bank.measured - base.predicted, np.nan)
+        noise = np.array([np.sqrt(np.nanmean(row**2)) if np.isfinite(row).any() else 1.0 for row in residual])
 
     def flat(table):
         return (table / noise[:, None])[bank.there]
@@ -407,12 +406,6 @@ def pysindy(data: Path, setup: Path) -> Answer:
     if not size:
         return Answer("none" if target @ target < EXPLAINED**2 * target.size else "unlisted")
     return Answer("named", tuple(sorted(size, key=lambda name: -size[name])))
-
-
-def _estimated(bank: Bank, predicted: np.ndarray) -> np.ndarray:
-    """Noise of each channel from the base model's residual."""
-    residual = np.where(bank.there, bank.measured - predicted, np.nan)
-    return np.array([np.sqrt(np.nanmean(row**2)) if np.isfinite(row).any() else 1.0 for row in residual])
 
 
 ENTRANTS: dict[str, Entrant] = {"workflow": workflow, "bic": bic, "gls": gls, "pysindy": pysindy}

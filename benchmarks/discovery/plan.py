@@ -129,7 +129,9 @@ def draw_bench(rng: np.random.Generator, design: str, size: float, law: str | No
             float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)), _noise(rng, radius, mean_load),
             {}, np.ones((3, len(rows)), bool), soil,
         )  # fmt: skip
-        bench = _with_laws(rng, bench, size, law)
+        side = None if law is None else BASE_LAWS[law].draw(rng, bench.pressure)
+        error = StressError.draw(rng, size, bench.pressure, bench.load)
+        bench = replace(bench, law=law, law_side=side, error=error)
         sinkage = np.stack([bench.base[0], bench.exact[0]]) / np.asarray(wheel.radius)
         if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
             break
@@ -161,12 +163,6 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
     level = np.exp(rng.uniform(np.log(0.6), np.log(1.6), 2))
     depth = radius * np.exp(rng.uniform(np.log(0.004), np.log(0.012)))
     return float(depth), float(0.01 * load * level[0]), float(0.01 * load * radius * level[1])
-
-
-def _with_laws(rng, bench: Bench, size: float, law: str | None) -> Bench:
-    side = None if law is None else BASE_LAWS[law].draw(rng, bench.pressure)
-    error = StressError.draw(rng, size, bench.pressure, bench.load)
-    return replace(bench, law=law, law_side=side, error=error)
 
 
 # --- conditions -------------------------------------------------------------------------------------------------------
