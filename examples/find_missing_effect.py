@@ -34,7 +34,7 @@ def main() -> None:
     print(f"verdict: {report.verdict}")
     for effect in report.effects:
         print(f"  {effect.name}: " + ", ".join(f"{k} = {v.value:.3g}" for k, v in effect.parameters.items()))
-    for rank in report.ranking[:3]:
+    for rank in report.finding.ranking[:3]:
         print(f"  {rank.probability:6.1%}  {rank.name}")
     for channel, gap in report.gap.items():
         print(f"  {channel}: held-out gap {gap.before:.3g} -> {gap.after:.3g}, noise {gap.noise_floor:.3g}")

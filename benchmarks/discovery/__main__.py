@@ -29,11 +29,9 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
-from functools import partial
+from functools import partial, reduce
 from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import click
 from threadpoolctl import threadpool_limits
@@ -129,25 +127,23 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def _names(options: SimpleNamespace) -> list[str]:
-    chosen = [t for t in tasks(options.set, options.limit) if not options.group or t.group in options.group]
-    return [t.name for t in chosen]
+def _names(of: str, limit: int | None, groups: tuple[str, ...]) -> list[str]:
+    return [t.name for t in tasks(of, limit) if not groups or t.group in groups]
 
 
-def publish_scores(options: SimpleNamespace) -> None:
+def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...]) -> None:
     """Score the answers in a folder and write figures and page."""
-    about = read_json(options.out / "study.json")
-    options.set = about["set"]
-    labels = sorted(p.name for p in (options.out / "answers").glob("*") if p.is_dir())
+    about = read_json(out / "study.json")
+    labels = sorted(p.name for p in (out / "answers").glob("*") if p.is_dir())
     if not labels:
-        raise ParameterError(f"{options.out}: no answers; expected those of a run")
+        raise ParameterError(f"{out}: no answers; expected those of a run")
     entrants = {}
     for label in labels:
-        if records := score.read_records(options.out, label, _names(options)):
-            entrants[label] = read_json(options.out / "answers" / f"{label}.json") | score.figures(records)
-    place = options.publish or options.out
+        if records := score.read_records(out, label, _names(about["set"], limit, groups)):
+            entrants[label] = read_json(out / "answers" / f"{label}.json") | score.figures(records)
+    place = publish or out
     make_folder(place)
-    write_json(place / f"discovery_{options.set}.json", about | {"limit": options.limit, "entrants": entrants})
+    write_json(place / f"discovery_{about['set']}.json", about | {"limit": limit, "entrants": entrants})
     write(place, "discovery", score.page_of(place))
 
 
@@ -156,67 +152,53 @@ def command() -> None:
     """Blind naming of missing mechanisms: draw cases, ask entrants, score their answers."""
 
 
-def _option(*names: str, **settings: Any) -> Callable[[Callable], Callable]:
-    return click.option(*names, metavar=settings.pop("metavar", "N"), **settings)
+def _options(*options: Callable[[Callable], Callable]) -> Callable[[Callable], Callable]:
+    return lambda work: reduce(lambda inner, option: option(inner), reversed(options), work)
 
 
-def _of_cases(work: Callable) -> Callable:
-    """Options that choose cases."""
-    work = _option("--group", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP", help="Only this group.")(
-        work
-    )
-    work = _option("--limit", type=WholeNumber(1), help="Only the first N cases, a fair sample.")(work)
-    return _option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers.")(work)
-
-
-def _of_drawing(work: Callable) -> Callable:
-    """Options that say which cases are drawn."""
-    work = _option("--jobs", type=WholeNumber(1), default=1, help="Processes (default 1).")(work)
-    work = _option("--seed", type=WholeNumber(), default=REPORTED, help=f"Seed of the cases (default {REPORTED}).")(
-        work
-    )
-    return _option("--set", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws.")(work)
-
-
-_publish = _option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out).")
+_of_drawing = _options(
+    click.option("--set", "of", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws."),
+    click.option("--seed", type=WholeNumber(), default=REPORTED, metavar="N", help=f"Default: {REPORTED}."),
+    click.option("--jobs", type=WholeNumber(1), default=1, metavar="N", help="Processes (default 1)."),
+)
+_of_cases = _options(
+    click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers."),
+    click.option("--limit", type=WholeNumber(1), metavar="N", help="Only the first N cases, a fair sample."),
+    click.option("--group", "groups", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP",
+                 help="Only this group."),
+)  # fmt: skip
+_publish = click.option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out).")
 
 
 @command.command("run")
-@_option("--entrant", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
-@_option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
+@click.option("--entrant", "who", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
+@click.option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
 @_publish
 @_of_drawing
 @_of_cases
-def run_command(**given: Any) -> None:
+def run_command(who, label, publish, of, seed, jobs, out, limit, groups) -> None:
     """Ask an entrant and score it; resumes."""
-    options = SimpleNamespace(**given)
-    label = options.label or re.sub(r"\W+", "_", options.entrant)[:40]
-    entrant(options.entrant)  # before the work: that there is one
-    begin(options.out, options.set, options.seed)
-    describe(options.out, label, options.entrant)
-    answers = options.out / "answers" / label
-    left = [n for n in _names(options) if not (answers / f"{n}.json").exists()]
-    each(partial(ask, options.entrant, label, options.seed, options.out), left, options.jobs)
-    publish_scores(options)
+    label = label or re.sub(r"\W+", "_", who)[:40]
+    entrant(who)  # before the work: that there is one
+    begin(out, of, seed)
+    describe(out, label, who)
+    left = [n for n in _names(of, limit, groups) if not (out / "answers" / label / f"{n}.json").exists()]
+    each(partial(ask, who, label, seed, out), left, jobs)
+    publish_scores(out, publish, limit, groups)
 
 
 @command.command("draw")
 @_of_drawing
 @_of_cases
-def draw_command(**given: Any) -> None:
+def draw_command(of, seed, jobs, out, limit, groups) -> None:
     """Write the cases."""
-    options = SimpleNamespace(**given)
-    begin(options.out, options.set, options.seed)
-    each(partial(draw, options.seed, options.out), _names(options), options.jobs)
-    print(f"{options.out}: {len(_names(options))} cases of seed {options.seed}")
+    begin(out, of, seed)
+    names = _names(of, limit, groups)
+    each(partial(draw, seed, out), names, jobs)
+    print(f"{out}: {len(names)} cases of seed {seed}")
 
 
-@command.command("score")
-@_publish
-@_of_cases
-def score_command(**given: Any) -> None:
-    """Score the answers in a folder."""
-    publish_scores(SimpleNamespace(**given))
+command.command("score", help="Score the answers in a folder.")(_publish(_of_cases(publish_scores)))
 
 
 @command.command("list")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -21,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from benchmarks.common import short
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS, UNLISTED, VARIES, Form, Hidden, forms_of
 from benchmarks.discovery.laws import BASE_LAWS, StressError, log_slip, regimes, smooth
-from benchmarks.discovery.limits import Measure
-from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, draw_bench
+from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
+from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
 KINDS = ("one", "two", "unlisted", "none")
@@ -141,7 +141,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "laws", "limits", "listed", "plan", "world")
+    names = ("cases", "forms", "laws", "listed", "plan", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 
@@ -322,16 +322,4 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
         writer.writerow(case.columns)
         writer.writerows(zip(*case.columns.values(), strict=True))
     (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
-    text = json.dumps(_plain(case.truth), indent=1, allow_nan=False)
-    truth_file.write_text(text + "\n", encoding="utf-8")
-
-
-def _plain(x):
-    """Plain values with six significant digits; None where a number is not finite."""
-    if isinstance(x, dict):
-        return {k: _plain(v) for k, v in x.items()}
-    if isinstance(x, (list, tuple)):
-        return [_plain(v) for v in x]
-    if isinstance(x, (bool, str, int)) or x is None:
-        return x
-    return float(f"{x:.6g}") if np.isfinite(x) else None
+    write_json(truth_file, short(case.truth, 6))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -91,11 +92,7 @@ def workflow(data: Path, setup: Path) -> Answer:
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])
     others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
-    chance: dict[str, float] = {}
-    for rank in report["ranking"]:
-        for name in str(rank["name"]).replace(" ", "").split("+"):
-            if rank["probability"] is not None and name in MECHANISMS:
-                chance[name] = min(chance.get(name, 0.0) + float(rank["probability"]), 1.0)
+    chance = {rank["name"]: min(rank["probability"], 1.0) for rank in report["ranking"]}
     return Answer(report["verdict"], named, tuple(others), chance)
 
 
@@ -109,8 +106,7 @@ BOUNDS = {"friction_angle_deg": (3.0, 70.0), "cohesion": (0.0, 1.9e5), "shear_mo
 LUGS = 0.1  # height over the radius where the setup says nothing of lugs
 
 
-@dataclass(frozen=True)
-class Chosen:
+class Chosen(NamedTuple):
     """Effect in one of its forms."""
 
     effect: str
@@ -159,15 +155,17 @@ class Bank:
         self.speed = float(np.exp(np.nanmean(np.log(np.maximum(self.table.speed, 1e-4)))))
         self.unit = {"constant": 0.05 * load * r, "viscous": 0.05 * load * r * r / self.speed, "offset": 0.02 * r,
                      "onset": 0.01}  # fmt: skip
+        #: Parameters that no form fits: rate laws leave the soil as it is at the mean speed, of travel or of sliding.
+        self.of_table = {"penetration_rate": {"reference_speed": self.speed},
+                         "shear_rate": {"reference_speed": 0.4 * self.speed}}  # fmt: skip
 
     def _soil(self, x: np.ndarray) -> dict[str, float]:
         """Parameters of the soil at unknowns x, in standard deviations of the prior."""
         out = {}
         for name, u in zip(SOIL, x, strict=True):
             value, sd = self.prior[name]
-            out[name] = value * math.exp(np.clip(u * sd / value, -12, 12)) if name in LOGARITHMIC else value + sd * u
-        for name, (low, high) in BOUNDS.items():
-            out[name] = float(np.clip(out[name], low, high))
+            at = value * math.exp(np.clip(u * sd / value, -12, 12)) if name in LOGARITHMIC else value + sd * u
+            out[name] = float(np.clip(at, *BOUNDS[name]))
         return out
 
     @cached_property
@@ -195,13 +193,9 @@ class Bank:
     def _model(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> WheelSoilModel:
         effects, k = {}, 0
         for c in chosen:
-            parameters = dict(c.form.fixed)
-            known = [p.name for p in CATALOGUE[c.effect].parameters]
-            if "reference_speed" in known:
-                parameters["reference_speed"] = self.speed if c.effect == "penetration_rate" else 0.4 * self.speed
-            parameters |= {name: float(values[k + j]) for j, name in enumerate(c.form.free)}
-            k += len(c.form.free)
-            effects[c.effect] = parameters
+            free = dict(zip(c.form.free, values[k : k + len(c.form.free)].tolist(), strict=True))
+            effects[c.effect] = self.of_table.get(c.effect, {}) | dict(c.form.fixed) | free
+            k += len(free)
         density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
         wheel = ModelWheel(self.setup.wheel.radius, self.setup.wheel.width, self.lugs)
         return WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects)
@@ -217,7 +211,7 @@ class Bank:
 
     def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
         """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
-        start, low, high, scale = self._start(chosen) if chosen else np.zeros((4, 0))
+        start, low, high, scale = self._start(chosen)
         lower = np.concatenate([np.full(5, -8.0), low / scale])
         upper = np.concatenate([np.full(5, 8.0), high / scale])
         x0 = np.clip(np.concatenate([np.zeros(5), start / scale]), lower + 1e-9, upper - 1e-9)
@@ -237,13 +231,9 @@ class Bank:
             float(found.x[:5] @ found.x[:5]), found.x.size - 5, self.stated, table, soil, values,
         )  # fmt: skip
 
-    def signature(self, base: Fitted, chosen: Chosen) -> np.ndarray:
-        """Change of the table [3, N] by an effect of a fifth of its prior scale, on the soil of a fit."""
-        return self.predict(base.soil, [chosen], self._start([chosen])[0]) - base.predicted
-
-    def soil_signatures(self, base: Fitted) -> list[np.ndarray]:
-        """Changes of the table [3, N] by a hundredth of each soil parameter."""
-        return [self.predict(base.soil | {n: 1.01 * base.soil[n]}, (), np.zeros(0)) - base.predicted for n in SOIL]
+    def change(self, base: Fitted, chosen: Sequence[Chosen] = (), **soil: float) -> np.ndarray:
+        """Change of the table [3, N] of a fit by other soil parameters, or an effect of a fifth of its prior scale."""
+        return self.predict(base.soil | soil, chosen, self._start(chosen)[0]) - base.predicted
 
     @cached_property
     def candidates(self) -> list[Chosen]:
@@ -251,13 +241,10 @@ class Bank:
         columns = {"pass": self.table.passes, "speed": self.table.speed, "grade_deg": self.table.grade_deg}
         out = []
         for effect in CATALOGUE.values():
-            if effect.varies is not None:
-                column = columns[effect.varies]
-                if not np.ptp(column[np.isfinite(column)] if np.isfinite(column).any() else np.zeros(1)) > 0.0:
-                    continue
-            if not any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
-                continue
-            out += [Chosen(effect.name, form) for form in effect.forms]
+            column = columns.get(effect.varies)
+            varies = column is None or np.unique(column[np.isfinite(column)]).size > 1
+            if varies and any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
+                out += [Chosen(effect.name, form) for form in effect.forms]
         return out
 
 
@@ -381,17 +368,20 @@ def pysindy(data: Path, setup: Path) -> Answer:
 
     bank = Bank(data, setup)
     base = bank.fit()
-    noise = bank.noise if bank.stated else _estimated(bank, base.predicted)
+    noise = bank.noise
+    if not bank.stated:  # root mean square of what the base model leaves
+        residual = np.where(bank.there, bank.measured - base.predicted, np.nan)
+        noise = np.array([np.sqrt(np.nanmean(row**2)) if np.isfinite(row).any() else 1.0 for row in residual])
 
     def flat(table):
         return (table / noise[:, None])[bank.there]
 
-    q, _ = np.linalg.qr(np.stack([flat(s) for s in bank.soil_signatures(base)], axis=1))
+    q, _ = np.linalg.qr(np.stack([flat(bank.change(base, **{n: 1.01 * base.soil[n]})) for n in SOIL], axis=1))
     target = flat(np.where(bank.there, bank.measured, 0.0) - base.predicted)
     target = target - q @ (q.T @ target)
     names, columns = [], []
     for chosen in bank.candidates:
-        column = flat(bank.signature(base, chosen))
+        column = flat(bank.change(base, [chosen]))
         column = column - q @ (q.T @ column)
         if np.all(np.isfinite(column)) and np.linalg.norm(column) > 1e-6:
             names.append(chosen.effect)
@@ -416,12 +406,6 @@ def pysindy(data: Path, setup: Path) -> Answer:
     if not size:
         return Answer("none" if target @ target < EXPLAINED**2 * target.size else "unlisted")
     return Answer("named", tuple(sorted(size, key=lambda name: -size[name])))
-
-
-def _estimated(bank: Bank, predicted: np.ndarray) -> np.ndarray:
-    """Noise of each channel from the base model's residual."""
-    residual = np.where(bank.there, bank.measured - predicted, np.nan)
-    return np.array([np.sqrt(np.nanmean(row**2)) if np.isfinite(row).any() else 1.0 for row in residual])
 
 
 ENTRANTS: dict[str, Entrant] = {"workflow": workflow, "bic": bic, "gls": gls, "pysindy": pysindy}

@@ -140,7 +140,7 @@ def _slip(contact):
     return np.maximum(contact.slip, 0.0)
 
 
-def _passive(contact):
+def passive(contact):
     """Rankine's coefficient of passive pressure, [N, 1]."""
     return np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
 
@@ -270,7 +270,7 @@ def _lug_forces(contact, height, per_angle, force):
 @_late("grousers", "lug height [m]", lambda ctx: 0.15 * ctx.radius, side=lugs)
 def passive_ripple_mean(contact, s, side):
     """Mean of the ripple of passive pressure on each lug at its depth, Irani, Bauer & Warkentin (2011)."""
-    n_phi, gamma, h = _passive(contact), contact.ground.unit_weight, _lug_height(contact, s)
+    n_phi, gamma, h = passive(contact), contact.ground.unit_weight, _lug_height(contact, s)
 
     def force(depth, theta, entry):
         pressure = gamma * (depth + 0.5 * h) * n_phi + 2.0 * contact.cohesion * np.sqrt(n_phi)
@@ -298,7 +298,7 @@ def cutting_blades(contact, s, side):
 
     d the depth of the tip below the surface, at most twice the lug; mobilised by 1 - exp(-x/x0), x the distance slid.
     """
-    n_phi, gamma, h = _passive(contact), contact.ground.unit_weight, _lug_height(contact, s)
+    n_phi, gamma, h = passive(contact), contact.ground.unit_weight, _lug_height(contact, s)
 
     def force(depth, theta, entry):
         d = np.minimum(depth + h, 2.0 * h)
@@ -356,7 +356,7 @@ def rough_wall(contact, s, side):
 @_late("bulldozing", "factor on the force [-]", 2.5, (PULL,), freedom=2, side=drawn(crescent=(0.5, 2.0)))
 def crescent(contact, s, side):
     """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece (1967)."""
-    n_phi, gamma, c = _passive(contact), contact.ground.unit_weight, contact.cohesion
+    n_phi, gamma, c = passive(contact), contact.ground.unit_weight, contact.cohesion
 
     def force(z, entry):
         return (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)) * (contact.width + side["crescent"] * z)

@@ -19,6 +19,7 @@ from benchmarks.discovery.forms import (
     enter,
     exponent_quadratic,
     lugs,
+    passive,
     reference_speed,
     resist,
     restored_depth,
@@ -105,7 +106,7 @@ def blade_force(contact, s, side):
 
     N = tan^2(45 + phi/2); q = gamma times the mean depth; tangential, mean number of lugs engaged, at theta1/2.
     """
-    n_phi = np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
+    n_phi = passive(contact)
     gamma, b = contact.ground.unit_weight, contact.width
     cohesion, r = contact.cohesion, contact.radius
 
@@ -121,7 +122,7 @@ def blade_force(contact, s, side):
 @_late("bulldozing", "factor on the force [-]", 2.5, (PULL,))
 def rankine(contact, s, side):
     """Passive earth pressure on the sunk front, b (gamma z^2 N/2 + 2 c z sqrt(N)), Rankine (1857)."""
-    n_phi = np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
+    n_phi = passive(contact)
     gamma, b, c = contact.ground.unit_weight, contact.width, contact.cohesion
     resist(contact, s, lambda z, entry: b * (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)))
 

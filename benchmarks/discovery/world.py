@@ -11,7 +11,7 @@ SI units, angles in rad unless a name says `deg`. N rows, one a steady point; st
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,10 +59,6 @@ class Rows:
 
     def __len__(self) -> int:
         return self.slip.size
-
-    def tiled(self, count: int) -> Rows:
-        """Return the same rows `count` times, one after the other."""
-        return Rows(*(np.tile(getattr(self, f.name), count) for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,9 +290,3 @@ def predict(ground: Ground, wheel: Wheel, rows: Rows, effects=()) -> Outcome:
     for effect in effects:
         effect(contact)
     return contact.solve()
-
-
-def with_soil(ground: Ground, values: np.ndarray, count: int) -> Ground:
-    """Soils of a batch, [B, 5] in the order of `Ground`, each repeated over `count` rows."""
-    names = [f.name for f in fields(Ground)][:5]
-    return replace(ground, **{name: np.repeat(values[:, k], count) for k, name in enumerate(names)})

@@ -17,12 +17,11 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.fits import EXACT, Choice, Fit, Sizes
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -46,6 +45,89 @@ _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
 _LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
 GRAVITY = 9.81
+
+
+class Choice(NamedTuple):
+    """One effect in one of its published forms."""
+
+    effect: str
+    form: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the form, `<effect>_<parameter>`."""
+        return tuple(f"{self.effect}_{p}" for p in CATALOGUE[self.effect].forms[self.form].free)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that the form sets."""
+        return {f"{self.effect}_{p}": v for p, v in CATALOGUE[self.effect].forms[self.form].fixed}
+
+
+class Sizes(NamedTuple):
+    """Sizes of the form errors."""
+
+    law: float = 0.0  # alpha, relative, of the stresses of the base law
+    effect: float = 0.0  # beta, relative to what an effect adds
+    free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
+    span: int = 0  # of `form_error.LAW_LENGTHS`, that of the base law's error
+    scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
+    pattern: str = ""  # an anonymous contribution of one condition in one place (`evidence.patterns`)
+    part: float = 0.0  # its size, relative to what it changes
+
+    @property
+    def laws(self) -> tuple[float, ...]:
+        """Size of the base law's error over each of the spans."""
+        return tuple(self.law if k == self.span else 0.0 for k in range(len(LAW_LENGTHS)))
+
+
+EXACT = Sizes()
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model. Whitened quantities: residuals in noise sd, unknowns in prior sd."""
+
+    choices: tuple[Choice, ...]
+    unknowns: tuple[Unknown, ...]
+    u: np.ndarray  # [p]
+    output: np.ndarray  # [N, 3] model values
+    added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
+    residual: np.ndarray  # [M] whitened (y - f) of the values in use
+    jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
+    law: tuple[np.ndarray, ...]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
+    effect: np.ndarray  # [M, R] of the effects
+    free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
+    converged: bool
+    sizes: Sizes = EXACT  # that the unknowns are most probable under
+
+    def parameters(self) -> dict[str, float]:
+        """Every unknown by name."""
+        return _values(self.unknowns, self.u)
+
+    @property
+    def free_unknowns(self) -> np.ndarray:
+        """[p] which unknowns are not at a bound."""
+        at = [(k.mean + k.sd * u, k) for k, u in zip(self.unknowns, self.u, strict=True)]
+        return np.array([min(x - k.low, k.high - x) > 1e-4 * k.sd for x, k in at], dtype=bool)
+
+    def columns(self, sizes: Sizes) -> np.ndarray:
+        """[M, R] whitened form errors at their sizes."""
+        blocks = zip((*self.law, self.effect, *self.free), (*sizes.laws, sizes.effect, *sizes.free), strict=True)
+        return np.concatenate([size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1)
+
+    def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
+
+        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at a bound do not
+        move.
+        """
+        sizes = self.sizes if sizes is None else sizes
+        extra = self.columns(sizes)
+        free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
+        x = np.concatenate([self.u, np.zeros(extra.shape[1])])
+        top = np.concatenate([self.jacobian, extra], axis=1) / sizes.scatter
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual / sizes.scatter, -x])
 
 
 @dataclass(eq=False)
@@ -140,25 +222,16 @@ class Problem:
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
-    def output(
-        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
-    ) -> np.ndarray:
-        """Model values [N, 3] at whitened unknowns; `guess` [N] of the sinkage is renewed."""
-        values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
-        return self.predict(values, choices, guess)
+    def predict(self, values: dict[str, float], choices: tuple[Choice, ...], guess: np.ndarray,
+                rows: Rows | None = None, more: Mapping[str, float] | None = None) -> np.ndarray:  # fmt: skip
+        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given.
 
-    def predict(
-        self, values: dict[str, float], choices: tuple[Choice, ...], guess: np.ndarray, rows: Rows | None = None
-    ) -> np.ndarray:
-        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given."""
-        return self.predict_with(self.known | values, self.effects(choices, values), guess, rows)
-
-    def predict_with(
-        self, soil: dict[str, float], fx: Effects, guess: np.ndarray, rows: Rows | None = None
-    ) -> np.ndarray:
-        """`predict` of soil parameters and effects."""
-        rows, setup = rows or self.data.rows, self.data.setup
-        out = predict_table(setup, rows, soil, self.density * GRAVITY, fx, guess)
+        `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
+        """
+        fx = self.effects(choices, values)
+        fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
+        soil, weight = self.known | values, self.density * GRAVITY
+        out = predict_table(self.data.setup, rows or self.data.rows, soil, weight, fx, guess)
         return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
@@ -203,7 +276,7 @@ class Problem:
             return whitened(known, values / sizes.scatter)
 
         def model(x):
-            return scaled(self.whiten(self.output(unknowns, x, choices, guess)))
+            return scaled(self.whiten(self.predict(_values(unknowns, x), choices, guess)))
 
         def derivatives(x):
             return scaled(self.derivatives(unknowns, x, choices, guess))
@@ -227,18 +300,18 @@ class Problem:
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
-            return self.whiten(self.output(unknowns, x, choices, guess.copy()))
+            return self.whiten(self.predict(_values(unknowns, x), choices, guess.copy()))
 
         base = model(u)
         return finite(differences(model, u, unknowns, base), base.size)
 
     def _finish(self, unknowns, choices, u, guess, converged, sizes) -> Fit:
-        values = {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
+        values = _values(unknowns, u)
         output = self.predict(values, choices, guess)
         residual = self.whiten(self.data.y) - self.whiten(output)
         residual = np.where(np.isfinite(residual), residual, 1e3)
         added = self.added(values, choices, output, guess)
-        law, effect = self.form_errors(values, choices, output, added, guess)
+        law, effect = self.form_errors(choices, self.stresses(values, choices, output, guess), added)
         free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
                    tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
@@ -254,32 +327,23 @@ class Problem:
         self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
     ) -> list[np.ndarray]:
         """[N, 3] change of the output by each `stress_changes`, relative."""
-        h, known = _STRESS_STEP, self.known | values
-        sinkage = float(np.nanmedian(output[:, 0]))
-        there = []
-        for soil, more in stress_changes(known, h, sinkage):
-            fx = self.effects(choices, values)
-            fx = fx._replace(**{k: getattr(fx, k) + v for k, v in more.items()})
-            there.append(self.predict_with(known | soil, fx, guess.copy()))
+        h, sinkage = _STRESS_STEP, float(np.nanmedian(output[:, 0]))
+        changes = stress_changes(self.known | values, h, sinkage)
+        there = (self.predict(values | soil, choices, guess.copy(), more=more) for soil, more in changes)
         return [_finite((out - output) / h) for out in there]
 
-    def form_errors(
-        self,
-        values: dict[str, float],
-        choices: tuple[Choice, ...],
-        output: np.ndarray,
-        added: Any,
-        guess: np.ndarray,
-        at: Mapping[str, np.ndarray] | None = None,
-    ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions."""
+    def form_errors(self, choices: tuple[Choice, ...], stresses: Sequence[np.ndarray], added: Sequence[np.ndarray],
+                    at: Mapping[str, np.ndarray] | None = None) -> tuple[list[np.ndarray], np.ndarray]:  # fmt: skip
+        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions.
+
+        Of what `stresses` and `added` change.
+        """
 
         def functions(process: Process) -> np.ndarray:
             return process.at_points if at is None else process.at(at)
 
         law = [functions(process) for process in self.law_processes]
-        stresses = self.stresses(values, choices, output, guess)
-        blocks = [np.zeros((*output.shape, 0))]
+        blocks = [np.zeros((*stresses[0].shape, 0))]
         for choice, factor in zip(choices, added, strict=True):
             own = functions(self.effect_process(choice))
             moved = [name in CATALOGUE[choice.effect].moves for name in CHANNELS]
@@ -300,6 +364,11 @@ class Problem:
     def whiten_all(self, errors: np.ndarray) -> np.ndarray:
         """[3 N, R] of form errors [N, 3, R], whitened, of every value."""
         return (errors / self.noise[..., None]).reshape(-1, errors.shape[2])
+
+
+def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
+    """Parameters at whitened unknowns."""
+    return {k.name: k.value(x) for k, x in zip(unknowns, u, strict=True)}
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

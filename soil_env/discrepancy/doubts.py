@@ -56,25 +56,21 @@ def of_table(problem: Problem) -> tuple[str, ...]:
     rms = _rms(problem)
     if rms < LARGE:
         return always
-    found = []
-    for reading in _reinterpretations(problem):
-        other = _rms(reading.problem)
-        if BETTER * (other**2 - 1.0) < rms**2 - 1.0:
-            found.append((other, reading))
-    found.sort(key=lambda f: f[0])
-    doubts = []
-    for other, reading in found[:1]:
+    tried = [(_rms(reading.problem), reading) for reading in _reinterpretations(problem)]
+    better = [(other, reading) for other, reading in tried if BETTER * (other**2 - 1.0) < rms**2 - 1.0]
+    if better:
+        other, reading = min(better, key=lambda f: f[0])
         text = (
             f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
             f"{reading.remedy}"
         )
-        broken = _broken(problem, reading.name)
+        broken = {"pull": _pull_falls, "load": _beyond_strength}.get(reading.name, lambda problem: "")(problem)
         if broken:
             raise ParameterError(f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
-        doubts.append(f"{text}.")
-    if not doubts and _pull_falls(problem):
-        doubts.append(f"{_pull_falls(problem)}: check the sign of drawbar_pull (positive = the wheel pulls).")
-    return (*doubts, *always)
+        return (f"{text}.", *always)
+    if falls := _pull_falls(problem):
+        return (f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls).", *always)
+    return always
 
 
 def _grades_doubted(data: Data) -> tuple[str, ...]:
@@ -111,8 +107,7 @@ def _channels_doubted(problem: Problem) -> tuple[str, ...]:
 
 
 def _rms(problem: Problem) -> float:
-    fit = problem.fit()
-    return math.sqrt(float(np.mean(fit.residual**2)))
+    return math.sqrt(float(np.mean(problem.fit().residual ** 2)))
 
 
 def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
@@ -153,15 +148,6 @@ def _resized(rows: Rows, radius: float) -> Rows:
 
 
 # --- what cannot be ---------------------------------------------------------------------------------------------------
-
-
-def _broken(problem: Problem, name: str) -> str:
-    """Return the physical limit that a table breaks and a reading of that name would mend; "" if none."""
-    if name == "pull":
-        return _pull_falls(problem)
-    if name == "load":
-        return _beyond_strength(problem)
-    return ""
 
 
 def _pull_falls(problem: Problem) -> str:

@@ -4,6 +4,12 @@ About a fit the model is linear in the unknowns and in the form errors, all with
 table has a normal density (Laplace; `form_error.marginals`). Sizes are on a grid with the priors below. Noise that is
 estimated from few values has its own scale on the grid. A strength that may not be negative has a truncated prior, and
 its evidence the ratio of the posterior to the prior probability of being allowed.
+
+Beside a fitted model there may be an *anonymous contribution*, which no catalogue lists. Three kinds are equally
+probable. *Smooth*: a function of all conditions and of the time in one channel or more.
+*Patterns*: a function of one condition, or of one and the slip, in a single place: one channel, or one of the stresses
+(`form_error.stress_changes`), as most mechanisms work; a stress may not change with what the base law knows, which is
+its form error. *Scatter*: every value by itself, as where each row has a soil of its own.
 """
 
 from __future__ import annotations
@@ -11,16 +17,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import chi2
 
-from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.fits import Choice, Fit, Sizes
-from soil_env.identification.table.form_error import LAW_LENGTHS, SIZES, marginals, mixed, size_prior
+from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
+from soil_env.discrepancy.data import CHANNELS
+from soil_env.identification.table.form_error import (
+    INPUTS,
+    LAW_LENGTHS,
+    LENGTHS,
+    SIZES,
+    Process,
+    marginals,
+    mixed,
+    size_prior,
+)
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
 from soil_env.terramechanics.effects import CATALOGUE
@@ -247,3 +262,76 @@ def _beyond(unknown: Unknown, x: float) -> float:
     low, high = unknown.bounds
     inside = ndtr(high) - ndtr(low)
     return float((max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0)) / inside)
+
+
+# --- something that no catalogue lists --------------------------------------------------------------------------------
+
+#: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each
+#: set of channels as another.
+FREE_SIZES = (0.03, 0.15, 0.5)
+#: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
+PATTERN_SIZES = (0.05, 0.15, 0.4)
+SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # of the values over the noise
+_STRESSES = (
+    "normal stress",
+    "shear stress",
+    "place of the normal stress",
+    "spread of the normal stress",
+    "place of the shear stress",
+)
+_FUNCTIONS = 12  # of a pattern at most
+_LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
+
+
+def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
+    """[M, R] of each pattern at the size 1, whitened, about a fit."""
+    at = problem.data.conditions | problem.data.elapsed
+    moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
+    sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
+    channels = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
+    alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
+    out = {}
+    for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
+        process = Process.over(at, of=names, most=_FUNCTIONS)
+        if process.names != names:
+            continue
+        places = channels if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True)) | channels
+        for place, change in places.items():
+            errors = change[:, :, None] * process.at_points[:, None, :]
+            out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
+    return out
+
+
+def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit) -> Grid:
+    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that `plain` has likely."""
+    likely = sorted(plain.share, key=lambda s: -plain.share[s])
+    likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
+    usual = plain_grid(fit)
+    prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
+    before = np.array([prior[s] for s in likely])
+    options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
+    free = [f for f in product(*options) if any(f)]
+    by = patterns(problem, fit)
+    kinds: list[list[tuple[dict[str, Any], float]]] = [  # (sizes, log of their probability up to a constant)
+        [({"free": f}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f)) for f in free],
+        [({"pattern": n, "part": x}, 0.0) for n in by for x in PATTERN_SIZES],
+        [({"scatter": x}, 0.0) for x in SCATTERS],
+    ]
+    costs = [np.array([cost for _, cost in points]) for points in kinds if points]
+    cost = np.concatenate([c - logsumexp(c) - math.log(len(costs)) for c in costs])
+    sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
+    log_prior = ((before - logsumexp(before))[:, None] + cost).ravel()
+    table = np.array([(s.effect, *s.laws, *s.free, *(s.part * (s.pattern == n) for n in by)) for s in sizes])
+    return Grid(sizes, log_prior, (fit.effect, *fit.law, *fit.free, *by.values()), table, 1 + len(fit.law))
+
+
+def anonymous(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
+
+    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit with scatter.
+    """
+    free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
+    if free.sizes.scatter == 1.0:
+        return free
+    again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
+    return max(free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log)

@@ -1,4 +1,4 @@
-"""Statistics of a finding: intervals, the gap on held-out data, shares of it, the ranking, what would have been seen.
+"""Statistics of a finding: intervals, the gap on held-out data and shares of it.
 
 All are linearised about the fits of the search and need no further ones.
 """
@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.search import Finding
 from soil_env.identification.table.priors import Unknown
 
@@ -37,20 +36,16 @@ class Gap(NamedTuple):
     after: float
     noise_floor: float
 
+    @property
+    def over_noise(self) -> tuple[float, float]:
+        """Error before and after over the noise."""
+        return self.before / self.noise_floor, self.after / self.noise_floor
 
-class Remainder(NamedTuple):
-    """Held-out error of a channel beyond the noise, with the corrected model."""
-
-    rms: float  # [unit of the channel]
-    share: float | None  # of the mean square above the noise that the base model leaves; None where it leaves none
-
-
-class Rank(NamedTuple):
-    """One effect among the candidates."""
-
-    name: str
-    score: float  # log odds of the data for the best hypothesis with it against the best without a listed effect
-    probability: float
+    @property
+    def remainder(self) -> tuple[float, float | None]:
+        """(error after, beyond the noise; its share of the mean square before, beyond the noise, None if none)."""
+        before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
+        return math.sqrt(after), after / before if before > 0.0 else None
 
 
 # --- intervals --------------------------------------------------------------------------------------------------------
@@ -124,10 +119,7 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     """Share of the held-out mean square above the noise that is gone, over all values; None where there was none."""
     count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
-    before, after = (
-        sum(n * max((getattr(gap[name], which) / gap[name].noise_floor) ** 2 - 1.0, 0.0) for name, n in count.items())
-        for which in ("before", "after")
-    )
+    before, after = (sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items()) for k in (0, 1))
     return None if before <= 0.0 else 1.0 - after / before
 
 
@@ -159,23 +151,13 @@ def closed_interval(
     return float(low), float(high)
 
 
-# --- shares and names -------------------------------------------------------------------------------------------------
-
-
-def remainder(gap: dict[str, Gap]) -> dict[str, Remainder]:
-    """`Remainder` by measured channel."""
-    out = {}
-    for name, g in gap.items():
-        before, after = (max(x**2 - g.noise_floor**2, 0.0) for x in (g.before, g.after))
-        out[name] = Remainder(math.sqrt(after), after / before if before > 0.0 else None)
-    return out
-
-
 def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]) -> dict[str, float | None]:
     """Share of the gap above the noise that each named effect closes, from held-out predictions of its sets.
 
     Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley value).
     """
+    if not held:
+        return {}
     closes = {names: closed(problem, gaps(problem, before, after)) for names, after in held.items()}
     full = max(closes, key=len)
     if closes[full] is None:
@@ -183,14 +165,3 @@ def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.
     if len(full) == 1:
         return {full[0]: closes[full]}
     return {n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full}
-
-
-def ranking(finding: Finding) -> tuple[Rank, ...]:
-    """Every effect that was tried: its probability, and the log odds of the data for the best set with it."""
-    names = {}
-    without = max(h.score for h in finding.hypotheses if not h.names)
-    for h in finding.hypotheses:
-        for n in h.names:
-            names[n] = max(names.get(n, -math.inf), h.score - without)
-    out = [Rank(n, float(score), finding.share(n)) for n, score in names.items()]
-    return tuple(sorted(out, key=lambda r: (r.name not in finding.names, -r.probability, -r.score)))

@@ -18,9 +18,8 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import norm, t as student
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.fits import Fit
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
 MOST = 4  # disagreements reported

@@ -23,14 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import Prediction, WheelSoilModel, rows_of
+from soil_env.terramechanics.residual import ResidualTerm
 
 MOST = 4  # tests proposed
 LEAST = 1.0  # [sd] below which a test separates nothing
@@ -70,7 +70,7 @@ class Grid(NamedTuple):
 def next_tests(problem: Problem, finding: Finding) -> tuple[NextTest, ...]:
     """The tests that would best separate the most probable set of effects from the others that are within reach."""
     plain = [h for h in finding.hypotheses if not h.free]
-    first = finding.best(*finding.names) if finding.has(*finding.names) else plain[0]
+    first = next((h for h in plain if {*h.names} == {*finding.names}), plain[0])
     rest = [h for h in plain if {*h.names} != {*first.names} and h.probability >= WITHIN_REACH]
     return separating(problem, [h.evidence for h in (first, *rest[: CANDIDATES - 1])])
 
@@ -82,17 +82,11 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
     grid = conditions(problem, candidates)
     names = [" and ".join(c.names) or "base model" for c in candidates]
     there = _problem_at(problem, grid)
-    means, variances = [], []
-    feasible = np.array(True)
-    for c in candidates:
-        mean, variance, ok = predicted(there, c)
-        means.append(mean)
-        variances.append(variance)
-        feasible = feasible & ok
+    means, variances, feasible = zip(*(predicted(there, c) for c in candidates), strict=True)
     pairs = list(combinations(range(len(candidates)), 2))
     sigma = np.stack([np.abs(means[a] - means[b]) / np.sqrt(1.0 + variances[a] + variances[b]) for a, b in pairs])
     sigma[:, :, ~problem.used.any(axis=0)] = 0.0
-    sigma[:, ~feasible] = 0.0
+    sigma[:, ~np.all(feasible, axis=0)] = 0.0
     sigma[~np.isfinite(sigma)] = 0.0
     outside = np.maximum(np.abs(grid.scaled) - 1.0, 0.0).sum(axis=1)
     rivals = np.array([1.0 if a == 0 else 0.5 for a, _ in pairs])  # the best against another first
@@ -155,9 +149,8 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
     """The ends and the middle of the values, and beyond by the two factors, in two digits where the table has none."""
     low, high = float(x.min()), float(x.max())
-    values = {_round(below * low), low, _round((low * high) ** 0.5) if high > 1.1 * low else low, high,
-              _round(above * high)}  # fmt: skip
-    return sorted(values)
+    middle = _round((low * high) ** 0.5) if high > 1.1 * low else low
+    return sorted({_round(below * low), low, middle, high, _round(above * high)})
 
 
 def _round(x: float) -> float:
@@ -185,7 +178,7 @@ def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarr
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
     stresses = there.stresses(values, fit.choices, out, guess)
     added = there.added(values, fit.choices, out, guess)
-    law, effect = there.form_errors(values, fit.choices, out, added, guess, at)
+    law, effect = there.form_errors(fit.choices, stresses, added, at)
     a, e = fit.linearised(sizes)
     inside = fit.free_unknowns
     columns = [
@@ -215,67 +208,59 @@ _CONDITION = {"slip": "slip", "grip": "slip", "sinkage": "load", "load": "load",
 
 def law_tests(problem: Problem, base: Fit, law: ResidualFit, model: WheelSoilModel) -> tuple[NextTest, ...]:
     """At most `MOST` tests, the repetition first, then those beyond the table, the most telling first."""
-    off = (problem.data.y - base.output) / problem.noise if not law.terms else law.offset / problem.noise
-    off = np.where(problem.used, np.nan_to_num(off), 0.0)
-    cells = problem.data.cell
+    off = (law.offset if law.terms else problem.data.y - base.output) / problem.noise
+    off, cells = np.where(problem.used, np.nan_to_num(off), 0.0), problem.data.cell
     mean = np.array([off[cells == k].mean(axis=0) for k in range(int(cells.max()) + 1)])
     cell, channel = np.unravel_index(int(np.argmax(np.abs(mean))), mean.shape)
-    row = int(np.flatnonzero(cells == cell)[0])
-    point = _conditions(problem, row)
-    size = float(abs(mean[cell, channel]))
+    row = int(np.argmax(cells == cell))
+    point = {name: float(column[row]) for name, column in problem.data.conditions.items()}
+    known = {"slip", "load", *problem.data.varied} | ({"speed"} if point["speed"] > 0.0 else set())
+    point = {name: value for name, value in point.items() if name in known}
     pair = (LAW, BASE) if law.terms else ("a missing effect", "a slip of the rig")
-    first = NextTest(point, CHANNELS[channel], pair, size, "repeat")
+    first = NextTest(point, CHANNELS[channel], pair, float(abs(mean[cell, channel])), "repeat")
     return (first, *_beyond(problem, law, model, point)[: MOST - 1])
 
 
 def _beyond(problem: Problem, law: ResidualFit, model: WheelSoilModel, point: dict[str, float]) -> list[NextTest]:
     """Tests with one condition of the law beyond the table, `point` for the rest."""
-    out, spread = [], law.covariance() if law.terms else np.zeros((0, 0))
-    asked = dict.fromkeys(_CONDITION[g] for t in law.terms for g in t.powers)
-    for name in asked:
-        if name != "slip" and name not in point:
-            continue
-        best = None
+    out, asked = [], dict.fromkeys(_CONDITION[g] for t in law.terms for g in t.powers)
+    for name in (n for n in asked if n in point):
+        tried = []
         for value in _steps(problem, name):
             there = point | {name: value}
-            found = _difference(problem, law, model, there, name, spread)
-            if found is not None and (best is None or found[0] > best[1]):
-                best = (there, *found)
-        if best is not None and best[1] >= LEAST:
-            there, sigma, channel = best
-            out.append(NextTest(there, CHANNELS[channel], (GOES_ON, STAYS), sigma, "extend", name))
+            sigma, channel = _difference(problem, law, model, there, name)
+            tried.append(NextTest(there, channel, (GOES_ON, STAYS), sigma, "extend", name))
+        best = max(tried, key=lambda t: t.expected_sigma, default=None)
+        if best is not None and best.expected_sigma >= LEAST:
+            out.append(best)
     return sorted(out, key=lambda t: -t.expected_sigma)
 
 
 def _difference(
-    problem: Problem, law: ResidualFit, model: WheelSoilModel, there: dict[str, float], name: str, spread: np.ndarray
-) -> tuple[float, int] | None:
-    """(difference of the law going on and staying, over noise and uncertainty; channel); None where not feasible."""
+    problem: Problem, law: ResidualFit, model: WheelSoilModel, there: dict[str, float], name: str
+) -> tuple[float, str]:
+    """(difference of the law going on and staying, over noise and uncertainty; channel); 0 where not feasible."""
     groups = [g for g, c in _CONDITION.items() if c == name]
-    free = tuple(
-        dataclasses.replace(t, ranges={g: r for g, r in t.ranges.items() if g not in groups}) for t in law.terms
-    )
-    quiet = dataclasses.replace(model, validity={})
-    stays = quiet.predict(there)
-    on = dataclasses.replace(quiet, residual=free).predict(there)
+    free = [dataclasses.replace(t, ranges={g: r for g, r in t.ranges.items() if g not in groups}) for t in law.terms]
+
+    def predicted(*terms: ResidualTerm) -> Prediction:
+        return dataclasses.replace(model, validity={}, residual=terms).predict(there)
+
+    on, stays, spread = predicted(*free), predicted(*model.residual), law.covariance()
     if not on.supported or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
-        return None
-
-    def value(predicted: Prediction, j: int) -> float:
-        return float(getattr(predicted, CHANNELS[j])[0])
-
-    best = (0.0, 0)
+        return 0.0, ""
+    best = (0.0, CHANNELS[0])
     for j, channel in enumerate(CHANNELS):
         if not problem.used[:, j].any():
             continue
         slopes = np.zeros(len(free))
         for k, (a, b) in enumerate(zip(free, law.terms, strict=True)):
             if a.channel == channel and a.coefficient != 0.0:
-                one = [value(dataclasses.replace(quiet, residual=(t,)).predict(there), j) for t in (a, b)]
-                slopes[k] = (one[0] - one[1]) / a.coefficient
-        off = abs(value(on, j) - value(stays, j))
+                ends = [float(getattr(predicted(t), channel)[0]) for t in (a, b)]
+                slopes[k] = (ends[0] - ends[1]) / a.coefficient
+        off = abs(float(getattr(on, channel)[0] - getattr(stays, channel)[0]))
         sd = math.sqrt(problem.noise[j] ** 2 + float(slopes @ spread @ slopes))
-        best = max(best, (off / sd, j))
+        best = max(best, (off / sd, channel), key=lambda pair: pair[0])
     return best
 
 
@@ -289,12 +274,4 @@ def _steps(problem: Problem, name: str) -> list[float]:
         return [high + 1.0, high + 2.0]
     if name == "grade_deg":
         return [low - 5.0, high + 5.0]
-    return [float(f"{f * x0:.2g}") for f, x0 in ((1.5, high), (2.0, high), (0.5, low)) if x0 > 0.0]
-
-
-def _conditions(problem: Problem, row: int) -> dict[str, float]:
-    """The conditions of a row, as the columns of a table."""
-    varied = problem.data.varied
-    point = {name: float(column[row]) for name, column in problem.data.conditions.items()}
-    known = {"slip", "load", *varied} | ({"speed"} if point["speed"] > 0.0 else set())
-    return {name: value for name, value in point.items() if name in known}
+    return [_round(f * x0) for f, x0 in ((1.5, high), (2.0, high), (0.5, low)) if x0 > 0.0]

@@ -37,7 +37,6 @@ class NoiseEstimate:
     freedom: np.ndarray  # [3] of the estimate; inf where the setup gives it
     origin: tuple[str, ...]  # [3] "setup", "repeats", "scatter" or "" where not measured
     used: np.ndarray  # [N, 3] bool
-    outliers: int  # values that were left out
     alone: np.ndarray  # [N] bool, rows whose values no other row comes near enough to check
     of_conditions: tuple[str, ...] = ()  # slip, load: whose noise is in that of the channels
 
@@ -80,8 +79,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         repeat_sd, repeat_freedom = repeat_noise(cleaned, model)
         sd[repeats], freedom[repeats] = repeat_sd[repeats], repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
-    left_out = int(data.measured.sum() - used.sum())
-    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, left_out, alone)
+    return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, alone)
 
 
 def _given(data: Data) -> list[float | None]:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.fits import Fit
-from soil_env.discrepancy.judgement import Gap, Interval, Rank, Remainder
+from soil_env.discrepancy.judgement import Gap, Interval
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.noise import NoiseEstimate
@@ -55,9 +54,7 @@ class Report:
     effects: tuple[EffectFound, ...]
     law: ResidualFit | None  # where something unlisted is missing
     soil: dict[str, Interval]
-    ranking: tuple[Rank, ...]
     gap: dict[str, Gap]
-    remainder: dict[str, Remainder]
     closed: float | None  # None where nothing was added
     closed_interval: tuple[float, float] | None  # 95 %
     next_tests: tuple[NextTest, ...]

@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 
-from soil_env.discrepancy.anonymous import anonymous
-from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.evidence import Detectable, Evidence, detectable, promised, settle
-from soil_env.discrepancy.fits import Choice
+from soil_env.discrepancy.calibrate import Choice, Problem
+from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, settle
 from soil_env.terramechanics.effects import CATALOGUE
 
 #: Prior odds that a listed effect is missing, each independent of the others: of 13 effects none is missing with 37 %,
@@ -48,6 +47,14 @@ class Hypothesis:
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
+
+
+class Rank(NamedTuple):
+    """One effect among the candidates."""
+
+    name: str
+    score: float  # log odds of the data for the best hypothesis with it against the best without a listed effect
+    probability: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +113,14 @@ class Finding:
         return tuple(dict.fromkeys(n for h in self.hypotheses for n in h.names))
 
     @property
+    def ranking(self) -> tuple[Rank, ...]:
+        """Every effect that was tried, the stated ones first, then the most probable."""
+        without = max(h.score for h in self.hypotheses if not h.names)
+        score = {n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried}
+        out = [Rank(n, float(x), self.share(n)) for n, x in score.items()]
+        return tuple(sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score)))
+
+    @property
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined."""
         if not self.names:
@@ -133,10 +148,6 @@ class Finding:
     def scatter(self) -> float:
         """Scatter of the values about the model over their noise, root mean square over the probabilities."""
         return math.sqrt(sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses))
-
-    def has(self, *names: str) -> bool:
-        """True if exactly these effects were tried together."""
-        return any({*h.names} == {*names} and not h.free for h in self.hypotheses)
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
         """The hypothesis with exactly these effects, with an anonymous contribution or without."""

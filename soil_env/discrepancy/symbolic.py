@@ -21,9 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import GRAVITY, Problem
+from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
-from soil_env.discrepancy.fits import Fit
 from soil_env.discrepancy.judgement import SURE, groups
 from soil_env.terramechanics.model import add_residual
 from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
@@ -266,13 +265,14 @@ def with_terms(a: np.ndarray, e: np.ndarray, column: np.ndarray) -> tuple[np.nda
     )
 
 
-def predictive(member: np.ndarray, top: np.ndarray, normal: np.ndarray, r: np.ndarray) -> float:
-    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others, of a linear model.
+def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others by the linear model A x = e.
 
-    With the residuals r [M] of the fit to all, J the rows of the Jacobian `top` [M, p] that are held out and N = A'A of
-    the whole problem: the predictive covariance of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J',
-    and its error S r.
+    With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the predictive covariance
+    of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
     """
+    normal, m = a.T @ a, member.shape[1]
+    top, r = a[:m], (e - a @ np.linalg.solve(normal, a.T @ e))[:m]
     whole, total = np.linalg.slogdet(normal)[1], 0.0
     for out in member:
         j, held = top[out], r[out]
@@ -280,12 +280,6 @@ def predictive(member: np.ndarray, top: np.ndarray, normal: np.ndarray, r: np.nd
         total -= 0.5 * (held @ held + pull @ np.linalg.solve(rest, pull))
         total -= 0.5 * (whole - np.linalg.slogdet(rest)[1])
     return total
-
-
-def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """`predictive` of the linear model A [M + p, k] with the right side e, fitted to all."""
-    normal, m = a.T @ a, member.shape[1]
-    return predictive(member, a[:m], normal, (e - a @ np.linalg.solve(normal, a.T @ e))[:m])
 
 
 # --- refit ------------------------------------------------------------------------------------------------------------

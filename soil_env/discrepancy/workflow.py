@@ -7,16 +7,14 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
-from soil_env.discrepancy.fits import EXACT, Choice, Fit
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.next_tests import law_tests, next_tests
@@ -84,7 +82,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.best().evidence.fit
     say("predicting what was held out")
-    finding, (plain, final, before, after) = _that_predicts(problem, finding, base)
+    finding, (plain, final), (before, after) = _that_predicts(problem, finding, base)
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
@@ -93,7 +91,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
     by_effect = _held_out_by_effect(problem, finding, final, after)
-    shares = judgement.shares(problem, before, by_effect) if by_effect else {}
+    shares = judgement.shares(problem, before, by_effect)
     if law is not None and law.terms:
         held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
         if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
@@ -114,9 +112,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         effects=_effects(problem, finding, final, intervals, shares),
         law=law,
         soil=_soil(problem, intervals),
-        ranking=judgement.ranking(finding),
         gap=gap,
-        remainder=judgement.remainder(gap),
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
         next_tests=next_tests(problem, finding) if law is None else law_tests(problem, plain, law, model),
@@ -130,17 +126,12 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     )
 
 
-class _Predicted(NamedTuple):
-    """Fits of the base model and of the named effects, and what they predict where it was held out [N, 3]."""
-
-    plain: Fit
-    final: Fit
-    before: np.ndarray
-    after: np.ndarray
-
-
-def _that_predicts(problem: Problem, finding: Finding, base: Fit) -> tuple[Finding, _Predicted]:
+def _that_predicts(
+    problem: Problem, finding: Finding, base: Fit
+) -> tuple[Finding, tuple[Fit, Fit], tuple[np.ndarray, np.ndarray]]:
     """The finding without sets of effects that predict held-out rows worse than the base model does.
+
+    With it the fits of the base model and of the named effects, and their held-out predictions [N, 3].
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
     be sure of effects that are not there; with them the model is worse on rows that it was not fitted to.
@@ -156,7 +147,7 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit) -> tuple[Findi
         after = held_out_predictions(problem, final) if final.choices else before
         closed = judgement.closed(problem, judgement.gaps(problem, before, after)) if finding.names else None
         if closed is None or closed >= 0.0:
-            return finding, _Predicted(plain, final, before, after)
+            return finding, (plain, final), (before, after)
         finding = finding.without(finding.names)
 
 

@@ -1,4 +1,4 @@
-"""Discovery benchmark: law errors, detection limits, cases, scores, entrants, interrupted runs, measured rigs."""
+"""Discovery benchmark: law errors, detection limits, cases, scores, entrants, interrupted runs."""
 
 import json
 import math
@@ -6,27 +6,23 @@ import multiprocessing
 import time
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from benchmarks.common import share
-from benchmarks.discovery import __main__ as command, entrants, rigs
+from benchmarks.discovery import __main__ as command, entrants
 from benchmarks.discovery.cases import GROUPS, SETS, Task, draw_case, task_of, tasks, write_case
 from benchmarks.discovery.entrants import Answer, entrant
 from benchmarks.discovery.forms import CHANNELS, FORMS, MECHANISMS, UNLISTED, Hidden, forms_of
 from benchmarks.discovery.laws import LENGTHS, RandomFunction, StressError, covariance, log_slip, regimes
-from benchmarks.discovery.limits import Measure
-from benchmarks.discovery.plan import draw_bench
+from benchmarks.discovery.plan import Measure, draw_bench
 from benchmarks.discovery.score import judged, reliability
 from benchmarks.discovery.world import Arc, Contact, Rows, Wheel
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
-from soil_env.parameters import Soil
 from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
 
 @cache
@@ -35,16 +31,6 @@ def bench(design="rich", seed=5):
 
 
 # --- law errors -------------------------------------------------------------------------------------------------------
-
-
-def test_random_functions_have_variance_one_and_the_stated_length():
-    rng = np.random.default_rng(0)
-    here = tuple(np.full((1, 1), x) for x in (0.4, 0.5, 0.3, 0.1))
-    there = (here[0] + LENGTHS[0], *here[1:])
-    draws = (RandomFunction.draw(rng, LENGTHS) for _ in range(4000))
-    values = np.array([[f(here).item(), f(there).item()] for f in draws])
-    assert np.all(np.abs(values.std(axis=0) - 1.0) < 0.04)
-    assert np.corrcoef(values.T)[0, 1] == pytest.approx(math.exp(-0.5), abs=0.04)
 
 
 def test_covariance_of_law_errors_is_that_of_drawn_ones():
@@ -247,35 +233,3 @@ def test_errors_of_the_shear_stress_along_the_arc_are_no_effect(tmp_path):
     case = tmp_path / "cases" / "none-rich-10-008"
     answer = entrant("workflow")(case / "data.csv", case / "setup.yaml")
     assert not answer.named and max(answer.probabilities.values()) < 0.5
-
-
-# --- measured rigs ----------------------------------------------------------------------------------------------------
-
-MODEL = WheelSoilModel(ModelWheel(0.15, 0.12), Soil(30.0, 1500.0, 0.018, 0.85, sinkage_coefficient=7.7e5, dig_gain=0.0))
-SLIPS = np.array([0.1, 0.11, 0.3, 0.5, 0.7, 0.71])
-
-
-def test_each_slip_is_left_out_once_and_its_errors_are_counted(monkeypatch):
-    """Pull is 10 slip too high for the base model: its error is that, and the anonymous law extrapolates none."""
-    p = MODEL.predict({"slip": SLIPS, "load": np.full(6, 70.0)})
-    rows = [{"slip": str(i), "load": "70.0", "sinkage": str(z), "drawbar_pull": str(f + 10.0 * i)}
-            for i, z, f in zip(SLIPS, p.sinkage, p.drawbar_pull, strict=True)]  # fmt: skip
-    setup = {"wheel": {"radius": 0.15, "width": 0.12}, "noise": {"sinkage": 0.001, "drawbar_pull": 1.0}}
-    seen = []
-
-    def says_none(rows, setup):
-        seen.append(set(rows.slip.round(3)))
-        gap = {"drawbar_pull": SimpleNamespace(after=1.5), "sinkage": SimpleNamespace(after=None)}
-        return SimpleNamespace(base_model=MODEL, model=MODEL, effects=(), verdict="none", gap=gap)
-
-    monkeypatch.setattr(rigs, "run", says_none)
-    result = rigs.held_out(rigs.Rig("rig", rows, setup, 0.05))
-    everything = set(SLIPS.round(3))
-    assert seen[0] == everything
-    assert [everything - s for s in seen[1:]] == [{0.1, 0.11}, {0.3}, {0.5}, {0.7, 0.71}]
-    rms = result["rms"]["drawbar_pull"]
-    assert rms["base"] == pytest.approx(10.0 * np.sqrt(np.mean(SLIPS**2)), rel=1e-4) and rms["named"] == rms["base"]
-    outermost = 10.0 * np.sqrt((0.2**2 + 0.19**2 + 0.2**2 + 0.21**2) / 6.0)
-    assert rms["anonymous"] == pytest.approx(outermost, rel=1e-3)
-    assert "torque" not in result["rms"] and result["reported"] == {"drawbar_pull": 1.5, "sinkage": None}
-    assert all(table.rows for table in rigs.tables([result]).values())

@@ -1,9 +1,13 @@
 """Small synthetic tables with a planted effect, for the tests of the discrepancy workflow."""
 
+import csv
 import itertools
 
 import numpy as np
 
+from soil_env.discrepancy.data import Data, prepare
+from soil_env.measurement.setup import read_setup
+from soil_env.measurement.table import read_table
 from soil_env.parameters import Soil
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -48,3 +52,19 @@ def write_files(folder, table: str, setup: str = SETUP):
     (folder / "data.csv").write_text(table)
     (folder / "setup.yaml").write_text(setup)
     return folder / "data.csv", folder / "setup.yaml"
+
+
+def data_of(folder, table: str, setup: str = SETUP) -> Data:
+    """`Data` of the text of a table and of a setup, read from files."""
+    data, path = write_files(folder, table, setup)
+    known = read_setup(path)
+    return prepare(read_table(data, known.wheel, known.ignore_columns), known)
+
+
+def changed(text: str, name: str, change) -> str:
+    """The table with `change` of each value of one column, a function or a factor."""
+    lines = list(csv.reader(text.splitlines()))
+    k = lines[0].index(name)
+    for line in lines[1:]:
+        line[k] = repr(change(float(line[k])) if callable(change) else change * float(line[k]))
+    return "\n".join(",".join(line) for line in lines) + "\n"

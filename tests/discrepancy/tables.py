@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import Data, prepare
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
-from tests.discrepancy.files import SETUP, SLIPS, world
+from soil_env.discrepancy.data import Data
+from tests.discrepancy.files import SETUP, SLIPS, data_of, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])
 WHEEL, SOIL = world({}).wheel, world({}).soil
@@ -24,15 +22,11 @@ def table(effects=None, slips=SLIPS, loads=LOADS, speeds=(0.06,), passes=(1,), g
     c = np.array(list(itertools.product(slips, loads, speeds, passes, grades)) * repeats)
     names = ("slip", "load", "speed", "pass", "grade_deg")
     values = world(effects or {}).predict(dict(zip(names, c.T, strict=True)))
+    lines = [",".join(("run", *names, "sinkage", "drawbar_pull", "torque"))]
+    for k, row in enumerate(c):
+        lines.append(",".join(map(repr, (k, *map(float, row), *(float(v[k]) for v in values[:3])))))
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder)
-        lines = [",".join(("run", *names, "sinkage", "drawbar_pull", "torque"))]
-        for k, row in enumerate(c):
-            lines.append(",".join(map(repr, (k, *map(float, row), *(float(v[k]) for v in values[:3])))))
-        (path / "data.csv").write_text("\n".join(lines) + "\n")
-        (path / "setup.yaml").write_text(_SETUP)
-        setup = read_setup(path / "setup.yaml")
-        return prepare(read_table(path / "data.csv", setup.wheel), setup)
+        return data_of(Path(folder), "\n".join(lines) + "\n", _SETUP)
 
 
 def problem(data: Data, rng: np.random.Generator, added=0.0) -> Problem:

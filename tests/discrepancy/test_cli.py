@@ -1,13 +1,12 @@
 """`soil-env discover`: exit status, messages, files, and nothing half written."""
 
-import csv
 import re
 
 import pytest
 
 from soil_env.cli import main
 from soil_env.discrepancy import report
-from tests.discrepancy.files import SETUP, table_text, write_files
+from tests.discrepancy.files import SETUP, changed, table_text, write_files
 
 NAMES = ["model.yaml", "report.html", "report.json"]
 TABLE = table_text({}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
@@ -32,19 +31,10 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
         assert f"written: {tmp_path / 'out' / name}" in shown.out
 
 
-def times(name: str, factor: float) -> str:
-    """The table with one column times a factor."""
-    lines = list(csv.reader(TABLE.splitlines()))
-    k = lines[0].index(name)
-    for line in lines[1:]:
-        line[k] = str(factor * float(line[k]))
-    return "".join(",".join(line) + "\n" for line in lines)
-
-
 # what every reader of tables and setups refuses is in tests/measurement; doubts in test_doubts
 BAD = {
-    "sinkage upward": (times("sinkage", -1.0), SETUP, r"sinkage is negative in every row: .* positive downward"),
-    "torque in N mm": (times("torque", 1e3), SETUP, r"torque is \d+ times load times radius .* newton metres"),
+    "sinkage upward": (changed(TABLE, "sinkage", -1.0), SETUP, r"sinkage is negative in every row: .* downward"),
+    "torque in N mm": (changed(TABLE, "torque", 1e3), SETUP, r"torque is \d+ times load times radius .* newton metres"),
     "speed partly empty": ("slip,load,speed,torque\n0.1,100,0.1,2\n0.2,100,,3\n", SETUP, r"row 3, speed is empty"),
     "unknown column": (TABLE.replace("drawbar_pull", "drawbar_pul", 1), SETUP, r"'drawbar_pul'; .*'drawbar_pull'"),
     "misspelt key": (TABLE, SETUP.replace("cohesion:", "cohesoin:", 1), r"'cohesoin'; did you mean 'cohesion'\?"),

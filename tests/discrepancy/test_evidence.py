@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from soil_env.discrepancy import anonymous, evidence
-from soil_env.discrepancy.fits import Choice, Sizes
+from soil_env.discrepancy import evidence
+from soil_env.discrepancy.calibrate import Choice, Sizes
 from soil_env.discrepancy.search import forms
 from tests.discrepancy.tables import NOISE, problem, table
 
@@ -34,7 +34,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
     p = problem(data, np.random.default_rng(0))
     fit = p.fit(() if effect is None else (Choice(effect, 0),))
     sizes, log_prior = evidence.grid(effect is not None)
-    told = evidence.weigh(p, fit)
+    result = evidence.weigh(p, fit)
     logs = np.array([density(fit, s) for s in sizes]) + log_prior
     allowed = np.zeros(len(sizes))
     for k, s in enumerate(sizes):
@@ -46,8 +46,8 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
             low, high = unknown.bounds
             at, sd = norm(mean[i], math.sqrt(cov[i, i])), norm()
             allowed[k] += math.log((at.cdf(high) - at.cdf(low)) / (sd.cdf(high) - sd.cdf(low)))
-    assert told.log == pytest.approx(np.logaddexp.reduce(logs + allowed), abs=1e-6)
-    assert sum(told.share.values()) == pytest.approx(1.0)
+    assert result.log == pytest.approx(np.logaddexp.reduce(logs + allowed), abs=1e-6)
+    assert sum(result.share.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.1])
@@ -56,8 +56,8 @@ def test_the_size_of_the_law_error_is_learned(data, size):
     law = problem(data, rng).fit().law[0]
     errors = np.zeros_like(data.y)
     errors[data.measured] = law @ (size * rng.normal(size=law.shape[1]))
-    told = evidence.settle(problem(data, rng, errors * NOISE), ())
-    assert told.typical("law") < 0.05 if size == 0.0 else 0.05 < told.typical("law") < 0.2
+    result = evidence.settle(problem(data, rng, errors * NOISE), ())
+    assert result.typical("law") < 0.05 if size == 0.0 else 0.05 < result.typical("law") < 0.2
 
 
 def test_the_posterior_covers_the_soil_under_a_law_error(data):
@@ -70,12 +70,12 @@ def test_the_posterior_covers_the_soil_under_a_law_error(data):
         errors = np.zeros_like(data.y)
         errors[data.measured] = law @ (0.1 * rng.normal(size=law.shape[1]))
         p = problem(data, rng, errors * NOISE)
-        told, plain = evidence.settle(p, ()), p.fit()
+        result, plain = evidence.settle(p, ()), p.fit()
         a, _ = plain.linearised()
         for k, unknown in enumerate(plain.unknowns):
             if unknown.name in true:
                 at = unknown.at(true[unknown.name])
-                inside["form error"] += abs(told.mean[k] - at) < 2.0 * math.sqrt(told.covariance[k, k])
+                inside["form error"] += abs(result.mean[k] - at) < 2.0 * math.sqrt(result.covariance[k, k])
                 inside["noise alone"] += abs(plain.u[k] - at) < 2.0 * math.sqrt(np.linalg.inv(a.T @ a)[k, k])
     assert inside["form error"] >= 39 > inside["noise alone"] + 5  # of 45
 
@@ -115,7 +115,7 @@ def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
     wave = np.sin(7.0 * slip) * (np.sign(speed - 0.06) if "speed" in pattern else 1.0)
     p = problem(data, np.random.default_rng(7), np.outer(wave, place * NOISE))
     base = evidence.settle(p, ())
-    free = anonymous.anonymous(p, base)
+    free = evidence.anonymous(p, base)
     assert free.log > base.log + 10.0
     assert free.sizes.pattern == pattern and free.sizes.scatter == 1.0
     assert base.sizes.pattern == "" and base.sizes.free == Sizes().free
@@ -124,7 +124,7 @@ def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
 def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     rng = np.random.default_rng(8)
     p = problem(data, rng, 3.0 * NOISE * rng.normal(size=data.y.shape))
-    free = anonymous.anonymous(p, evidence.settle(p, ()))
+    free = evidence.anonymous(p, evidence.settle(p, ()))
     assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.pattern == ""
     fit = p.fit((), sizes=Sizes(scatter=3.0))
     a, e = fit.linearised()

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
 
-from soil_env.discrepancy.locate import boxes, locate
+from soil_env.discrepancy.locate import locate
 from tests.discrepancy.tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -64,22 +63,3 @@ def test_planted_box_is_found(channel, size, box):
     assert first.size_sd == pytest.approx(first.size / NOISE[channel])
     assert first.size * size > 0.0
     assert first.p_value < 1e-6
-
-
-@pytest.mark.parametrize("limit", [0.0, 0.35])
-def test_p_value_is_that_of_a_refit_with_the_box(limit):
-    """Between the chance of one look and of as many as there are boxes, of the fall that a free shift brings."""
-    data = table(speeds=SPEEDS)
-    shift = np.where((data.rows.slip > limit)[:, None] & (np.arange(3) == 1), -3.0, 0.0)
-    p = problem(data, np.random.default_rng(13), shift)
-    fit = p.fit()
-    first = locate(p, fit)[0]
-    inside = np.ones(data.rows.slip.size, dtype=bool)
-    for name, (low, high) in first.region.items():
-        inside &= (data.varied[name].value >= low) & (data.varied[name].value <= high)
-    a, e = fit.linearised()
-    column = p.whiten(np.outer(inside, np.array(["sinkage", "drawbar_pull", "torque"]) == first.channel) * NOISE)
-    wider = np.column_stack([a, np.concatenate([column, np.zeros(len(e) - column.size)])])
-    left = [np.sum((e - m @ np.linalg.lstsq(m, e, rcond=None)[0]) ** 2) for m in (a, wider)]
-    alone = chi2.sf(left[0] - left[1], 1)
-    assert alone < first.p_value < 3 * len(boxes(p).limits) * alone

@@ -15,14 +15,14 @@ from tests.discrepancy.tables import NOISE, table, world as world_of
 SLIPS = np.linspace(0.05, 0.7, 8)
 
 
-def noisy(seed, slip_sd, load_sd=0.0, effects=None, told=True):
+def noisy(seed, slip_sd, load_sd=0.0, effects=None, stated=True):
     """A table whose slips and loads were read with noise."""
     clean, rng = table(effects, slips=SLIPS), np.random.default_rng(seed)
     y = clean.y + NOISE * rng.normal(size=clean.y.shape)
     slip = clean.table.slip + slip_sd * rng.normal(size=len(y))
     load = clean.table.load + load_sd * rng.normal(size=len(y))
     columns = dict(zip(("sinkage", "drawbar_pull", "torque"), y.T, strict=True))
-    of = {"slip": slip_sd or None, "load": load_sd or None} if told else {}
+    of = {"slip": slip_sd or None, "load": load_sd or None} if stated else {}
     noise = NoiseLevels(**dict(zip(columns, NOISE.tolist(), strict=True)), **of)
     return dataclasses.replace(clean.table, slip=slip, load=load, **columns), dataclasses.replace(
         clean.setup, noise=noise
@@ -56,7 +56,7 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
 
 def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     assert run(*noisy(0, 0.03)).verdict == "none"
-    assert run(*noisy(0, 0.03, told=False)).verdict == "unlisted"
+    assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
 
 
 def test_noise_that_leaves_no_digits_is_refused():

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from soil_env.discrepancy import judgement, report as drawn, run
+from soil_env.discrepancy import report as drawn, run
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.judgement import Gap
@@ -91,7 +91,7 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
     """An error that stays above the noise, or that the named effect makes larger, is stated with the name."""
     floor = planted.gap["drawbar_pull"].noise_floor
     gap = planted.gap | {"drawbar_pull": Gap(before * floor, after * floor, floor)}
-    report = dataclasses.replace(planted, gap=gap, remainder=judgement.remainder(gap))
+    report = dataclasses.replace(planted, gap=gap)
     assert report.verdict == drawn.content(report)["verdict"] == verdict
     said = sentences.summary(report)
     assert (f"{floor * math.sqrt(after**2 - 1.0):.2g} N of drawbar pull" in said) == (verdict == "partly")

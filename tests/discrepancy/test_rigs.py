@@ -8,15 +8,12 @@ import pytest
 
 from soil_env.discrepancy import run
 from soil_env.discrepancy.calibrate import calibrate
-from soil_env.discrepancy.data import WHEEL, folds, prepare
+from soil_env.discrepancy.data import WHEEL, folds
 from soil_env.discrepancy.locate import boxes
 from soil_env.discrepancy.next_tests import conditions
 from soil_env.discrepancy.report.pictures import groups
 from soil_env.discrepancy.workflow import model_of
-from soil_env.identification.table.problem import TableProblem
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
-from tests.discrepancy.files import NOISE, SETUP, SLIPS, world, write_files
+from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_files
 
 LUGS = {"grousers": {"shear_share": 1.0}}
 
@@ -37,18 +34,12 @@ def two_wheels(sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0,
     return "\n".join([",".join(names), *lines]) + "\n"
 
 
-def data_of(folder, text, setup=SETUP):
-    table, setup = write_files(folder, text, setup)
-    setup = read_setup(setup)
-    return prepare(read_table(table, setup.wheel, setup.ignore_columns), setup)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_no_clean_value_of_two_wheels_is_struck_out(tmp_path, seed):
     """Lugs make two curves over slip: neither is noise, nor outliers of the other."""
     for setup in (SETUP, SETUP.split("noise:")[0]):
         problem, noise = calibrate(data_of(tmp_path, two_wheels(seed=seed), setup))
-        assert noise.outliers == 0
+        assert np.array_equal(noise.used, problem.data.measured)
         assert noise.sd == pytest.approx(list(NOISE.values()), rel=0.6)
 
 
@@ -75,17 +66,17 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
     setup = SETUP.replace(", torque: 0.1", "")
     data = data_of(tmp_path, "\n".join(lines) + "\n", setup)
     problem, noise = calibrate(data)
-    assert noise.outliers == 0 and noise.sd[2] == 0.1 and data.relative_sd[8, 2] == 10.0
+    assert noise.used.all() and noise.sd[2] == 0.1 and data.relative_sd[8, 2] == 10.0
     whitened = np.full(problem.used.shape, np.nan)
     whitened[problem.used] = problem.whiten(np.ones_like(data.y))
     assert whitened[8, 2] == pytest.approx(1.0) and whitened[0, 2] == pytest.approx(10.0)
 
 
-def hilly(tilt=0.0, load_is="vertical", grades=(-8.0, 0.0, 8.0), loads=(100.0, 200.0), seed=0) -> str:
-    """A table with noise of the base model: load and pull of a rig, resolved by hand on grade and tilt [deg]."""
-    rng, lines = np.random.default_rng(seed), ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
-    for load, grade in itertools.product(loads, grades):
-        b = math.radians(tilt + (grade if load_is == "vertical" else 0.0))
+def hilly() -> str:
+    """A table with noise of the base model: vertical load and pull of a rig, resolved by hand on the grade."""
+    rng, lines = np.random.default_rng(0), ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
+    for load, grade in itertools.product((100.0, 200.0), (-8.0, 0.0, 8.0)):
+        b = math.radians(grade)
         values = np.stack(world({}).predict({"slip": SLIPS, "load": load * math.cos(b)})[:3], axis=1)
         values[:, 1] -= load * math.sin(b)
         values += rng.normal(size=values.shape) * list(NOISE.values())
@@ -108,35 +99,6 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
     model = model_of(problem, fit)
     assert model.effects == {"grade": {"share": 1.0}}
     assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(fit.output, rel=1e-5, abs=1e-6)
-
-
-@pytest.mark.parametrize("load", ["normal", "vertical"])
-def test_a_tilt_is_a_nuisance_of_the_fit(tmp_path, load):
-    grades = (0.0,) if load == "normal" else (-8.0, 0.0, 8.0)
-    text = hilly(1.5, load, grades, (100.0, 150.0, 200.0))
-    rms, problem, fit = fitted(tmp_path, text, f"load: {load}\ntilt_deg: {{value: 0, sd: 1}}\n")
-    assert rms < 1.2 and fit.parameters()["tilt_deg"] == pytest.approx(1.5, abs=0.4)
-    assert fitted(tmp_path, text, f"load: {load}\n")[0] > 1.3
-    assert fitted(tmp_path, text, f"load: {load}\ntilt_deg: 1.5\n")[0] < 1.2
-    assert "tilt_deg" not in model_of(problem, fit).content()["soil"]
-
-
-def test_both_commands_fit_the_same_rig(tmp_path):
-    """Identification and calibration of one table of two widths, a tilt and a vertical load: the same prediction."""
-    setup = SETUP.replace(
-        "sinkage_coefficient: {value: 770000, sd: 88000}", "k_c: 20000\n  k_phi: {value: 600000, sd: 9e4}"
-    )
-    lines = hilly(1.5).splitlines()
-    rows = [f"{line},{0.12 if k % 2 else 0.2}" for k, line in enumerate(lines[1:])]
-    text = "\n".join([lines[0] + ",wheel_width", *rows]) + "\n"
-    data = data_of(tmp_path, text, setup + "load: vertical\ntilt_deg: {value: 0, sd: 1}\n")
-    problem, identified = calibrate(data)[0], TableProblem(data.table, data.setup)
-    u = np.linspace(-0.3, 0.4, len(identified.unknowns))
-    values = identified.values(u)
-    there = problem.predict(values, (), np.zeros(len(data.table)))
-    assert identified.steady(u, identified.rows) == pytest.approx(there, rel=1e-6)
-    b, width = np.radians(1.5 + data.table.grade_deg), data.table.wheel_width
-    assert np.ptp(width) > 0.0 and np.ptp(b) > 0.0
 
 
 def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):

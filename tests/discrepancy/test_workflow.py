@@ -7,16 +7,12 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import judgement, run, workflow
-from soil_env.discrepancy.calibrate import Problem
-from soil_env.discrepancy.data import prepare
-from soil_env.discrepancy.fits import Choice
+from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
-from soil_env.measurement.setup import read_setup
-from soil_env.measurement.table import read_table
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
-from tests.discrepancy.files import PLANTED, table_text, write_files
+from tests.discrepancy.files import PLANTED, SETUP, data_of, table_text, write_files
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -42,8 +38,8 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
     assert ("slip_sinkage",) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
     assert "slip_sinkage" not in report.model.effects and (report.closed is None or report.closed >= 0.0)
     assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
-    told = content(report)
-    assert ["slip_sinkage"] in told["refuted"] and "It is not slip-sinkage" in told["summary"]
+    result = content(report)
+    assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
 
 
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
@@ -85,10 +81,8 @@ def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):
 
 def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
     """On a wheel of two metres the rig's own scales are larger than these."""
-    data, setup = write_files(tmp_path, "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n")
-    setup.write_text(setup.read_text().replace("radius: 0.15", "radius: 2"))
-    read = read_setup(setup)
-    table = prepare(read_table(data, read.wheel), read)
+    text = "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n"
+    table = data_of(tmp_path, text, SETUP.replace("radius: 0.15", "radius: 2"))
     problem = Problem(table, np.ones(3), table.measured)
     for effect in CATALOGUE.values():
         for k, form in enumerate(effect.forms):

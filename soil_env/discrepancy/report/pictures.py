@@ -154,7 +154,7 @@ def _ranking(report: Report) -> Figure:
     finding, named = report.finding, {e.name for e in report.effects}
     near = {a for e in report.effects for a in e.alternatives}
     bars = [(title(r.name), r.probability, AFTER if r.name in named else LIGHT if r.name in near else "0.75")
-            for r in report.ranking]  # fmt: skip
+            for r in report.finding.ranking]  # fmt: skip
     bars += [("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
              ("something unlisted alone", finding.unlisted, BEFORE), ("nothing", finding.none, "0.5")]  # fmt: skip
     figure = _figure(7.0, 0.9 + 0.24 * len(bars))

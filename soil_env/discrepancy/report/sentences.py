@@ -167,25 +167,21 @@ def summary(report: Report) -> str:
     sets = [h for h in finding.hypotheses if h.names and h.probability >= TOLD][:4]
     shares = [f"{title(' and '.join(h.names))}{' alone' * (len(h.names) == 1)} ({sure(h.probability)})" for h in sets]
 
-    def over_noise(name: str) -> tuple[float, float]:
-        return gap[name].before / gap[name].noise_floor, gap[name].after / gap[name].noise_floor
-
     text = render(
         f"{__package__}:summary.txt",
         **_helpers(),
         report=report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
-        left=[f"{amount(name, r.rms)} of {TITLES[name]}" for name, r in report.remainder.items() if r.rms > 0.0],
+        left=[f"{amount(n, g.remainder[0])} of {TITLES[n]}" for n, g in gap.items() if g.remainder[0] > 0.0],
         law_error=figure(100.0 * report.law_error),
         sets=shares,
         groups=list(dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)),
         values=int(report.problem.used.sum()),
-        worst=max((over_noise(name)[0] for name in gap), default=0.0),
-        nearest=next((r for r in report.ranking if r.probability >= TOLD), None),
+        worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
+        nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
-        most=max(gap, key=lambda name: over_noise(name)[0] - over_noise(name)[1], default=None),
-        over_noise=over_noise,
+        most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         refuted=[title(" and ".join(names)) for names in finding.refuted],
     )
     return " ".join(text.split()).replace(" ,", ",")
@@ -236,7 +232,7 @@ def cautions(report: Report) -> list[str]:
         off_prior=off_prior,
         outside=outside,
         buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
-        remains=[(TITLES[n], g.after / g.noise_floor) for n, g in report.gap.items() if g.after > LEFT * g.noise_floor],
+        remains=[(TITLES[n], g.over_noise[1]) for n, g in report.gap.items() if g.after > LEFT * g.noise_floor],
         height=setup.wheel.grouser_height,
         digging=problem.digging[0],
         untestable=[title(name) for name in report.finding.untestable],

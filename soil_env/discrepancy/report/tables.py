@@ -46,7 +46,7 @@ def gap(report: Report) -> Table:
     rows = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
-        over = [f"{x / g.noise_floor:.2f}" for x in (g.before, g.after)]
+        over = [f"{x:.2f}" for x in g.over_noise]
         if report.corrected:
             rows.append((TITLES[name], before, after, noise, " -> ".join(over)))
         else:
@@ -57,7 +57,7 @@ def gap(report: Report) -> Table:
 
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
-    rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.ranking[:most]]
+    rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
     return Table(("effect", "makes the table more probable", "probability"), rows)
 
 
