@@ -14,15 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from soil_env.paper.model import (
-    AS_PRINTED,
-    WONG_REECE,
-    Equations,
-    Points,
-    forces,
-    measured_points,
-    newton_raphson,
-)
+from soil_env.paper.model import AS_PRINTED, WONG_REECE, Equations, Points, forces, measured_points, newton_raphson
 from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.steady import steady_state

@@ -71,12 +71,7 @@ def at_point(x, slip, sinkage, e):
     if e.compaction:
         more = r * e.width * q.p_sin - compaction_resistance(sinkage, 1.0, e.exponent, e.width)
     return Linear(
-        f.drawbar_pull + x[2] * more,
-        f.load,
-        f.torque,
-        by_phi.drawbar_pull,
-        by_K.drawbar_pull,
-        by_S.drawbar_pull + more,
+        f.drawbar_pull + x[2] * more, f.load, f.torque, by_phi.drawbar_pull, by_K.drawbar_pull, by_S.drawbar_pull + more
     )
 
 

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -52,14 +52,6 @@ class ModelWheel(Checked):
 _EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
 
 
-class HasConditions(Protocol):
-    """A table of conditions, such as `soil_env.measurement.Table`."""
-
-    def conditions(self) -> Mapping[str, np.ndarray]:
-        """Columns [N] by name; NaN where a cell is empty."""
-        ...
-
-
 class Prediction(NamedTuple):
     """Steady values [N] at the conditions that were asked for."""
 
@@ -83,10 +75,10 @@ class WheelSoilModel:
 
     wheel: ModelWheel
     soil: Soil | None = None
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
-    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
@@ -106,7 +98,7 @@ class WheelSoilModel:
         """The effects as the kernels take them."""
         return pack_effects(self.effects)
 
-    def predict(self, conditions: HasConditions | Mapping[str, ArrayLike]) -> Prediction:
+    def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
         `conditions`: a measurement table, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
@@ -163,32 +155,13 @@ class WheelSoilModel:
     @classmethod
     def from_content(cls, content: Mapping[str, Any], where: str = "model") -> WheelSoilModel:
         """The model of the mapping of a model.yaml; errors name `where` it comes from."""
-        known = ("format", "wheel", "soil", "effects", "residual", "gravity", "validity")
         if not isinstance(content, Mapping):
             raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
-        for key in content:
-            if key not in known:
-                raise unknown_key(key, known, where)
         content = {key: value for key, value in content.items() if value is not None}
-        if content.get("format", FORMAT) != FORMAT:
-            raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
-        if "wheel" not in content:
-            raise ParameterError(f"{where}: missing wheel")
-        terms = content.get("residual", [])
-        if not isinstance(terms, list):
-            raise ParameterError(f"{where}: residual: expected a list of terms")
-        try:
-            return cls(
-                load(ModelWheel, content["wheel"], f"{where}: wheel"),
-                load(Soil, content["soil"], f"{where}: soil") if "soil" in content else None,
-                content.get("effects", {}),
-                tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
-                content.get("gravity", 9.81),
-                content.get("validity", {}),
-            )
-        except ParameterError as error:
-            text = str(error)
-            raise ParameterError(text if text.startswith(where) else f"{where}: {text}") from None
+        if content.pop("format", FORMAT) != FORMAT:
+            raise ParameterError(f"{where}: expected format: {FORMAT!r}")
+        model: WheelSoilModel = load(cls, content, where)
+        return model
 
 
 def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:

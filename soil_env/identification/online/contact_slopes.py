@@ -20,13 +20,7 @@ from soil_env.terramechanics.arc_integrals import (
     smooth_integrals,
     store_nodes,
 )
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    forces,
-    mobilised_sinkage_coefficient,
-    shear_forces,
-    smooth_arc,
-)
+from soil_env.terramechanics.contact import JANOSI, forces, mobilised_sinkage_coefficient, shear_forces, smooth_arc
 
 _LEAST_RISE = 1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)

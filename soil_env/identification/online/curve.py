@@ -32,27 +32,18 @@ new_point = _new  # scratch for a point that is not in a curve yet
 
 
 @compiled_inline
-def _weighted(bins, a, b, value, weight):
-    """The mean of a quantity over two bins, into the first."""
-    w = bins[a + weight] + bins[b + weight]
-    if w > 0.0:
-        bins[a + value] = (bins[a + value] * bins[a + weight] + bins[b + value] * bins[b + weight]) / w
-    bins[a + weight] = w
-
-
-@compiled_inline
 def _merge(bins, a, b):
     """Average bin b into bin a; both are offsets."""
-    _weighted(bins, a, b, SLIP, SLIP_WEIGHT)
-    _weighted(bins, a, b, SINKAGE, SINKAGE_WEIGHT)
-    _weighted(bins, a, b, PULL, PULL_WEIGHT)
-    _weighted(bins, a, b, TORQUE, TORQUE_WEIGHT)
+    for i in range(SLIP, LOAD, 2):  # a mean beside its weight
+        w = bins[a + i + 1] + bins[b + i + 1]
+        if w > 0.0:
+            bins[a + i] = (bins[a + i] * bins[a + i + 1] + bins[b + i] * bins[b + i + 1]) / w
+        bins[a + i + 1] = w
     m, n, x, y = bins[a + READINGS], bins[b + READINGS], bins[a + PLACE], bins[b + PLACE]
     share = n / (m + n)
     middle = x + share * (y - x)
-    square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2) + share * (
-        bins[b + SPREAD] ** 2 + (y - middle) ** 2
-    )
+    square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2)
+    square += share * (bins[b + SPREAD] ** 2 + (y - middle) ** 2)
     bins[a + LOAD] += share * (bins[b + LOAD] - bins[a + LOAD])
     bins[a + KEY] += share * (bins[b + KEY] - bins[a + KEY])
     bins[a + PLACE], bins[a + SPREAD], bins[a + READINGS] = middle, math.sqrt(square), m + n

@@ -33,6 +33,7 @@ _LAG = 0.5  # share of the change in bearing sinkage since the last point that h
 _LEAST_MOVE, _MOVE, _JOLT, _CHANGE, _MISPLACED = 0.02, 0.1, 0.9, 0.5, 2.0
 _SPREAD = 0.9984  # variance by which they are weighed, so that all have that of the prior together
 _LARGEST_GAIN = 3.0  # |ln| of it
+_moments = scratch(16)
 _row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(STATES * COUNT)
 
 
@@ -109,20 +110,16 @@ def spread(s, i, j):
 @compiled_part
 def begin_next_sinkage(banks, k, numbers):
     """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
-    s = banks.sinkage[k]
-    z, y, g = mean(s, DEPTH), mean(s, PRESSURE), mean(s, GAIN)
-    zz, zy, zg = spread(s, DEPTH, DEPTH), spread(s, DEPTH, PRESSURE), spread(s, DEPTH, GAIN)
-    yy, yg, gg = spread(s, PRESSURE, PRESSURE), spread(s, PRESSURE, GAIN), spread(s, GAIN, GAIN)
+    s, before, becomes = banks.sinkage[k], _moments(), (DEPTH, OLD_PRESSURE, OLD_GAIN)
+    for i in range(HERE):
+        before[i] = mean(s, i)
+        for j in range(i + 1):
+            before[HERE * (i + 1) + j] = spread(s, j, i)
     new_soil(banks, k, numbers)
-    to_array(fill(z), s, DEPTH * COUNT)
-    to_array(fill(y), s, OLD_PRESSURE * COUNT)
-    to_array(fill(g), s, OLD_GAIN * COUNT)
-    to_array(fill(zz), s, cell(DEPTH, DEPTH))
-    to_array(fill(zy), s, cell(OLD_PRESSURE, DEPTH))
-    to_array(fill(zg), s, cell(OLD_GAIN, DEPTH))
-    to_array(fill(yy), s, cell(OLD_PRESSURE, OLD_PRESSURE))
-    to_array(fill(yg), s, cell(OLD_GAIN, OLD_PRESSURE))
-    to_array(fill(gg), s, cell(OLD_GAIN, OLD_GAIN))
+    for i in range(HERE):
+        to_array(fill(before[i]), s, becomes[i] * COUNT)
+        for j in range(i + 1):
+            to_array(fill(before[HERE * (i + 1) + j]), s, cell(becomes[i], becomes[j]))
 
 
 @compiled_part
