@@ -128,10 +128,10 @@ class NoiseLevels(Checked):
 class Setup(Checked):
     """Rig, soil and sensors of a measurement table.
 
-    `load` says what the column of that name is: the force normal to the ground (default), or the vertical force, which
-    on a grade b is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the
-    radius that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant
-    uphill tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
+    `load`: the column of that name is the force normal to the ground (default), or the vertical force. On a grade b the
+    latter is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the radius
+    that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant uphill
+    tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
     """
 
     wheel: SetupWheel

@@ -52,8 +52,8 @@ class ArcFrame(NamedTuple):
 def store_nodes(arc, n, nodes, at):
     """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`; return `ArcFrame`.
 
-    Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
-    removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
+    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind. That
+    removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the two nodes have the same normal stress.
     """
     front, rear = arc.theta1 - arc.thetam, arc.thetam - arc.theta2
     ratio = where_less(0.0, front, rear / front, 1.0)

@@ -66,11 +66,11 @@ class WheelSoilModel:
     """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
 
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
-    digging that the simulated world gives its soils: 0 in a `Soil` that does not name it, and in a model that was
-    fitted to measurements, which says slip-sinkage by name. Without a soil a model is a set of effects for worlds that
-    bring their own soils; it cannot predict. `validity` says what conditions a fitted model has seen, {"slip": (low,
-    high), "load": ..., "speed": ..., "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where
-    nothing is said. The first prediction beyond them gives the warning `OutsideValidity`.
+    digging that the simulated world gives its soils; it is 0 in a model that was fitted to measurements, which has
+    slip-sinkage as an effect. Without a soil a model is a set of effects for worlds that bring their own soils; it
+    cannot predict. `validity`: conditions that a fitted model has seen, {"slip": (low, high), "load": ..., "speed":
+    ..., "pass": ..., "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives the
+    warning `OutsideValidity`.
     """
 
     wheel: ModelWheel
@@ -101,7 +101,7 @@ class WheelSoilModel:
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
-        `conditions`: a measurement table, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
+        `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row. It has `slip` [-]
         and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
         `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
         warns once (`OutsideValidity`) of conditions outside `validity`.

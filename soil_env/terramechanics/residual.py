@@ -2,8 +2,8 @@
 
     sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum over terms of  a  prod_g  group_g ^ p_g
 
-`discrepancy.symbolic` finds such laws; they have no name and no claim to hold outside the conditions they were found
-in, so every group is held inside the range it had there.
+`discrepancy.symbolic` finds such laws. They have no claim to hold outside the conditions they were found in, so every
+group is held inside the range it had there.
 """
 
 from __future__ import annotations

@@ -192,10 +192,10 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
 
     Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
-    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i), so z carries the load when the coefficient s(z) that the load
-    mobilises (closed form, since (1) is linear in it) is S ((z - l)/(k z))^n. The root of the difference of their
-    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess` [m] where one is
-    given. `unit_weight` [N/m3] of the soil is needed by bulldozing and blades only.
+    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the coefficient s(z) that the load
+    mobilises is S ((z - l)/(k z))^n. The root of the difference of their logarithms is found by a bracketed secant in
+    ln z, in which it is nearly straight, from `guess` [m] where one is given. `unit_weight` [N/m3] of the soil is
+    needed by bulldozing and blades only.
     """
     i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
     p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)

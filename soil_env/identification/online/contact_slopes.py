@@ -1,8 +1,8 @@
 """Drawbar pull, torque and mobilised sinkage coefficient at a slip and a sinkage, with their derivatives by the soil.
 
-The load is known, so by Eq. (1) it mobilises the sinkage coefficient s at a given sinkage
-(`contact.mobilised_sinkage_coefficient`), and pull and torque follow from s: they do not depend on the sinkage
-coefficient S of the soil, which shows in how the sinkage changes only (`sinkage_filter`).
+At a given sinkage the known load mobilises the sinkage coefficient s (`contact.mobilised_sinkage_coefficient`), from
+which pull and torque follow. They do not depend on the sinkage coefficient S of the soil: only the change of the
+sinkage shows it (`sinkage_filter`).
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
 """The filter of the online identifier: the soil under a wheel by its readings, one set after the other.
 
 Readings are averaged to points, over times in which little changes; a quantity of two sensors is their mean by
-precision. The forces of the points are gathered as a traction curve (`curve`), to which friction angle, cohesion,
-exponent and shear deformation modulus are fitted (`curve_fit`, `soil_nodes`). Sinkage coefficient and gain of digging
-follow from how the sinkage changes (`sinkage_filter`). Where the grade changes, or the forces of a few points are less
-likely than the errors allow, the wheel comes to another soil (`border`).
+precision. Where the grade changes, or the forces of a few points are less likely than the errors allow, the wheel comes
+to another soil (`border`).
 
-The laws of the forces are those of a wheel in steady motion. Readings at which the wheel does not move so are passed
-over: nearly at rest, locked, spinning on the spot, or turned faster or slower by more than a share of gravity. Where
-even the others contradict the laws, these have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R.
-Stat. Soc. B 63:425-464).
+The laws of the forces are those of a wheel in steady motion. Readings of a wheel that is nearly at rest, locked,
+spinning on the spot or turned much faster or slower are passed over. Where even the others contradict the laws, these
+have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464).
 """
 
 from __future__ import annotations

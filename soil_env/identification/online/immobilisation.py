@@ -1,15 +1,13 @@
 """Probability that a wheel will be immobilised within seconds, from its last readings and the soil as identified.
 
-A wheel is *immobilised* from the moment on which it makes no more progress: the last at which it got further than ever
-before at the least mean speed that the task asks for. The task declares it up to ten seconds later. Seconds are of
-driving: halts do not count.
+A wheel is *immobilised* after the last moment at which it got further at the least mean speed that the task asks for.
+The task declares it up to ten seconds later. Seconds are of driving: halts do not count.
 
-A small network reads moving averages of ten sensor channels over four time constants, the time since the last halt,
-eight numbers of the estimate, and with a camera twelve of the ground ahead (`View`; zeros without a camera). All are
-without dimension: forces by the measured load, lengths by the radius, speeds in radii a second. So one set of weights
-serves any wheel. The network was trained on simulated drives; weights and training are in immobilisation.json. Its two
-outputs are hazards, of the first of `HORIZONS` and of the time from there to the second, so that the probability of
-the longer one is never the lower. True soil and action are not used.
+A small network reads moving averages of the sensor `Channels`, the time since the last halt, the estimate of the soil
+and the `View` of the ground ahead. All are without dimension: forces by the measured load,
+lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was trained on
+simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of `HORIZONS`
+and of the time from there to the second: the longer one is never the less probable.
 
 The network is compiled: numpy takes five times as long for one wheel, which is a third of a step with full `info`.
 """

@@ -194,8 +194,8 @@ def _parameters(
 ) -> dict[str, Parameter]:
     """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
 
-    Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
-    the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
+    Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest. From few points the
+    noise is integrated out too (`scatter`), and the wider of the two taken on either side.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
     values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}

@@ -13,8 +13,8 @@ The first pass, with q^ = q, is least squares with effective variance (Orear 198
 it converges to the solution that minimises over the true slips and loads too (Britt & Luecke 1973, Technometrics
 15:233-247).
 
-Noise that the setup leaves out is estimated with the soil: var = sum(residual^2) / (values - values spent on fitting),
-for each channel, until it no longer changes (MacKay 1992, Neural Computation 4:415-447).
+Noise that the setup leaves out is estimated with the soil until it no longer changes (MacKay 1992, Neural Computation
+4:415-447). For each channel var = sum(residual^2) / (values - values spent on fitting).
 """
 
 from __future__ import annotations
@@ -272,8 +272,8 @@ class TableProblem:
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
 
-        Errors of the stresses reach the three channels together; channels that err by themselves stand for all else
-        that the model is not: the edges of the wheel, a rig that bends.
+        Errors of the stresses reach the three channels together. Channels that err by themselves stand for all else
+        that the model is not, such as a rig that bends.
         """
         known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
         functions = self.processes[span].at_points

@@ -2,10 +2,10 @@
 
 How to add an effect:
 
-1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, parameters with symbol, unit,
-   neutral value, bounds and prior scale, and for each published form its equation as text and its source. Set `varies`
-   to the condition that shows the effect and `speed_dependent` for a law of speed. A constant of the source that is not
-   fitted is a parameter `reference_speed` with scale 0. Another form of a listed mechanism is a `Form`, no effect.
+1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, `EffectParameter`s, and for each
+   published form its equation as text and its source. Set `varies` to the condition that shows the effect and
+   `speed_dependent` for a law of speed. A constant of the source that is not fitted is a parameter `reference_speed`
+   with scale 0. Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law as a compiled function `law(x, at, fx)` and give it to `Effect` as one of the places where effects act:
    `soil` (strength and bearing under the wheel), `arc` (exit angle and stress peak), `resistance` (force against the
    travel) or `drive` (friction between motor and axle). `fx.<name>_<parameter>` are its numbers; at the neutral values

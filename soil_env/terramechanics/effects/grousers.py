@@ -39,8 +39,8 @@ def at_shear_radius(soil, q, shear_modulus):
 def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
-    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Rankine;
-    Bekker 1969), q = gamma z/2 the soil above it on average.
+    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Bekker 1969).
+    q = gamma z/2 is the soil above it on average.
     """
     if fx.grousers_blades == 0.0 or height <= 0.0:
         return alike(0.0, theta1)

@@ -39,8 +39,8 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
     z_w [m] is the depth of undisturbed soil that carries the load. With travel |V| the wheel moves onto fresh soil
-    and z relaxes to z_w over the distance `length` [m]; the sliding speed |r w - V| carries soil away from under the
-    rim (`gain`), more slowly the deeper the hole, since its walls flow back (`recovery`):
+    and z relaxes to z_w over the distance `length` [m]. The sliding speed |r w - V| carries soil away from under the
+    rim (`gain`), more slowly the deeper the hole, whose walls flow back (`recovery`):
 
         dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
     """
