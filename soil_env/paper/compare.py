@@ -14,18 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from soil_env.paper.model import (
-    AS_PRINTED,
-    WONG_REECE,
-    WONG_REECE_LOAD,
-    Equations,
-    P,
-    Points,
-    Sand,
-    forces,
-    measured_points,
-    newton_raphson,
-)
+from soil_env.paper.model import AS_PRINTED, MEASURED, WONG_REECE, Equations, P, Points, Sand, forces, newton_raphson
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.steady import steady_state
 
@@ -38,7 +27,7 @@ LABELS = {"friction_angle_deg": "phi [deg]", "shear_modulus": "K [m]", "sinkage_
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
-MEASURED = measured_points()
+WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 #: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
 FIELD = {"sandy_loam": "sandy_loam_15", "dry_sand": "dry_sand", "snow": "snow", "clayey_soil": "clayey_soil_38"}

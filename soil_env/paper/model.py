@@ -27,7 +27,6 @@ WONG_REECE_RADIUS = 24.7 * 0.0254
 #: Angle of maximum stress on the compact sand of Wong & Reece (1967): theta_m = (c1 + c2 i) theta1; (c1, c2), as
 #: transcribed with the other constants of that sand in J. Madsen's pyTerramechanics.
 WONG_REECE_PEAK = (0.43, 0.32)
-WONG_REECE_LOAD = 8923.0  # [N] of that wheel, 2006 lb
 
 
 @dataclass(frozen=True)
@@ -137,9 +136,8 @@ class Points(NamedTuple):
     pull: np.ndarray
 
 
-def measured_points() -> Points:
-    """The three measured points of Table 3."""
-    return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
+#: The three measured points of Table 3.
+MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
 
 
 @compiled_root(allocates=True)

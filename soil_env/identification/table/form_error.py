@@ -162,18 +162,13 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
         "sinkage_exponent": soil["sinkage_exponent"] + more,
         "sinkage_coefficient": soil["sinkage_coefficient"] * depth**-more,
     }
+    turned = {"shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h)}
     return (
         StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}, {}),
         StressChange(_stronger(soil, h), {}),
         StressChange({}, {"stress_peak_shift_offset": _MOVED * h}),
         StressChange(flatter, {}),
-        StressChange(
-            {
-                "shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h),
-                **_stronger(soil, _STRONGER * _TURNED * h),
-            },
-            {},
-        ),
+        StressChange(turned | _stronger(soil, _STRONGER * _TURNED * h), {}),
     )
 
 

@@ -32,10 +32,11 @@ from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import alike
 from soil_env.terramechanics.effects.entry import Axle, Effect, Entry, Friction, Furrow, Passage
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
-from soil_env.terramechanics.effects.slip_bias import measured_slip
+from soil_env.terramechanics.effects.slip_bias import measured_slip, true_slip
 from soil_env.terramechanics.effects.slip_sinkage import (
     digging,
     digging_ratio,
+    excavated_depth,
     excavation_rate,
     onto_fresh,
     slip_sinkage_ratio,
@@ -43,26 +44,16 @@ from soil_env.terramechanics.effects.slip_sinkage import (
 
 __all__ = [
     "CATALOGUE", "NO_EFFECTS", "Effect", "Effects", "acting", "arc_ends", "depends_on_speed", "digging",
-    "digging_ratio", "drive_friction", "drive_torque", "excavation_rate", "measured_slip", "onto_fresh", "pack_effects",
-    "sliding_speed", "slip_sinkage_ratio", "soil_in_contact", "soil_resistance",
+    "digging_ratio", "drive_friction", "drive_torque", "excavated_depth", "excavation_rate", "measured_slip",
+    "onto_fresh", "pack_effects", "sliding_speed", "slip_sinkage_ratio", "soil_in_contact", "soil_resistance",
+    "true_slip",
 ]  # fmt: skip
 
 #: Modules of this folder, one an effect.
 _NAMES = (
-    "slip_sinkage",
-    "rear_contact",
-    "stress_peak_shift",
-    "grousers",
-    "bulldozing",
-    "multipass",
-    "penetration_rate",
-    "shear_rate",
-    "shear_softening",
-    "grade",
-    "drivetrain_friction",
-    "slip_bias",
-    "sinkage_offset",
-)
+    "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
+    "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
+)  # fmt: skip
 #: The effects by name.
 CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {name: import_module(f"{__name__}.{name}").EFFECT for name in _NAMES}
@@ -189,4 +180,4 @@ def drive_torque(torque, wheel_speed, floor, fx):
 @compiled_part
 def depends_on_speed(fx):
     """True if the strength of the soil goes with the speed."""
-    return _speed_dependent(fx)
+    return _speed_dependent(fx)  # fmt: skip

@@ -37,9 +37,7 @@ def _resistance(force, at, fx):
 
 
 EFFECT = Effect(
-    "bulldozing",
-    "bulldozing",
-    (PULL,),
+    "bulldozing", "bulldozing", (PULL,),
     (
         P("rankine", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on Rankine's passive pressure"),
         P("hegedus", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),

@@ -70,9 +70,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _DING = "Ding et al. (2011), J. Terramechanics 48:27-45"
 _AT_RIM = (("slip_at_rim", 1.0),)
 EFFECT = Effect(
-    "grousers",
-    "grousers",
-    (SINKAGE, PULL, TORQUE),
+    "grousers", "grousers", (SINKAGE, PULL, TORQUE),
     (
         P("shear_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the shear radius"),
         P("radius_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the wheel radius"),

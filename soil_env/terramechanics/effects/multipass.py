@@ -47,9 +47,7 @@ _STIFFER = "K_N = K N^(-{stiffening}); "
 _STRONGER = "tan(phi_N) = tan(phi) N^{strength}"
 _MORE_COHESIVE = "c_N = c N^{cohesion}"
 EFFECT = Effect(
-    "multipass",
-    "multipass",
-    (SINKAGE, PULL, TORQUE),
+    "multipass", "multipass", (SINKAGE, PULL, TORQUE),
     (
         P("hardening", "a", "", 0.0, -1.0, 3.0, 0.4, "power of the pass number"),
         P("gain", "g", "", 0.0, -0.8, 8.0, 0.8, "saturating gain"),

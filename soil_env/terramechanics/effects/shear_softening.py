@@ -41,9 +41,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _WONG = "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234"
 _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness})^2; "
 EFFECT = Effect(
-    "shear_softening",
-    "peak and residual strength",
-    (SINKAGE, PULL, TORQUE),
+    "shear_softening", "peak and residual strength", (SINKAGE, PULL, TORQUE),
     (
         P("sharpness", "s", "", 0.0, 0.0, 30.0, 4.0, "off below 1; the residual share is 4 s/(1 + s)^2"),
         P("slope_kept", "", "", 0.0, 0.0, 1.0, 1.0, "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1"),
