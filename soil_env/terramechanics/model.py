@@ -14,17 +14,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import (
-    Checked,
-    FieldError,
-    ParameterError,
-    check,
-    load,
-    quantity,
-    read_yaml,
-    to_dict,
-    unknown_key,
-)
+from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env._numba.compiling import compiled_part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
@@ -62,7 +52,7 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WheelSoilModel:
+class WheelSoilModel(Checked):
     """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
 
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
@@ -84,7 +74,7 @@ class WheelSoilModel:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
             if not isinstance(getattr(self, name), kind):
                 raise FieldError(self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
-        check(self)
+        super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         object.__setattr__(self, "validity", checked(self.validity))
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import soil_env.terramechanics.effects.grousers as grousers
 from soil_env._numba.compiling import compiled_inline, compiled_part, uncompiled
 from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
@@ -15,14 +16,7 @@ from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.arc_integrals import integrals_of
 from soil_env.terramechanics.contact import JANOSI, Arc, ShearLaw, forces, shear_forces, smooth_arc, smoothed_sign
-from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
-    Effects,
-    drive_friction,
-    grousers,
-    soil_in_contact,
-    soil_resistance,
-)
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, drive_friction, soil_in_contact, soil_resistance
 from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at

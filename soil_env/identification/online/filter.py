@@ -18,15 +18,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env._numba.rows import zero_column
-from soil_env.identification.online import curve
-from soil_env.identification.online.border import (
-    cross_here,
-    cross_where_the_grade_changes,
-    end,
-    follow_border,
-    note_grade,
-    share_here,
-)
+from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import fetch_bank, restart
@@ -168,7 +160,7 @@ def take(banks, k, reading, numbers):
         fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
-        note_grade(banks, k, reading.pitch, numbers)
+        border.note_grade(banks, k, reading.pitch, numbers)
     steady = _is_steady(p, k, reading, turned, numbers)
     if o.readings[k] > 0.0 and (not steady or _ends_point(o, k, reading, p.crossing[k] > 0.0, numbers)):
         _complete(banks, k, numbers)
@@ -252,7 +244,7 @@ def _doubt_soil_or_laws(banks, k, numbers):
     if p.misfit[k] <= _ANOTHER_SOIL or p.points[k] <= 2.0 or p.crossing[k] > 0.0:
         return
     if p.points[k] > _short(numbers):
-        cross_here(banks, k, numbers)
+        border.cross_here(banks, k, numbers)
     elif p.misfit[k] > CONTRADICTION_OF_POINTS:
         p.misfit[k], p.flagged[k] = 0.0, 1.0
         p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
@@ -269,12 +261,12 @@ def _complete(banks, k, numbers):
         start(banks, k, point.sinkage, min(1e2 * point.sinkage_variance, unsure * unsure))
     if p.crossing[k] == 0.0:
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
-            cross_where_the_grade_changes(banks, k, numbers)
+            border.cross_where_the_grade_changes(banks, k, numbers)
         _doubt_soil_or_laws(banks, k, numbers)
     else:
-        follow_border(banks, k, numbers)
+        border.follow_border(banks, k, numbers)
         if first > p.border[k] + 0.5 * numbers.border:
-            end(banks, k, numbers)
+            border.end(banks, k, numbers)
     _renew(banks, k, point, load, numbers)
     if not fit_is_sound(banks, k):  # readings that no wheel gives
         restart(banks, k, numbers)
@@ -403,7 +395,7 @@ def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numb
 def _renew(banks, k, point, load, numbers):
     """Renew soil and sinkage of wheel k by a point."""
     p, s, rows, least = banks.point, banks.sinkage[k], _slopes(), 2e-3 * numbers.radius
-    share, by_place = share_here(banks, k, point.place, point.spread, numbers)
+    share, by_place = border.share_here(banks, k, point.place, point.spread, numbers)
     soil, before = ground_of(banks, k, share), max(mean(s, DEPTH), least)
     of_s = _predict_forces(banks, k, soil, before, point, load, rows, numbers)
     ground = Ground(of_s.value, before, of_s.by_sinkage * before, soil.exponent, share, by_place, p.border_variance[k])

@@ -4,12 +4,12 @@ A wheel is *immobilised* after the last moment at which it got further at the le
 The task declares it up to ten seconds later. Seconds are of driving: halts do not count.
 
 A small network reads moving averages of the sensor `Channels`, the time since the last halt, the estimate of the soil
-and the `View` of the ground ahead. All are without dimension: forces by the measured load,
-lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was trained on
-simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of `HORIZONS`
-and of the time from there to the second: the longer one is never the less probable.
+and the `View` of the ground ahead, but neither the true soil nor the action. All are without dimension: forces by the
+measured load, lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was
+trained on simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of
+`HORIZONS` and of the time from there to the second: the longer one is never the less probable.
 
-The network is compiled: numpy takes five times as long for one wheel, which is a third of a step with full `info`.
+It is compiled: numpy takes several times as long for one wheel, which would slow each step with full `info`.
 """
 
 from __future__ import annotations
