@@ -224,7 +224,7 @@ def _parameters(
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
         shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
-        out[name] = Parameter(*bounds, unit, prior_sd == 0.0, shrunk)
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, prior_sd == 0.0, shrunk)
     return out
 
 
