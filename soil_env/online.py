@@ -29,8 +29,7 @@ from soil_env.identification.online.identifier import (
     forget,
     identifier_numbers,
     new_identifiers,
-    new_outcomes,
-    observe_rows,
+    observe_values,
 )
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
@@ -207,7 +206,11 @@ class OnlineIdentifier:
         twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._start, self._observe, self._best = FastCall(_start), FastCall(observe_rows), FastCall(best_working_point)
+        self._start, self._observe, self._best = (
+            FastCall(_start),
+            FastCall(observe_values),
+            FastCall(best_working_point),
+        )
         self._numbers = identifier_numbers(scenario)
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
@@ -215,7 +218,7 @@ class OnlineIdentifier:
         self._unknown = [_UNKNOWN * unit for unit in units]
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
-        self._ids, self._values, self._done = new_identifiers(1), np.zeros(len(SensorReading._fields)), new_outcomes(1)
+        self._ids, self._values = new_identifiers(1), np.zeros(len(SensorReading._fields))
         self.reset()
 
     def reset(self) -> None:
@@ -245,8 +248,7 @@ class OnlineIdentifier:
         outcome = HELD
         if rim == rim and speed == speed:
             self._put(readings, rim, speed)
-            self._observe(self._ids, _ONE, self._values[None], self._numbers_of(period), self._done)
-            outcome = self._done.outcome.item()
+            outcome = self._observe(self._ids, 0, self._values, self._numbers_of(period))
         self._time = readings.time if readings.time == readings.time else self._time + period
         if outcome != HELD or self._estimate.renewed:
             self._estimate = self._published(outcome != HELD)
@@ -351,5 +353,4 @@ def _bearing_sinkage(scenario: Scenario) -> float:
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
 _DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
-_ONE = np.zeros(1, dtype=np.int64)  # the one wheel of an `OnlineIdentifier`
 _STATUS = {status.value: status for status in Status}

@@ -316,7 +316,7 @@ def _terms(
     out = []
     for j, powers, c in zip(here.channel, here.powers, coefficient, strict=True):
         used = np.flatnonzero(powers)
-        ranges = {GROUPS[g]: [float(groups[:, g].min()), float(groups[:, g].max())] for g in used}
+        ranges = {GROUPS[g]: (float(groups[:, g].min()), float(groups[:, g].max())) for g in used}
         out.append(ResidualTerm(CHANNELS[j], float(c), {GROUPS[g]: float(powers[g]) for g in used}, ranges))
     return tuple(out)
 

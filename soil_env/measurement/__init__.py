@@ -4,17 +4,6 @@ from soil_env.measurement.setup import REQUIRED, NoiseLevels, Prior, Setup, Setu
 from soil_env.measurement.table import COLUMNS, MEASURED, OPTIONAL, UNITS, Table, read_table
 
 __all__ = [
-    "COLUMNS",
-    "MEASURED",
-    "OPTIONAL",
-    "REQUIRED",
-    "UNITS",
-    "NoiseLevels",
-    "Prior",
-    "Setup",
-    "SetupWheel",
-    "SoilPriors",
-    "Table",
-    "read_setup",
-    "read_table",
-]
+    "COLUMNS", "MEASURED", "OPTIONAL", "REQUIRED", "UNITS", "NoiseLevels", "Prior", "Setup", "SetupWheel", "SoilPriors",
+    "Table", "read_setup", "read_table",
+]  # fmt: skip

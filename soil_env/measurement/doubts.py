@@ -25,8 +25,7 @@ def load_doubt(table: Table, setup: Setup) -> str:
     """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give it; "" as a rule.
 
     A wheel can transmit at most tan(phi) W and c times its contact area. The second is small beside W where the wheel
-    sinks, so that the sum hardly exceeds the load unless the setup's cohesion says so; a load in kilograms makes it 3
-    to 6 times the load.
+    sinks, so that the sum hardly exceeds the load unless the setup's cohesion says so.
     """
     radius, driven = table.radius(setup.wheel), table.rim_slip(setup) > DRIVEN
     depth = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, quantity, read_yaml
+from soil_env._io.loading import Checked, ParameterError, load, number, quantity, read_yaml
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
@@ -128,10 +128,10 @@ class NoiseLevels(Checked):
 class Setup(Checked):
     """Rig, soil and sensors of a measurement table.
 
-    `load` says what the column of that name is: the force normal to the ground (default), or the vertical force, which
-    on a grade b is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the
-    radius that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant
-    uphill tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
+    `load`: the column of that name is the force normal to the ground (default), or the vertical force. On a grade b the
+    latter is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the radius
+    that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant uphill
+    tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
     """
 
     wheel: SetupWheel
@@ -149,9 +149,7 @@ class Setup(Checked):
             raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}")
         for name in self.ignore_columns:
             if name in REQUIRED:
-                raise ParameterError(
-                    f"ignore_columns: {name!r}: expected other columns, this one is needed in every table"
-                )
+                raise ParameterError(f"ignore_columns: {name!r}: expected other columns, every table needs this one")
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(
@@ -194,30 +192,17 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     return setup
 
 
-def _prior(value: Any, where: str) -> dict[str, Any]:
-    """A number as a known `Prior` mapping; a mapping must have an sd > 0."""
-    if isinstance(value, dict):
-        numbers = {key: _as_number(value[key]) for key in ("value", "sd") if key in value}
-        for key, number in numbers.items():
-            if number is not None and not math.isfinite(number):
-                raise ParameterError(f"{where}: {key} = {number}: expected a finite number")
-        center, sd = numbers.get("value"), numbers.get("sd")
-        if sd is not None and not sd > 0.0:
-            raise ParameterError(f"{where}: sd = {sd:g}: expected > 0 (write a known value as a plain number)")
-        if sd is not None and center is not None and sd < LEAST_SD * abs(center):
-            raise ParameterError(
-                f"{where}: sd = {sd:g}: expected at least {LEAST_SD * abs(center):.2g}, a millionth of the value "
-                "(write a known value as a plain number)"
-            )
-        return value
-    if value is None or isinstance(value, list) or (isinstance(value, (str, bool)) and _as_number(value) is None):
-        raise ParameterError(f"{where} = {value!r}: expected a number or {{value: ..., sd: ...}}, or leave it out")
-    return {"value": value, "sd": 0.0}
-
-
-def _as_number(value: Any) -> float | None:
-    """The number that a YAML value stands for, also where YAML 1.1 takes it for text (1e-3); None if it is none."""
-    try:
-        return None if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        return None
+def _prior(value: Any, where: str) -> Prior:
+    """A number as a known `Prior`; a mapping must have an sd > 0."""
+    if not isinstance(value, dict):
+        try:
+            return Prior(number(float, value, where), 0.0)
+        except ParameterError:
+            expected = "a number or {value: ..., sd: ...}, or leave it out"
+            raise ParameterError(f"{where} = {value!r}: expected {expected}") from None
+    prior: Prior = load(Prior, value, where)
+    least = LEAST_SD * abs(prior.value)
+    if not prior.sd > 0.0 or prior.sd < least:
+        expected = f"at least {least:.2g}, a millionth of the value" if prior.sd > 0.0 else "> 0"
+        raise ParameterError(f"{where}: sd = {prior.sd:g}: expected {expected} (write a known value as a plain number)")
+    return prior

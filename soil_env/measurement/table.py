@@ -140,15 +140,14 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequen
     if not rows:
         raise ParameterError(f"{path}: no rows below the header: expected one row for each steady point")
     columns = {name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")}
-    absent = [(line, "") for line, _ in rows]
-    runs = [(line, cells[header.index("run")]) for line, cells in rows] if "run" in header else absent
+    runs = [cells[header.index("run")] if "run" in header else "" for _, cells in rows]
     passes = _column(path, "pass", header, rows)
     table = Table(
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
         passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),  # checked below
-        run=np.array([text for _, text in runs]),
+        run=np.array(runs),
         **columns,
     )
     _check_rows(table, header, rows, wheel)
@@ -219,13 +218,11 @@ def _check_header(path: Path, header: list[str]) -> None:
             f"{path}: the first line has numbers: expected a header line with column names, without # before it"
         )
     for name in header:
-        if name in COLUMNS:
-            continue
-        raise ParameterError(
-            f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: {', '.join(COLUMNS)}; a column "
-            "to pass over: ignore_columns in the setup)"
-        )
-    for name in header:
+        if name not in COLUMNS:
+            raise ParameterError(
+                f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: {', '.join(COLUMNS)}; a "
+                "column to pass over: ignore_columns in the setup)"
+            )
         if header.count(name) > 1:
             raise ParameterError(f"{path}: column {name!r} appears {header.count(name)} times: expected once")
     for name in REQUIRED:
@@ -245,10 +242,8 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
         text = cells[position]
         if not text:
             continue
-        try:
-            out[k] = float(text)
-        except ValueError:
-            out[k] = math.nan
+        value = _canonical(text)
+        out[k] = value if isinstance(value, float) else math.nan
         if not math.isfinite(out[k]):
             unit = f" in {UNITS[name]}" if UNITS[name] else ""
             hint = "with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", text) else "(empty = not measured)"
@@ -314,12 +309,9 @@ def _check_whole(table: Table) -> None:
     if np.any(nothing):
         line = table.row[nothing][0]
         raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
-    if len(table) == 1:
-        raise ParameterError(f"{table.source}: one row: expected at least two, with different slips")
     if np.all(table.slip == table.slip[0]):
-        raise ParameterError(
-            f"{table.source}: slip = {table.slip[0]:g} in every row: expected at least two different slips"
-        )
+        said = "one row" if len(table) == 1 else f"slip = {table.slip[0]:g} in every row"
+        raise ParameterError(f"{table.source}: {said}: expected at least two, with different slips")
 
 
 def _check_repeats(path: Path, rows: Rows) -> None:
@@ -328,10 +320,8 @@ def _check_repeats(path: Path, rows: Rows) -> None:
     for line, cells in rows:
         key = tuple(_canonical(c) for c in cells)
         if key in seen:
-            raise ParameterError(
-                f"{path}: row {line} repeats row {seen[key]} in every column: expected each point once "
-                f"(a true repeat differs in run or time)"
-            )
+            expected = "each point once (a true repeat differs in run or time)"
+            raise ParameterError(f"{path}: row {line} repeats row {seen[key]} in every column: expected {expected}")
         seen[key] = line
 
 

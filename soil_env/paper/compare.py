@@ -14,20 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from soil_env.paper.model import (
-    AS_PRINTED,
-    WONG_REECE,
-    Equations,
-    Points,
-    forces,
-    measured_points,
-    newton_raphson,
-)
-from soil_env.paper.printed import WONG_REECE_LOAD, Sand, printed
+from soil_env.paper.model import AS_PRINTED, MEASURED, WONG_REECE, Equations, P, Points, Sand, forces, newton_raphson
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.steady import steady_state
 
-P = printed()
 SAND, POINT, WHEEL = P.table2, P.working_point, P.wheel
 MODELS = (AS_PRINTED, WONG_REECE)
 HELD = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
@@ -37,7 +27,7 @@ LABELS = {"friction_angle_deg": "phi [deg]", "shear_modulus": "K [m]", "sinkage_
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
-MEASURED = measured_points()
+WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 #: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
 FIELD = {"sandy_loam": "sandy_loam_15", "dry_sand": "dry_sand", "snow": "snow", "clayey_soil": "clayey_soil_38"}
@@ -211,16 +201,15 @@ def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
     return forces(soil, *MEASURED[:2], e)[:, [0, 2]]
 
 
-def pull_misfits() -> tuple[float, float]:
+def pull_misfits() -> list[float]:
     """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar pulls."""
-    as_printed, wong_reece = (prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull for e in HELD)
-    return float(np.sqrt(np.mean(as_printed**2))), float(np.sqrt(np.mean(wong_reece**2)))
+    return [float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2))) for e in HELD]
 
 
-def torque(soil: Soil, load: float = WONG_REECE_LOAD) -> np.ndarray:
+def torque(soil: Soil) -> np.ndarray:
     """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry the wheel."""
     state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
-    steady = [steady_state(i, load, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
+    steady = [steady_state(i, WONG_REECE_LOAD, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
     return np.array([s.torque if s.supported else np.nan for s in steady])
 
 
@@ -244,10 +233,6 @@ class Results:
 
 def compute(seed: int = 0, draws: int = 1000) -> Results:
     """Recompute everything; `draws` of the noise in Table 5."""
-    return Results(
-        seed,
-        draws,
-        {"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()},
-        tuple(table_5(e, seed, draws) for e in HELD),
-        {n: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for n, row in FIELD.items()},
-    )
+    rows = {"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()}
+    torques = {name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()}
+    return Results(seed, draws, rows, tuple(table_5(e, seed, draws) for e in HELD), torques)

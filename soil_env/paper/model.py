@@ -1,4 +1,4 @@
-"""Drawbar pull, load and torque by the equations of the source paper, and its Newton-Raphson method.
+"""Printed numbers of the source paper, its equations, and its Newton-Raphson method.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its Section 4. The stresses,
 their integrals and the forces are the compiled functions of `soil_env.terramechanics`.
@@ -7,16 +7,52 @@ their integrals and the forces are the compiled functions of `soil_env.terramech
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soil_env._io.loading import read_yaml
 from soil_env._numba.compiling import compiled_part, compiled_root
-from soil_env.paper.printed import WONG_REECE_PEAK, WONG_REECE_RADIUS, printed
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.arc_integrals import arc_integrals, shear_modulus_rates, simpson_integrals
 from soil_env.terramechanics.contact import compaction_resistance, entry_angle, forces as contact_forces, shear_forces
+
+#: Wheel of Wong & Reece (1967), J. Terramechanics 4(1):81-98, from which the paper takes its wheel, sand and points:
+#: radius 24.7 in [m], which the paper prints as 0.6274.
+WONG_REECE_RADIUS = 24.7 * 0.0254
+#: Angle of maximum stress on the compact sand of Wong & Reece (1967): theta_m = (c1 + c2 i) theta1; (c1, c2), as
+#: transcribed with the other constants of that sand in J. Madsen's pyTerramechanics.
+WONG_REECE_PEAK = (0.43, 0.32)
+
+
+@dataclass(frozen=True)
+class Sand:
+    """Compact sand (Table 2), SI units."""
+
+    friction_angle_deg: float
+    cohesion: float
+    shear_modulus: float
+    k_c: float
+    k_phi: float
+    sinkage_exponent: float
+
+
+def _printed() -> SimpleNamespace:
+    """Numbers of printed.yaml by its keys; tables by the name of the parameter."""
+    content = read_yaml(Path(__file__).with_name("printed.yaml"))
+    for table in ("table1", "table3"):
+        content[table] = {name: SimpleNamespace(**line) for name, line in content[table].items()}
+    for group in ("wheel", "working_point"):
+        content[group] = SimpleNamespace(**content[group])
+    points = tuple(SimpleNamespace(**point) for point in content["measured"])
+    return SimpleNamespace(**content | {"measured": points, "table2": Sand(**content["table2"])})
+
+
+P = _printed()
 
 
 class Equations(NamedTuple):
@@ -32,8 +68,7 @@ class Equations(NamedTuple):
     compaction: bool = True  # resistance by Eq. (12), else by Eq. (11)
 
 
-_P = printed()
-AS_PRINTED = Equations(_P.wheel.radius, _P.wheel.width, _P.table2.cohesion, _P.table2.sinkage_exponent)
+AS_PRINTED = Equations(P.wheel.radius, P.wheel.width, P.table2.cohesion, P.table2.sinkage_exponent)
 WONG_REECE = AS_PRINTED._replace(radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1])
 
 _ITERATIONS = 100  # of Newton-Raphson at most
@@ -71,12 +106,7 @@ def at_point(x, slip, sinkage, e):
     if e.compaction:
         more = r * e.width * q.p_sin - compaction_resistance(sinkage, 1.0, e.exponent, e.width)
     return Linear(
-        f.drawbar_pull + x[2] * more,
-        f.load,
-        f.torque,
-        by_phi.drawbar_pull,
-        by_K.drawbar_pull,
-        by_S.drawbar_pull + more,
+        f.drawbar_pull + x[2] * more, f.load, f.torque, by_phi.drawbar_pull, by_K.drawbar_pull, by_S.drawbar_pull + more
     )
 
 
@@ -106,9 +136,8 @@ class Points(NamedTuple):
     pull: np.ndarray
 
 
-def measured_points() -> Points:
-    """The three measured points of Table 3."""
-    return Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in _P.measured]).T.copy())
+#: The three measured points of Table 3.
+MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
 
 
 @compiled_root(allocates=True)

@@ -48,10 +48,7 @@ def markdown(results: Results, command: str) -> str:
 
 def _beside(rows: Sequence[Row]) -> Table:
     """A printed number, ours by each reading, and the differences; none where our scan ends before a limit."""
-    header = ["", "printed"]
-    for name in READINGS:
-        header += [name, "difference"]
-    lines = []
+    header, lines = ["", "printed", *(text for name in READINGS for text in (name, "difference"))], []
     for name, printed, ours, form, beyond in rows:
         line = [name, format(printed, form)]
         for value, side in zip(ours, beyond, strict=True):
@@ -76,10 +73,8 @@ def _noise(r: Results) -> Table:
             low, median, high = n.quantiles[:, k]
             row += [f"{median:.1f} [{low:.1f}, {high:.1f}]", f"{100 * n.below[k]:.0f} %"]
         rows.append(row)
-    header = ["error with noise [%]", "printed"]
-    for name in READINGS:
-        header += [f"{name}: median [5 %, 95 %]", "below the printed"]
-    return Table(header, rows)
+    columns = (text for name in READINGS for text in (f"{name}: median [5 %, 95 %]", "below the printed"))
+    return Table(("error with noise [%]", "printed", *columns), rows)
 
 
 def _forces() -> Table:
@@ -99,9 +94,8 @@ def _forces() -> Table:
 
 def _rms() -> Table:
     """The printed rms errors of Figs. 6 and 7, and ours where three points allow one."""
-    header, rows = ["rms error", "printed, over the curve"], []
-    for name in READINGS:
-        header.append(f"{name}, at the three points")
+    header = ("rms error", "printed, over the curve", *(f"{name}, at the three points" for name in READINGS))
+    rows = []
     for what, values in (("drawbar pull [N]", P.fig6_rms_drawbar_pull), ("torque [N m]", P.fig7_rms_torque)):
         for points, printed in values.items():
             row = [f"{what}, set from {points.replace('_', ' ')}", f"{printed:.2f}"]

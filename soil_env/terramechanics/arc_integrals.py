@@ -15,16 +15,8 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import fma, half_sin_cos, larger, log, power, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, over_eight, summed, to_array, turns
 from soil_env._numba.rows import Rows, rows, scratch_rows
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    Arc,
-    ArcIntegrals,
-    ArcRates,
-    mirror_angle,
-    mobilised,
-    relative_stress,
-    shear_displacement,
-)
+from soil_env.terramechanics import contact
+from soil_env.terramechanics.contact import JANOSI, Arc, ArcIntegrals, ArcRates, mobilised
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
 NODES_PER_ZONE = 8
@@ -60,8 +52,8 @@ class ArcFrame(NamedTuple):
 def store_nodes(arc, n, nodes, at):
     """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`; return `ArcFrame`.
 
-    Gauss-Legendre nodes at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind, which
-    removes the singularity (theta1 - theta)^n at both ends; by Eq. (8) the two nodes have the same normal stress.
+    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind. That
+    removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the two nodes have the same normal stress.
     """
     front, rear = arc.theta1 - arc.thetam, arc.thetam - arc.theta2
     ratio = where_less(0.0, front, rear / front, 1.0)
@@ -84,15 +76,9 @@ def store_nodes(arc, n, nodes, at):
     sin_half, cos_half = half_sin_cos(fill(arc.sheared_from))
     r = arc.radius
     return ArcFrame(
-        arc.theta1,
-        front,
-        ratio,
-        r * (arc.sheared_from - arc.theta1),
-        r * (arc.sheared_from - arc.theta2),
-        (2.0 * r) * (sin_half * cos_half),
-        summed(front * p_cos, arc.theta1),
-        summed(front * p_sin, arc.theta1),
-    )
+        arc.theta1, front, ratio, r * (arc.sheared_from - arc.theta1), r * (arc.sheared_from - arc.theta2),
+        (2.0 * r) * (sin_half * cos_half), summed(front * p_cos, arc.theta1), summed(front * p_sin, arc.theta1),
+    )  # fmt: skip
 
 
 @compiled_inline
@@ -210,15 +196,11 @@ def _by_entry_angle(frame, nodes, q, sin1, cos1, rim, travel, n, shear):
         e_cos, e_sin, plain = fma(w, ec, e_cos), fma(w, es, e_sin), fma(w, d + d2, plain)
     share = 1.0 / frame.theta1  # of the length of a zone
     return ArcIntegrals(
-        summed(front * p_cos, pattern) + share * q.p_cos,
-        summed(front * p_sin, pattern) + share * q.p_sin,
-        summed(front * pe_cos, pattern) + share * q.pe_cos,
-        summed(front * pe_sin, pattern) + share * q.pe_sin,
-        summed(front * pe, pattern) + share * q.pe,
-        summed(front * e_cos, pattern) + share * q.e_cos,
-        summed(front * e_sin, pattern) + share * q.e_sin,
-        summed(front * plain, pattern) + share * q.e,
-    )
+        summed(front * p_cos, pattern) + share * q.p_cos, summed(front * p_sin, pattern) + share * q.p_sin,
+        summed(front * pe_cos, pattern) + share * q.pe_cos, summed(front * pe_sin, pattern) + share * q.pe_sin,
+        summed(front * pe, pattern) + share * q.pe, summed(front * e_cos, pattern) + share * q.e_cos,
+        summed(front * e_sin, pattern) + share * q.e_sin, summed(front * plain, pattern) + share * q.e,
+    )  # fmt: skip
 
 
 @compiled_inline
@@ -292,8 +274,8 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
         for k in range(2 * m + 1):
             w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
             theta = low + k * h
-            p = relative_stress(mirror_angle(theta, theta1, theta2, thetam), cos1, n, r)
-            j, lever_rim, lever_travel = shear_displacement(theta, theta1, sin1, rim, travel, r)
+            p = contact.relative_stress(contact.mirror_angle(theta, theta1, theta2, thetam), cos1, n, r)
+            j, lever_rim, lever_travel = contact.shear_displacement(theta, theta1, sin1, rim, travel, r)
             e, g = mobilised(j, K, JANOSI)
             wc, ws = w * math.cos(theta), w * math.sin(theta)
             p_cos, p_sin = p_cos + p * wc, p_sin + p * ws
@@ -308,13 +290,9 @@ def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
 def _with_node(t, value, p, w, wc, ws):
     """The six sums `t` with one more node."""
     return ArcRates(
-        t.pe_cos + p * value * wc,
-        t.pe_sin + p * value * ws,
-        t.pe + p * value * w,
-        t.e_cos + value * wc,
-        t.e_sin + value * ws,
-        t.e + value * w,
-    )
+        t.pe_cos + p * value * wc, t.pe_sin + p * value * ws, t.pe + p * value * w,
+        t.e_cos + value * wc, t.e_sin + value * ws, t.e + value * w,
+    )  # fmt: skip
 
 
 @compiled_inline
@@ -322,10 +300,7 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
     """`ArcRates` by K [1/m]: de/dK = -(j/K) de/dj with j linear in (rim, travel)."""
     x, y = -rim / K, -travel / K
     return ArcRates(
-        x * by_rim.pe_cos + y * by_travel.pe_cos,
-        x * by_rim.pe_sin + y * by_travel.pe_sin,
-        x * by_rim.pe + y * by_travel.pe,
-        x * by_rim.e_cos + y * by_travel.e_cos,
-        x * by_rim.e_sin + y * by_travel.e_sin,
-        x * by_rim.e + y * by_travel.e,
-    )
+        x * by_rim.pe_cos + y * by_travel.pe_cos, x * by_rim.pe_sin + y * by_travel.pe_sin,
+        x * by_rim.pe + y * by_travel.pe, x * by_rim.e_cos + y * by_travel.e_cos,
+        x * by_rim.e_sin + y * by_travel.e_sin, x * by_rim.e + y * by_travel.e,
+    )  # fmt: skip

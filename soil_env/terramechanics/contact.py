@@ -9,12 +9,10 @@ at `thetam`.
 
 The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed
 (`slip.motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel
-and reverse: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)], the sign of j being the sign of the shear
-stress.
+and reverse, with the sign of the shear stress: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)].
 
-For a given shear deformation modulus and sinkage exponent every force is linear in S, S tan(phi) and c. So there are
-integrals over the arc (`ArcIntegrals`), which `forces` combines. The same integrals serve the simulated world, the
-steady prediction and the identifier's Jacobian.
+For a given shear deformation modulus and sinkage exponent every force is linear in S, S tan(phi) and c. So `forces`
+combines integrals over the arc (`ArcIntegrals`), the same for the world, the steady prediction and the identifier.
 
 Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The integrals are in `arc_integrals`.
 """
@@ -195,8 +193,8 @@ def shear_forces(q, st, c, r, b, direction):
 def forces(integrals, S, tan_phi, c, r, b, direction):
     """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
-    `direction` is the smoothed sign of the travel speed (1 in a steady forward run): behind a turned-round wheel the
-    horizontal part of the normal stress and the vertical part of the shear stress change sign.
+    `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the horizontal part of
+    the normal stress and the vertical part of the shear stress change sign.
     """
     shear = shear_forces(integrals, S * tan_phi, c, r, b, direction)
     normal = r * b * S

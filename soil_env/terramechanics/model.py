@@ -7,24 +7,14 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import (
-    Checked,
-    FieldError,
-    ParameterError,
-    check,
-    load,
-    quantity,
-    read_yaml,
-    to_dict,
-    unknown_key,
-)
+from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
 from soil_env._numba.compiling import compiled_part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
@@ -52,14 +42,6 @@ class ModelWheel(Checked):
 _EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
 
 
-class HasConditions(Protocol):
-    """A table of conditions, such as `soil_env.measurement.Table`."""
-
-    def conditions(self) -> Mapping[str, np.ndarray]:
-        """Columns [N] by name; NaN where a cell is empty."""
-        ...
-
-
 class Prediction(NamedTuple):
     """Steady values [N] at the conditions that were asked for."""
 
@@ -70,29 +52,29 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WheelSoilModel:
+class WheelSoilModel(Checked):
     """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
 
     `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
-    digging that the simulated world gives its soils: 0 in a `Soil` that does not name it, and in a model that was
-    fitted to measurements, which says slip-sinkage by name. Without a soil a model is a set of effects for worlds that
-    bring their own soils; it cannot predict. `validity` says what conditions a fitted model has seen, {"slip": (low,
-    high), "load": ..., "speed": ..., "pass": ..., "grade_deg": ...} in the units of a measurement table; empty where
-    nothing is said. The first prediction beyond them gives the warning `OutsideValidity`.
+    digging that the simulated world gives its soils; it is 0 in a model that was fitted to measurements, which has
+    slip-sinkage as an effect. Without a soil a model is a set of effects for worlds that bring their own soils; it
+    cannot predict. `validity`: conditions that a fitted model has seen, {"slip": (low, high), "load": ..., "speed":
+    ..., "pass": ..., "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives the
+    warning `OutsideValidity`.
     """
 
     wheel: ModelWheel
     soil: Soil | None = None
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    effects: dict[str, dict[str, float]] = field(default_factory=dict)
     residual: tuple[ResidualTerm, ...] = ()
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81, doc="for the weight of the soil")
-    validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
             if not isinstance(getattr(self, name), kind):
                 raise FieldError(self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
-        check(self)
+        super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         object.__setattr__(self, "validity", checked(self.validity))
 
@@ -106,10 +88,10 @@ class WheelSoilModel:
         """The effects as the kernels take them."""
         return pack_effects(self.effects)
 
-    def predict(self, conditions: HasConditions | Mapping[str, ArrayLike]) -> Prediction:
+    def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
-        `conditions`: a measurement table, or a mapping of arrays [N] (scalars count for every row) with `slip` [-]
+        `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row. It has `slip` [-]
         and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
         `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
         warns once (`OutsideValidity`) of conditions outside `validity`.
@@ -163,32 +145,13 @@ class WheelSoilModel:
     @classmethod
     def from_content(cls, content: Mapping[str, Any], where: str = "model") -> WheelSoilModel:
         """The model of the mapping of a model.yaml; errors name `where` it comes from."""
-        known = ("format", "wheel", "soil", "effects", "residual", "gravity", "validity")
         if not isinstance(content, Mapping):
             raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")
-        for key in content:
-            if key not in known:
-                raise unknown_key(key, known, where)
         content = {key: value for key, value in content.items() if value is not None}
-        if content.get("format", FORMAT) != FORMAT:
-            raise ParameterError(f"{where}: format = {content['format']!r}: expected {FORMAT!r}")
-        if "wheel" not in content:
-            raise ParameterError(f"{where}: missing wheel")
-        terms = content.get("residual", [])
-        if not isinstance(terms, list):
-            raise ParameterError(f"{where}: residual: expected a list of terms")
-        try:
-            return cls(
-                load(ModelWheel, content["wheel"], f"{where}: wheel"),
-                load(Soil, content["soil"], f"{where}: soil") if "soil" in content else None,
-                content.get("effects", {}),
-                tuple(load(ResidualTerm, t, f"{where}: residual") for t in terms),
-                content.get("gravity", 9.81),
-                content.get("validity", {}),
-            )
-        except ParameterError as error:
-            text = str(error)
-            raise ParameterError(text if text.startswith(where) else f"{where}: {text}") from None
+        if content.pop("format", FORMAT) != FORMAT:
+            raise ParameterError(f"{where}: expected format: {FORMAT!r}")
+        model: WheelSoilModel = load(cls, content, where)
+        return model
 
 
 def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:

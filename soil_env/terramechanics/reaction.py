@@ -7,32 +7,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import soil_env.terramechanics.effects.grousers as grousers
 from soil_env._numba.compiling import compiled_inline, compiled_part, uncompiled
 from soil_env._numba.elementary import larger, sqrt, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.slip import signed_slip, slip_ratio
+from soil_env.terramechanics import contact
 from soil_env.terramechanics.arc_integrals import integrals_of
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    Arc,
-    ShearLaw,
-    bearing_share,
-    forces,
-    mobilised_sinkage_coefficient,
-    motion_from_speeds,
-    shear_forces,
-    smooth_arc,
-    smoothed_sign,
-)
+from soil_env.terramechanics.contact import JANOSI, Arc, ShearLaw, forces, shear_forces, smooth_arc, smoothed_sign
 from soil_env.terramechanics.effects import NO_EFFECTS, Effects, drive_friction, soil_in_contact, soil_resistance
-from soil_env.terramechanics.effects.grousers import (
-    at_shear_radius,
-    blade_thrust,
-    blades_at,
-    contact_radius,
-    shear_radius_ratio,
-)
 from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
@@ -61,7 +45,7 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
     q, by_rim, by_travel = integrals
     _, travel, direction = motion
-    s = mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction)
+    s = contact.mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction)
     f = forces(q, s, tan_phi, c, r, b, direction)
     st = s * tan_phi
     rest2 = REST_SPEED * REST_SPEED
@@ -77,26 +61,21 @@ def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
     load_u = by_rim.load * rim_u + by_travel.load * travel_u
     # through s, which keeps the load what it is
     of_s = forces(q, 1.0, tan_phi, 0.0, r, b, direction)
-    s_by_load = where_less(0.0, s, -1.0 / (r * b * bearing_share(q, tan_phi, direction)), 0.0)
+    s_by_load = where_less(0.0, s, -1.0 / (r * b * contact.bearing_share(q, tan_phi, direction)), 0.0)
     s_v, s_u = s_by_load * load_v, s_by_load * load_u
     return Reaction(
-        f.load,
-        f.drawbar_pull,
-        f.torque,
-        s,
+        f.load, f.drawbar_pull, f.torque, s,
         s_v * of_s.drawbar_pull + by_travel.drawbar_pull * travel_v - turn * (r * b * s * q.p_sin),
         s_u * of_s.drawbar_pull + by_rim.drawbar_pull * rim_u + by_travel.drawbar_pull * travel_u,
         s_v * of_s.torque + by_travel.torque * travel_v,
-        s_u * of_s.torque + by_rim.torque * rim_u + by_travel.torque * travel_u,
-        s_v,
-        s_u,
-    )
+        s_u * of_s.torque + by_rim.torque * rim_u + by_travel.torque * travel_u, s_v, s_u,
+    )  # fmt: skip
 
 
 @compiled_part
 def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     """`Reaction` of the base model to one wheel at a given sinkage [m] that carries `load` [N]."""
-    motion = motion_from_speeds(rim_speed, speed, REST_SPEED)
+    motion = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
     arc = smooth_arc(sinkage, r)
     integrals = integrals_of(arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, JANOSI)
     return reaction_from(integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b)
@@ -124,8 +103,8 @@ class Interaction(NamedTuple):
 
 def interaction(wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: float, unit_weight: float) -> Interaction:
     """`Interaction` of a wheel with the effects that act on it."""
-    r = uncompiled(contact_radius)(effects, wheel)
-    ratio = uncompiled(shear_radius_ratio)(r, wheel.grouser_height, effects)
+    r = uncompiled(grousers.contact_radius)(effects, wheel)
+    ratio = uncompiled(grousers.shear_radius_ratio)(r, wheel.grouser_height, effects)
     on = effects != NO_EFFECTS or residual.coefficient.size > 0
     law = uncompiled(shear_law)(effects)
     return Interaction(
@@ -165,11 +144,11 @@ def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, whe
     dug = larger(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
     q = wheel.shear_ratio
     return Ground(
-        at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
+        grousers.at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
         arc,
         excavated_depth(slip, fx) / dug,
         soil_resistance(sinkage, soil, wheel.unit_weight, b, fx),
-        blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
+        grousers.blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
         pull,
         torque,
     )
@@ -187,7 +166,7 @@ class Added(NamedTuple):
 def _blades(thrust, speed, rim_speed):
     """`Added` thrust [N] of the lugs along the rim."""
     slip, by_u, by_v = signed_slip(rim_speed, speed, REST_SPEED)
-    force, slope = blades_at(thrust, slip)
+    force, slope = grousers.blades_at(thrust, slip)
     return Added(force, slope * by_v, slope * by_u)
 
 
@@ -205,38 +184,21 @@ def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
     lever = wheel.radius + 0.5 * wheel.grouser_height
     direction, turn = smoothed_sign(speed, REST_SPEED)
     blade = _blades(blades, speed, rim_speed)
-    axle = Added(
-        q * f.torque + lever * blade.value + torque,
-        q * f.torque_v + lever * blade.by_v,
-        q * p * f.torque_u + lever * blade.by_u,
-    )
+    at_axle = q * f.torque + lever * blade.value + torque
+    axle = Added(at_axle, q * f.torque_v + lever * blade.by_v, q * p * f.torque_u + lever * blade.by_u)
     friction = _drive_friction(axle, rim_speed, wheel.radius, wheel.effects)
     return Reaction(
-        f.load,
-        f.drawbar_pull + blade.value - direction * bulldozing + pull,
-        axle.value + friction.value,
-        f.sinkage_coefficient,
-        f.dp_v + blade.by_v - turn * bulldozing,
-        p * f.dp_u + blade.by_u,
-        axle.by_v + friction.by_v,
-        axle.by_u + friction.by_u,
-        f.sinkage_coefficient_v,
-        p * f.sinkage_coefficient_u,
-    )
+        f.load, f.drawbar_pull + blade.value - direction * bulldozing + pull, axle.value + friction.value,
+        f.sinkage_coefficient, f.dp_v + blade.by_v - turn * bulldozing, p * f.dp_u + blade.by_u,
+        axle.by_v + friction.by_v, axle.by_u + friction.by_u, f.sinkage_coefficient_v, p * f.sinkage_coefficient_u,
+    )  # fmt: skip
 
 
 @compiled_inline
 def moved(f, dv, du):
     """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
     return Reaction(
-        f.load,
-        f.drawbar_pull + f.dp_v * dv + f.dp_u * du,
-        f.torque + f.torque_v * dv + f.torque_u * du,
+        f.load, f.drawbar_pull + f.dp_v * dv + f.dp_u * du, f.torque + f.torque_v * dv + f.torque_u * du,
         larger(f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du, 0.0),
-        f.dp_v,
-        f.dp_u,
-        f.torque_v,
-        f.torque_u,
-        f.sinkage_coefficient_v,
-        f.sinkage_coefficient_u,
-    )
+        f.dp_v, f.dp_u, f.torque_v, f.torque_u, f.sinkage_coefficient_v, f.sinkage_coefficient_u,
+    )  # fmt: skip

@@ -2,16 +2,16 @@
 
     sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum over terms of  a  prod_g  group_g ^ p_g
 
-`discrepancy.symbolic` finds such laws; they have no name and no claim to hold outside the conditions they were found
-in, so every group is held inside the range it had there.
+`discrepancy.symbolic` finds such laws. They have no claim to hold outside the conditions they were found in, so every
+group is held inside the range it had there.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,30 +42,23 @@ class ResidualTerm(Checked):
 
     channel: Channel
     coefficient: float = quantity("")
-    powers: dict[str, Any] = None
-    ranges: dict[str, Any] = (
-        None  # group -> [low, high] of the data; outside, the group keeps the value of the nearer end
-    )
+    powers: dict[str, float] = field(default_factory=dict)
+    #: Group -> (low, high) of the data; outside, the group keeps the value of the nearer end.
+    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()})
         for name in ("powers", "ranges"):
-            given = getattr(self, name) or {}
-            for group in given:
+            for group in getattr(self, name):
                 if group not in GROUPS:
                     raise unknown_key(group, GROUPS, f"residual: {name}")
-            object.__setattr__(self, name, dict(given))
         for group, p in self.powers.items():
-            if isinstance(p, bool) or not isinstance(p, (int, float)) or not abs(p) <= 6.0:
+            if not abs(p) <= 6.0:
                 raise ParameterError(f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]")
-        for group, pair in self.ranges.items():
-            if not (
-                isinstance(pair, (list, tuple))
-                and len(pair) == 2
-                and all(isinstance(x, (int, float)) for x in pair)
-                and pair[0] <= pair[1]
-            ):
-                raise ParameterError(f"residual: ranges: {group} = {pair!r}: expected [low, high]")
+        for group, (low, high) in self.ranges.items():
+            if not low <= high:
+                raise ParameterError(f"residual: ranges: {group} = {[low, high]}: expected [low, high]")
 
     def __str__(self) -> str:
         product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())

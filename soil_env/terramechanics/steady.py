@@ -9,18 +9,9 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
+from soil_env.terramechanics import contact
 from soil_env.terramechanics.arc_integrals import integrals_alone
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    Arc,
-    Forces,
-    ShearLaw,
-    bearing_share,
-    entry_angle,
-    forces,
-    mobilised_sinkage_coefficient,
-    smooth_arc,
-)
+from soil_env.terramechanics.contact import Arc, Forces, ShearLaw, bearing_share, entry_angle, forces
 from soil_env.terramechanics.effects import NO_EFFECTS, arc_ends, drive_torque, soil_in_contact, soil_resistance
 from soil_env.terramechanics.effects.grade import weight_on_slope
 from soil_env.terramechanics.effects.grousers import at_shear_radius, blade_force, contact_radius, shear_radius_ratio
@@ -94,14 +85,6 @@ def sheared(rim, soil, fx, wheel):
 
 
 @compiled_part
-def forces_at(sinkage, S, soil, rim, travel, direction, r, b):
-    """`Forces` of a smooth wheel at a given sinkage [m] with sinkage coefficient S, contact up to the lowest point."""
-    arc = smooth_arc(sinkage, r)
-    q = integrals_alone(arc, rim, travel, soil.shear_modulus, soil.sinkage_exponent, JANOSI)
-    return forces(q, S, soil.tan_phi, soil.cohesion, r, b, direction)
-
-
-@compiled_part
 def steady_state(slip, load, soil, r, b):
     """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
     return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, 0.0)
@@ -146,7 +129,7 @@ def _misfit(x, p, wheel, fx):
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
     q = integrals_alone(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
-    s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    s = contact.mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
     if bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos and p.load / (arc.radius * b) > soil.cohesion * q.e_sin:
@@ -171,9 +154,7 @@ def _solve_balance(p, wheel, fx, guess):
     low, high = math.log(max(1e-6 * wheel.radius, 1.0001 * p.lift)), deepest
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
-    x_old = f_old = 0.0
-    w_old = Forces(0.0, 0.0, 0.0)
-    supported = False
+    x_old, f_old, w_old, supported = 0.0, 0.0, Forces(0.0, 0.0, 0.0), False
     for k in range(60):
         f, w = _misfit(x, p, wheel, fx)
         if f > 0.0:
@@ -202,11 +183,8 @@ def _solve_balance(p, wheel, fx, guess):
 @compiled_inline
 def _along(before, now, share):
     """`Forces` extrapolated beyond `now` by a share of the last change; the load stays."""
-    return Forces(
-        now.load,
-        now.drawbar_pull + share * (now.drawbar_pull - before.drawbar_pull),
-        now.torque + share * (now.torque - before.torque),
-    )
+    pull = now.drawbar_pull + share * (now.drawbar_pull - before.drawbar_pull)
+    return Forces(now.load, pull, now.torque + share * (now.torque - before.torque))
 
 
 @compiled_part
@@ -214,10 +192,10 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
 
     Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
-    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i), so z carries the load when the coefficient s(z) that the load
-    mobilises (closed form, since (1) is linear in it) is S ((z - l)/(k z))^n. The root of the difference of their
-    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess` [m] where one is
-    given. `unit_weight` [N/m3] of the soil is needed by bulldozing and blades only.
+    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the coefficient s(z) that the load
+    mobilises is S ((z - l)/(k z))^n. The root of the difference of their logarithms is found by a bracketed secant in
+    ln z, in which it is nearly straight, from `guess` [m] where one is given. `unit_weight` [N/m3] of the soil is
+    needed by bulldozing and blades only.
     """
     i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
     p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)

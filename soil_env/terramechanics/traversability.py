@@ -1,7 +1,7 @@
 """Can this wheel pass this soil? Torque required against torque available, and the slip of the best drawbar pull.
 
-The criterion of the source paper (its Section 6, Figs. 8 and 9): the ground is impassable where the torque that the
-soil takes exceeds what the motor has, or where no slip gives a positive drawbar pull in excess of the grade.
+Criterion of the source paper (its Section 6): the ground is impassable where the torque that the soil takes exceeds
+what the motor has. So it is where no slip gives a positive drawbar pull in excess of the grade.
 """
 
 from __future__ import annotations

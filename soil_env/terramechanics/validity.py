@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError, number, unknown_key
 
 #: Conditions and their units, as the columns of a measurement table.
 CONDITIONS = MappingProxyType({"slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg"})
@@ -28,11 +28,13 @@ def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, t
     for name, pair in validity.items():
         if name not in CONDITIONS:
             raise unknown_key(name, CONDITIONS, where)
-        numbers = pair if isinstance(pair, (list, tuple)) and len(pair) == 2 else ()
-        real = [x for x in numbers if isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)]
-        if len(real) != 2 or real[0] > real[1]:
+        try:
+            low, high = (number(float, x, where) for x in pair)
+        except (TypeError, ValueError):
+            low = high = math.nan
+        if not -math.inf < low <= high < math.inf:
             raise ParameterError(f"{where}.{name} = {pair!r}: expected [lowest, highest]")
-        out[name] = (float(real[0]), float(real[1]))
+        out[name] = (low, high)
     return out
 
 

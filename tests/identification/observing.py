@@ -5,14 +5,12 @@ import math
 import numpy as np
 
 from soil_env.driving.wheels import Simulation
-from soil_env.identification.online.identifier import new_outcomes, observe_rows
+from soil_env.identification.online.identifier import observe_values
 
 
 def observe(ids, wheel, reading, numbers):
     """Outcome of `reading` for the estimate of a wheel of `ids`: `HELD`, `MOVED` or `RENEWED`."""
-    outcomes = new_outcomes(1)
-    observe_rows(ids, np.array([wheel]), np.array([reading], dtype=float), numbers, outcomes)
-    return outcomes.outcome.item()
+    return observe_values(ids, wheel, np.array(reading, dtype=float), numbers)
 
 
 def numbers_of(ids):

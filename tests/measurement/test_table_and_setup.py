@@ -136,7 +136,7 @@ def test_reads_a_setup(tmp_path):
     (SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}", ["sd = 1e-300", "at least 1e-05", "plain number"]),
     (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
     (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
-    (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "needed in every table"]),
+    (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "every table needs this one"]),
     ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}", ["grouser_height = 0.2", "wheel radius 0.1 m"]),
 ])  # fmt: skip
 def test_refuses_a_bad_setup(tmp_path, text, words):

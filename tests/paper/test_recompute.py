@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, linprog
 
-from soil_env.paper import compare, model, page, printed
+from soil_env.paper import compare, model, page
 from soil_env.paper.compare import HELD, MEASURED, MODELS, PRINTED_SET, P
 from tests.terramechanics import reference
 
@@ -169,7 +169,7 @@ def test_the_peak_follows_from_the_print_alone():
         return np.append(three, compare.pull(e) - P.working_point.drawbar_pull)
 
     found = least_squares(misfit, (0.5, 0.0))
-    assert tuple(found.x) == pytest.approx(printed.WONG_REECE_PEAK, abs=0.002)
+    assert tuple(found.x) == pytest.approx(model.WONG_REECE_PEAK, abs=0.002)
     assert np.abs(found.fun).max() < 0.5
 
 

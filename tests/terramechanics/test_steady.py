@@ -9,6 +9,8 @@ from soil_env.parameters import SoilState, soils
 from soil_env.simulation.world import dynamics
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import reaction, steady
+from soil_env.terramechanics.arc_integrals import arc_integrals
+from soil_env.terramechanics.contact import entry_angle, forces
 from soil_env.terramechanics.effects import slip_sinkage_ratio
 
 R = B = 0.15
@@ -26,8 +28,13 @@ def excess(slip, load, soil, depths):
     """W - load [N] at many sinkages, with the sinkage coefficient that slip leaves."""
     k = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
     left = soil.sinkage_coefficient * k**-soil.sinkage_exponent
-    motion = motion_from_slip(slip)
-    return np.array([steady.forces_at(z, left, soil, *motion, 1.0, R, B).load - load for z in depths])
+    rim, travel = motion_from_slip(slip)
+
+    def carried(theta1):
+        q, *_ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, R)
+        return forces(q, left, soil.tan_phi, soil.cohesion, R, B, 1.0).load
+
+    return np.array([carried(entry_angle(z, R)) - load for z in depths])
 
 
 @pytest.mark.parametrize("seed", range(150))

@@ -1,10 +1,9 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At the slips `SLIPS`, a lane each, the steady sinkage z is the root of ln s(z) + n ln(ratio z_b) = ln p_b: s(z) is the
-sinkage coefficient that the load mobilises, p_b the pressure that the soil bears at the bearing sinkage z_b so far, and
+At the slips `SLIPS`, a lane each, the steady sinkage z is the root of ln s(z) + n ln(ratio z_b) = ln p_b. s(z) is the
+sinkage coefficient that the load mobilises, p_b the pressure that the soil bears at the bearing sinkage z_b so far,
 ratio that of digging (`effects.digging_ratio`). A step of Newton's method a point follows it. Friction, cohesion, K and
-stiffness err together, so that the pull is known better than any of them: its variance is that of its derivatives and
-the whole covariance. At the best slip its derivative by the slip is zero.
+stiffness err together, so the pull is known better than any of them: its variance is by the whole covariance.
 """
 
 from __future__ import annotations

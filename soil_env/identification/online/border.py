@@ -1,13 +1,14 @@
 """Borders between soils: where one is, by the grade and by the forces.
 
-Over `Belief.border` metres the ground passes from one soil to the next with the share of the new soil
-(`ground.share_of_next`), a cubic of the distance from the middle of the border. The soils of a course have a grade
-each, which passes with them, so that the grade shows a border before the forces do. `CANDIDATES` places, evenly
-over the length of a border, are tested by every reading of the pitch: with y the pitch less that of this soil so far, w
-the share of the new soil if the border were there, d = N(0, t^2) the unknown rise and v the variance of a reading, the
-likelihood of a border over that of none is (Bayesian linear regression)
+Over `Belief.border` metres the ground passes from one soil to the next (`ground.share_of_next`). The soils of a course
+have a grade each, which passes with them, so that the grade shows a border before the forces do. Every reading of the
+pitch tests `CANDIDATES` places, evenly over the length of a border. The likelihood of a border over that of none is
+(Bayesian linear regression)
 
-    (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y.
+    (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y
+
+with y the pitch less that of this soil so far and w the share of the new soil if the border were there. t is the sd of
+the unknown rise, v the variance of a reading.
 
 Once one is likely enough, the wheel comes to a border, whose place and rise are the means over all places by their
 likelihoods, renewed with every point.
@@ -110,8 +111,8 @@ def _likelihoods(found, i, v, ratio):
 
 @compiled_part
 def _locate(banks, k, numbers):
-    """(ln of the evidence of a border over none, mean [m] and variance [m2] of its place, rise of the grade [rad], mean
-    and mean square of the share of its new soil here)."""
+    """(ln evidence of a border over none, mean [m] and variance [m2] of its place, rise [rad] of the grade, mean and
+    mean square of the new soil's share here)."""
     p, found = banks.point, banks.candidates[k]
     v = _variance_of_pitch(p, k, numbers)
     ratio = v / (numbers.grade_change * numbers.grade_change)

@@ -57,14 +57,9 @@ def memory_numbers(scenario: Scenario) -> MemoryNumbers:
 
 def new_memory(wheels: int, classes: int) -> ClassMemory:
     """Empty memory; `forget_classes` sets one to the prior."""
-    return ClassMemory(
-        np.zeros((wheels, classes, UNKNOWNS)),
-        np.zeros((wheels, classes, UNKNOWNS)),
-        np.zeros((wheels, classes), dtype=np.int64),
-        np.full(wheels, -1),
-        np.zeros((wheels, UNKNOWNS)),
-        np.zeros((wheels, UNKNOWNS)),
-    )
+    estimate, sd = np.zeros((2, wheels, classes, UNKNOWNS))
+    mean, precision = np.zeros((2, wheels, UNKNOWNS))
+    return ClassMemory(estimate, sd, np.zeros((wheels, classes), np.int64), np.full(wheels, -1), mean, precision)
 
 
 @compiled_part

@@ -1,8 +1,8 @@
 """Drawbar pull, torque and mobilised sinkage coefficient at a slip and a sinkage, with their derivatives by the soil.
 
-The load is known, so by Eq. (1) it mobilises the sinkage coefficient s at a given sinkage
-(`contact.mobilised_sinkage_coefficient`), and pull and torque follow from s: they do not depend on the sinkage
-coefficient S of the soil, which shows in how the sinkage changes only (`sinkage_filter`).
+At a given sinkage the known load mobilises the sinkage coefficient s (`contact.mobilised_sinkage_coefficient`), from
+which pull and torque follow. They do not depend on the sinkage coefficient S of the soil: only the change of the
+sinkage shows it (`sinkage_filter`).
 """
 
 from __future__ import annotations
@@ -13,20 +13,9 @@ from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import exp, half_sin_cos, larger, log
 from soil_env._numba.rows import scratch_rows
 from soil_env.slip import motion_from_slip, travel_rate
-from soil_env.terramechanics.arc_integrals import (
-    NODE_COLUMNS,
-    Nodes,
-    shear_modulus_rates,
-    smooth_integrals,
-    store_nodes,
-)
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    forces,
-    mobilised_sinkage_coefficient,
-    shear_forces,
-    smooth_arc,
-)
+from soil_env.terramechanics import arc_integrals
+from soil_env.terramechanics.arc_integrals import NODE_COLUMNS, Nodes, smooth_integrals, store_nodes
+from soil_env.terramechanics.contact import JANOSI, forces, mobilised_sinkage_coefficient, shear_forces, smooth_arc
 
 _LEAST_RISE = 1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)
@@ -81,7 +70,7 @@ def reaction(soil, sinkage, slip, load, r, b):
     none = 0.0 * c
     of_s = forces(q, none + 1.0, tan_phi, none, r, b, 1.0)
     st, rate = s * tan_phi, travel_rate(travel)
-    by_K = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
+    by_K = arc_integrals.shear_modulus_rates(by_rim, by_travel, rim, travel, K)
     tangent = _slope(shear_forces(q, s, none, r, b, 1.0), of_s, s)
     cohesion = _slope(shear_forces(q, none, none + 1.0, r, b, 1.0), of_s, s)
     exponent = _slope(forces(by_n, s, tan_phi, none, r, b, 1.0), of_s, s)

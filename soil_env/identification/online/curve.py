@@ -1,13 +1,11 @@
 """Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and sinkage.
 
-Readings are averaged to points first, over times in which little changes. Points of like slip and sinkage
-are averaged into one bin of the curve. A bin of many readings has little noise left in its slip, so a fit to the bins
-does not take that noise for excitation: a filter that takes each noisy slip as new is drawn to a low K and a low
-friction angle, and is sure of both (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
+Readings are averaged to points, points of like slip and sinkage to bins of the curve. A bin has little noise left in
+its slip, so a fit does not take that noise for excitation. A filter that takes each noisy slip as new is drawn to a low
+K and friction angle (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
 
-Points are grouped by the most likely slip, by slip, pull and torque together under the soil so far, which hardly
-depends on the noise in slip: groups by the slip reading itself would select its noise (Wald 1940, Annals of
-Mathematical Statistics 11:284-300).
+Points are grouped by the most likely slip under the soil so far, by slip, pull and torque together. Groups by the slip
+reading itself would select its noise (Wald 1940, Annals of Mathematical Statistics 11:284-300).
 """
 
 from __future__ import annotations
@@ -32,27 +30,18 @@ new_point = _new  # scratch for a point that is not in a curve yet
 
 
 @compiled_inline
-def _weighted(bins, a, b, value, weight):
-    """The mean of a quantity over two bins, into the first."""
-    w = bins[a + weight] + bins[b + weight]
-    if w > 0.0:
-        bins[a + value] = (bins[a + value] * bins[a + weight] + bins[b + value] * bins[b + weight]) / w
-    bins[a + weight] = w
-
-
-@compiled_inline
 def _merge(bins, a, b):
     """Average bin b into bin a; both are offsets."""
-    _weighted(bins, a, b, SLIP, SLIP_WEIGHT)
-    _weighted(bins, a, b, SINKAGE, SINKAGE_WEIGHT)
-    _weighted(bins, a, b, PULL, PULL_WEIGHT)
-    _weighted(bins, a, b, TORQUE, TORQUE_WEIGHT)
+    for i in range(SLIP, LOAD, 2):  # a mean beside its weight
+        w = bins[a + i + 1] + bins[b + i + 1]
+        if w > 0.0:
+            bins[a + i] = (bins[a + i] * bins[a + i + 1] + bins[b + i] * bins[b + i + 1]) / w
+        bins[a + i + 1] = w
     m, n, x, y = bins[a + READINGS], bins[b + READINGS], bins[a + PLACE], bins[b + PLACE]
     share = n / (m + n)
     middle = x + share * (y - x)
-    square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2) + share * (
-        bins[b + SPREAD] ** 2 + (y - middle) ** 2
-    )
+    square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2)
+    square += share * (bins[b + SPREAD] ** 2 + (y - middle) ** 2)
     bins[a + LOAD] += share * (bins[b + LOAD] - bins[a + LOAD])
     bins[a + KEY] += share * (bins[b + KEY] - bins[a + KEY])
     bins[a + PLACE], bins[a + SPREAD], bins[a + READINGS] = middle, math.sqrt(square), m + n

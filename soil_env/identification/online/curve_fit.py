@@ -1,10 +1,9 @@
 """Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side by side.
 
 Slip and sinkage of a bin are measured too (errors in variables). Linearised, their errors add to those of pull and
-torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. The ln of the determinant of
-that sum counts by a quarter: without it the slips of the bins are estimated beside the soil (profile likelihood), with
-all of it they are as probable anywhere, and low slopes are preferred by as much as there are bins (Neyman & Scott 1948,
-Econometrica 16:1-32).
+torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. A quarter of the ln of the
+determinant of that sum counts. Without it the slips of the bins are estimated beside the soil (profile likelihood). All
+of it prefers low slopes, the more so the more bins there are (Neyman & Scott 1948, Econometrica 16:1-32).
 
 Each node has a maximum a posteriori with a covariance (Laplace); the posterior is their mixture, weighted by the
 evidence. A bin is linearised at the slip that is most likely under the node.
@@ -17,31 +16,9 @@ import math
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
-from soil_env.identification.online import curve
+from soil_env.identification.online import curve, soil_nodes
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
-from soil_env.identification.online.soil_nodes import (
-    BORDER_PLACE,
-    COHESION,
-    COST,
-    COVARIANCE,
-    EXPONENT,
-    LN_K,
-    LOG_PRIOR,
-    LOG_WEIGHT,
-    OLD,
-    PRECISION,
-    PRIOR_MEAN,
-    SAME_SOIL,
-    SOIL,
-    TANGENT,
-    TRIANGLE,
-    UNKNOWNS,
-    begin_again,
-    below_diagonal,
-    gather,
-    set_priors,
-    spread_anew,
-)
+from soil_env.identification.online.soil_nodes import OLD, SOIL, TRIANGLE, UNKNOWNS, below_diagonal
 from soil_env.terramechanics.ground import share_of_next
 
 # Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and torque as affine
@@ -90,14 +67,17 @@ def linearise(banks, k, b, numbers):
     """Linearise bin b of wheel k at the unknowns of its nodes."""
     nodes, bins, at = banks.nodes[k], banks.bins[k], b * curve.FIELDS
     fits, f = banks.fits[k], b * FIT_ROWS * COUNT
-    tangent, cohesion = from_array(nodes, TANGENT * COUNT), from_array(nodes, COHESION * COUNT)
-    exponent, ln_K = from_array(nodes, EXPONENT * COUNT), from_array(nodes, LN_K * COUNT)
+    tangent, cohesion = from_array(nodes, soil_nodes.TANGENT * COUNT), from_array(nodes, soil_nodes.COHESION * COUNT)
+    exponent, ln_K = from_array(nodes, soil_nodes.EXPONENT * COUNT), from_array(nodes, soil_nodes.LN_K * COUNT)
     w, by_place, slip = fill(1.0), fill(0.0), from_array(fits, f + NEXT_SLIP * COUNT)
     known, soil = banks.known[k], GroundSoil(tangent, cohesion, exponent, ln_K)
     on_border = bins[at + curve.ON_BORDER] > 0.0
     away = GroundSoil(tangent - known[OLD], cohesion - known[OLD + 1], exponent - known[OLD + 2], ln_K - known[OLD + 3])
     if on_border:
-        place, same = from_array(nodes, BORDER_PLACE * COUNT), from_array(nodes, SAME_SOIL * COUNT)
+        place, same = (
+            from_array(nodes, soil_nodes.BORDER_PLACE * COUNT),
+            from_array(nodes, soil_nodes.SAME_SOIL * COUNT),
+        )
         w, by_place = share_on_border(fill(bins[at + curve.PLACE]), bins[at + curve.SPREAD], place, numbers.border)
         w, by_place = larger(w, same), (1.0 - same) * by_place
         v = 1.0 - w
@@ -167,13 +147,13 @@ def solve(banks, k, numbers):
     place, form_error = banks.point.border[k], banks.point.form_error[k]
     of_place = 1.0 / max(banks.point.border_variance[k], 1e-8)
     for i in range(3):
-        to_array(from_array(nodes, i * COUNT) - from_array(nodes, (PRIOR_MEAN + i) * COUNT), away, i * COUNT)
-    to_array(from_array(nodes, BORDER_PLACE * COUNT) - place, away, 3 * COUNT)
+        to_array(from_array(nodes, i * COUNT) - from_array(nodes, (soil_nodes.PRIOR_MEAN + i) * COUNT), away, i * COUNT)
+    to_array(from_array(nodes, soil_nodes.BORDER_PLACE * COUNT) - place, away, 3 * COUNT)
     for i in range(3):
         v = fill(0.0)
         for j in range(3):
             n = below_diagonal(max(i, j), min(i, j))
-            p = from_array(nodes, (PRECISION + n) * COUNT)
+            p = from_array(nodes, (soil_nodes.PRECISION + n) * COUNT)
             if j <= i:
                 to_array(p, A, n * COUNT)
             v = fma(p, from_array(away, j * COUNT), v)
@@ -267,20 +247,20 @@ def _step(banks, k, A, g, cost, volume, numbers):
     """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
     nodes, L, step = banks.nodes[k], _matrix2(), _vector()
     log_det = _factor(A, L)
-    _inverse(L, nodes, COVARIANCE)
+    _inverse(L, nodes, soil_nodes.COVARIANCE)
     gain = fill(0.0)
     for i in range(UNKNOWNS):
         v = fill(0.0)
         for j in range(UNKNOWNS):
             n = below_diagonal(max(i, j), min(i, j))
-            v = fma(from_array(nodes, (COVARIANCE + n) * COUNT), from_array(g, j * COUNT), v)
+            v = fma(from_array(nodes, (soil_nodes.COVARIANCE + n) * COUNT), from_array(g, j * COUNT), v)
         to_array(v, step, i * COUNT)
         gain = fma(v, from_array(g, i * COUNT), gain)
-    tangent, exponent = from_array(nodes, TANGENT * COUNT), from_array(nodes, EXPONENT * COUNT)
-    d_tangent, d_exponent = from_array(step, TANGENT * COUNT), from_array(step, EXPONENT * COUNT)
+    tangent, exponent = from_array(nodes, soil_nodes.TANGENT * COUNT), from_array(nodes, soil_nodes.EXPONENT * COUNT)
+    d_tangent, d_exponent = from_array(step, soil_nodes.TANGENT * COUNT), from_array(step, soil_nodes.EXPONENT * COUNT)
     longest = _STEP_COHESION * banks.bins[k, curve.LOAD] / (numbers.radius * numbers.width)
     share = _within(fill(1.0), d_tangent, _STEP_TANGENT)
-    share = _within(share, from_array(step, COHESION * COUNT), longest)
+    share = _within(share, from_array(step, soil_nodes.COHESION * COUNT), longest)
     share = _within(share, d_exponent, _STEP_EXPONENT)
     share = _above(share, tangent - _LEAST_TANGENT, -1.0 * d_tangent)
     share = _above(share, exponent - _LEAST_EXPONENT, -1.0 * d_exponent)
@@ -288,12 +268,12 @@ def _step(banks, k, A, g, cost, volume, numbers):
     for i in range(UNKNOWNS):
         to_array(fma(share, from_array(step, i * COUNT), from_array(nodes, i * COUNT)), nodes, i * COUNT)
     cost = cost - share * (2.0 - share) * gain
-    to_array(cost, nodes, COST * COUNT)
-    weight = from_array(nodes, LOG_PRIOR * COUNT) - 0.5 * (cost + volume + log_det)
+    to_array(cost, nodes, soil_nodes.COST * COUNT)
+    weight = from_array(nodes, soil_nodes.LOG_PRIOR * COUNT) - 0.5 * (cost + volume + log_det)
     highest = -smallest(-1.0 * weight)
     weight = larger(weight - highest, -700.0)
     weight = weight - math.log(total(exp(weight)))
-    to_array(weight, nodes, LOG_WEIGHT * COUNT)
+    to_array(weight, nodes, soil_nodes.LOG_WEIGHT * COUNT)
     return -smallest(where_less(weight, _UNLIKELY, 0.0 * gain, -1.0 * gain))
 
 
@@ -327,7 +307,7 @@ def fit(banks, k, changed, replaced, numbers):
     These and one other are linearised anew; all where much has changed.
     """
     p = banks.point
-    set_priors(banks, k)
+    soil_nodes.set_priors(banks, k)
     if p.points[k] <= _FEW:
         _linearise_all(banks, k, numbers)
     else:
@@ -341,8 +321,8 @@ def fit(banks, k, changed, replaced, numbers):
     if solve(banks, k, numbers) > _STALE:
         _linearise_all(banks, k, numbers)
         solve(banks, k, numbers)
-    misfit = gather(banks, k)
-    if banks.nodes[k, SAME_SOIL * COUNT + COUNT - 1] == 0.0 and spread_anew(banks, k):
+    misfit = soil_nodes.gather(banks, k)
+    if banks.nodes[k, soil_nodes.SAME_SOIL * COUNT + COUNT - 1] == 0.0 and soil_nodes.spread_anew(banks, k):
         misfit = fit_anew(banks, k, numbers)
     return misfit
 
@@ -350,21 +330,21 @@ def fit(banks, k, changed, replaced, numbers):
 @compiled_inline
 def fit_anew(banks, k, numbers):
     """Fit nodes that have moved; the least chi-squared."""
-    set_priors(banks, k)
+    soil_nodes.set_priors(banks, k)
     _linearise_all(banks, k, numbers)
     solve(banks, k, numbers)
-    return gather(banks, k)
+    return soil_nodes.gather(banks, k)
 
 
 @compiled_part
 def fit_behind_border(banks, k, numbers):
     """Fit the nodes, which have all moved, until they stay where they are."""
-    set_priors(banks, k)
+    soil_nodes.set_priors(banks, k)
     for _ in range(_MOST_STEPS):
         _linearise_all(banks, k, numbers)
         if solve(banks, k, numbers) < _STAYS_THERE:
             break
-    gather(banks, k)
+    soil_nodes.gather(banks, k)
 
 
 @compiled_part
@@ -377,5 +357,5 @@ def drop_border(banks, k):
                 bins[kept * curve.FIELDS + i] = bins[b * curve.FIELDS + i]
             begin_bin(banks, k, kept, fits[(b * FIT_ROWS + NEXT_SLIP) * COUNT])
             kept += 1
-    begin_again(banks, k)
+    soil_nodes.begin_again(banks, k)
     p.bins[k], p.points[k] = kept, min(p.points[k], _FEW - 1.0)

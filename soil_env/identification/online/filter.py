@@ -1,15 +1,12 @@
 """The filter of the online identifier: the soil under a wheel by its readings, one set after the other.
 
 Readings are averaged to points, over times in which little changes; a quantity of two sensors is their mean by
-precision. The forces of the points are gathered as a traction curve (`curve`), to which friction angle, cohesion,
-exponent and shear deformation modulus are fitted (`curve_fit`, `soil_nodes`). Sinkage coefficient and gain of digging
-follow from how the sinkage changes (`sinkage_filter`). Where the grade changes, or the forces of a few points are less
-likely than the errors allow, the wheel comes to another soil (`border`).
+precision. Where the grade changes, or the forces of a few points are less likely than the errors allow, the wheel comes
+to another soil (`border`).
 
-The laws of the forces are those of a wheel in steady motion. Readings at which the wheel does not move so are passed
-over: nearly at rest, locked, spinning on the spot, or turned faster or slower by more than a share of gravity. Where
-even the others contradict the laws, these have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R.
-Stat. Soc. B 63:425-464).
+The laws of the forces are those of a wheel in steady motion. Readings of a wheel that is nearly at rest, locked,
+spinning on the spot or turned much faster or slower are passed over. Where even the others contradict the laws, these
+have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464).
 """
 
 from __future__ import annotations
@@ -21,15 +18,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env._numba.rows import zero_column
-from soil_env.identification.online import curve
-from soil_env.identification.online.border import (
-    cross_here,
-    cross_where_the_grade_changes,
-    end,
-    follow_border,
-    note_grade,
-    share_here,
-)
+from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import fetch_bank, restart
@@ -171,7 +160,7 @@ def take(banks, k, reading, numbers):
         fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
-        note_grade(banks, k, reading.pitch, numbers)
+        border.note_grade(banks, k, reading.pitch, numbers)
     steady = _is_steady(p, k, reading, turned, numbers)
     if o.readings[k] > 0.0 and (not steady or _ends_point(o, k, reading, p.crossing[k] > 0.0, numbers)):
         _complete(banks, k, numbers)
@@ -255,7 +244,7 @@ def _doubt_soil_or_laws(banks, k, numbers):
     if p.misfit[k] <= _ANOTHER_SOIL or p.points[k] <= 2.0 or p.crossing[k] > 0.0:
         return
     if p.points[k] > _short(numbers):
-        cross_here(banks, k, numbers)
+        border.cross_here(banks, k, numbers)
     elif p.misfit[k] > CONTRADICTION_OF_POINTS:
         p.misfit[k], p.flagged[k] = 0.0, 1.0
         p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
@@ -272,12 +261,12 @@ def _complete(banks, k, numbers):
         start(banks, k, point.sinkage, min(1e2 * point.sinkage_variance, unsure * unsure))
     if p.crossing[k] == 0.0:
         if numbers.grade_change > 0.0 and p.points[k] > 0.0:
-            cross_where_the_grade_changes(banks, k, numbers)
+            border.cross_where_the_grade_changes(banks, k, numbers)
         _doubt_soil_or_laws(banks, k, numbers)
     else:
-        follow_border(banks, k, numbers)
+        border.follow_border(banks, k, numbers)
         if first > p.border[k] + 0.5 * numbers.border:
-            end(banks, k, numbers)
+            border.end(banks, k, numbers)
     _renew(banks, k, point, load, numbers)
     if not fit_is_sound(banks, k):  # readings that no wheel gives
         restart(banks, k, numbers)
@@ -406,7 +395,7 @@ def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numb
 def _renew(banks, k, point, load, numbers):
     """Renew soil and sinkage of wheel k by a point."""
     p, s, rows, least = banks.point, banks.sinkage[k], _slopes(), 2e-3 * numbers.radius
-    share, by_place = share_here(banks, k, point.place, point.spread, numbers)
+    share, by_place = border.share_here(banks, k, point.place, point.spread, numbers)
     soil, before = ground_of(banks, k, share), max(mean(s, DEPTH), least)
     of_s = _predict_forces(banks, k, soil, before, point, load, rows, numbers)
     ground = Ground(of_s.value, before, of_s.by_sinkage * before, soil.exponent, share, by_place, p.border_variance[k])

@@ -37,22 +37,6 @@ class Identifiers(NamedTuple):
     borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 
 
-class Outcomes(NamedTuple):
-    """Outcome of each of T sets of readings, and the estimate after it."""
-
-    outcome: np.ndarray  # [T] `HELD`, `MOVED` or `RENEWED`
-    estimate: np.ndarray  # [T, 5] as in `Identifiers`
-    sd: np.ndarray  # [T, 5]
-    status: np.ndarray  # [T] `Status`
-    best_pull: np.ndarray  # [T, 2]
-
-
-def new_outcomes(count: int) -> Outcomes:
-    """Empty `Outcomes` for `observe_rows` with `count` sets of readings."""
-    whole = np.zeros((2, count), dtype=np.int64)
-    return Outcomes(whole[0], np.zeros((count, 5)), np.zeros((count, 5)), whole[1], np.zeros((count, 2)))
-
-
 class IdentifierNumbers(NamedTuple):
     """Numbers of a `Scenario` that the identifier needs."""
 
@@ -81,15 +65,10 @@ def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
 
 def new_identifiers(wheels: int) -> Identifiers:
     """Empty identifiers; `forget` sets one to the prior."""
-    return Identifiers(
-        np.zeros((wheels, SIZE)),
-        np.zeros((wheels, SIZE)),
-        np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, SIZE, SIZE)),
-        np.zeros((wheels, 2)),
-        new_banks(wheels),
-        np.zeros(wheels, dtype=np.int64),
-    )
+    estimate, sd = np.zeros((2, wheels, SIZE))
+    status, borders = np.zeros((2, wheels), dtype=np.int64)
+    covariance, pull = np.zeros((wheels, SIZE, SIZE)), np.zeros((wheels, 2))
+    return Identifiers(estimate, sd, status, covariance, pull, new_banks(wheels), borders)
 
 
 @compiled_part
@@ -140,19 +119,7 @@ def observe(ids, k, reading, numbers):
 
 
 @compiled_root(nogil=True)
-def observe_rows(
-    ids: Identifiers,
-    wheels: np.ndarray,
-    readings: np.ndarray,
-    numbers: IdentifierNumbers,
-    outcomes: Outcomes,
-) -> None:
-    """`observe` of `readings` [T, 10], in the order of `SensorReading`; row t is of wheel `wheels[t]`."""
-    for t in range(wheels.size):
-        k, r = wheels[t], readings[t]
-        reading = SensorReading(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9])
-        outcomes.outcome[t] = observe(ids, k, reading, numbers)
-        for i in range(outcomes.estimate.shape[1]):
-            outcomes.estimate[t, i], outcomes.sd[t, i] = ids.estimate[k, i], ids.sd[k, i]
-        outcomes.status[t] = ids.status[k]
-        outcomes.best_pull[t, 0], outcomes.best_pull[t, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]
+def observe_values(ids: Identifiers, k: int, values: np.ndarray, numbers: IdentifierNumbers) -> int:
+    """`observe` of the `values` [10] of a `SensorReading`."""
+    v = values
+    return observe(ids, k, SensorReading(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9]), numbers)

@@ -1,17 +1,15 @@
 """Probability that a wheel will be immobilised within seconds, from its last readings and the soil as identified.
 
-A wheel is *immobilised* from the moment on which it makes no more progress: the last at which it got further than ever
-before at the least mean speed that the task asks for. The task declares it up to ten seconds later. Seconds are of
-driving: halts do not count.
+A wheel is *immobilised* after the last moment at which it got further at the least mean speed that the task asks for.
+The task declares it up to ten seconds later. Seconds are of driving: halts do not count.
 
-A small network reads moving averages of ten sensor channels over four time constants, the time since the last halt,
-eight numbers of the estimate, and with a camera twelve of the ground ahead (`View`; zeros without a camera). All are
-without dimension: forces by the measured load, lengths by the radius, speeds in radii a second. So one set of weights
-serves any wheel. The network was trained on simulated drives; weights and training are in immobilisation.json. Its two
-outputs are hazards, of the first of `HORIZONS` and of the time from there to the second, so that the probability of
-the longer one is never the lower. True soil and action are not used.
+A small network reads moving averages of the sensor `Channels`, the time since the last halt, the estimate of the soil
+and the `View` of the ground ahead, but neither the true soil nor the action. All are without dimension: forces by the
+measured load, lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was
+trained on simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of
+`HORIZONS` and of the time from there to the second: the longer one is never the less probable.
 
-The network is compiled: numpy would take 25 us a wheel, half the time of a step with full `info`.
+It is compiled: numpy takes several times as long for one wheel, which would slow each step with full `info`.
 """
 
 from __future__ import annotations
@@ -210,19 +208,16 @@ def _write_inputs(recent, x, sd, numbers, out):
 
 
 @compiled_inline
-def _layer(x, weights, bias, out):
-    """`out` = x weights + bias."""
+def _layer(x, weights, bias, squashed, out):
+    """`out` = x weights + bias, or tanh of it."""
     for j in range(out.size):
         out[j] = bias[j]
     for i in range(x.size):
         for j in range(out.size):
             out[j] += x[i] * weights[i, j]
-
-
-@compiled_inline
-def _squash(x):
-    for i in range(x.size):
-        x[i] = math.tanh(x[i])
+    if squashed:
+        for j in range(out.size):
+            out[j] = math.tanh(out[j])
 
 
 @compiled_root(nogil=True)
@@ -235,11 +230,9 @@ def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
         _write_inputs(recent[k], estimate[k], sd[k], numbers, inputs[n])
         for i in range(x.size):
             x[i] = min(max((inputs[n, i] - net.mean[i]) * net.scale[i], -LARGEST), LARGEST)
-        _layer(x, net.first, net.first_bias, first)
-        _squash(first)
-        _layer(first, net.second, net.second_bias, second)
-        _squash(second)
-        _layer(second, net.last, net.last_bias, out[n])
+        _layer(x, net.first, net.first_bias, True, first)
+        _layer(first, net.second, net.second_bias, True, second)
+        _layer(second, net.last, net.last_bias, False, out[n])
         early, late = 1.0 / (1.0 + math.exp(-out[n, 0])), 1.0 / (1.0 + math.exp(-out[n, 1]))
         out[n, 0], out[n, 1] = early, early + (1.0 - early) * late
 
@@ -275,18 +268,19 @@ class ImmobilisationWarning:
         self._assess = FastCall(_assess)
         self._hidden = np.zeros(self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size)
 
-    def assess(
-        self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n] int64."""
+    def assess(self, rows: np.ndarray, *known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n] int64.
+
+        `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 5].
+        """
         inputs, out = np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
-        self._assess(rows, recent, estimate, sd, self.numbers, self._net, inputs, self._hidden, out)
+        self._assess(rows, *known, self.numbers, self._net, inputs, self._hidden, out)
         return inputs, out
 
-    def inputs(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
-        """`INPUTS` [n, inputs] of the wheels `rows` [n] int64."""
-        return self.assess(rows, recent, estimate, sd)[0]
+    def inputs(self, rows: np.ndarray, *known: np.ndarray) -> np.ndarray:
+        """`INPUTS` of `assess`."""
+        return self.assess(rows, *known)[0]
 
-    def probabilities(self, rows: np.ndarray, recent: np.ndarray, estimate: np.ndarray, sd: np.ndarray) -> np.ndarray:
-        """Probabilities [n, 2] of the wheels `rows` [n] int64."""
-        return self.assess(rows, recent, estimate, sd)[1]
+    def probabilities(self, rows: np.ndarray, *known: np.ndarray) -> np.ndarray:
+        """Probabilities of `assess`."""
+        return self.assess(rows, *known)[1]

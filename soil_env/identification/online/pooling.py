@@ -27,20 +27,10 @@ import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT, scratch
+from soil_env.identification.online import stretches
 from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.status import Status
-from soil_env.identification.online.stretches import (
-    AT_START,
-    BELIEF,
-    COHESION,
-    LAG,
-    SHARED,
-    UNKNOWNS,
-    WHICH,
-    copy_belief,
-    hand_over_border,
-    take_own,
-)
+from soil_env.identification.online.stretches import BELIEF, COHESION, LAG, SHARED, UNKNOWNS, WHICH, copy_belief
 from soil_env.terramechanics.ground import share_of_next
 
 _FAR = 1e6  # [m]
@@ -60,7 +50,7 @@ _posterior, _product = scratch(UNKNOWNS * UNKNOWNS), scratch(UNKNOWNS)
 @compiled_inline
 def _soil_at(pools, first, x):
     """From where to where [m] the ground is of the soil at x [m], by the borders that wheel `first` has found."""
-    low = AT_START
+    low = stretches.AT_START
     for s in range(pools.left[first]):
         if x < pools.ends[first, s]:
             return low, pools.ends[first, s]
@@ -222,7 +212,7 @@ def _disagreement(mean, P, belief, both):
 @compiled_part
 def pool(pools, ids, k, first, axles, numbers):
     """Renew what is pooled of the ground under wheel k of a rover whose front wheel is in row `first`."""
-    take_own(pools, ids, k)
+    stretches.take_own(pools, ids, k)
     if ids.status[k] == _NO_DATA:
         return
     mean, P, ground, gain, prior = pools.estimate[k], _posterior(), _ground(), _gain(), _prior()
@@ -267,7 +257,7 @@ def share(pools, ids, first, axles, outcome, numbers, identifier):
     if outcome == HELD:
         return
     for a in range(1, axles):
-        hand_over_border(pools, ids, first + a * COUNT, first, numbers, identifier)
+        stretches.hand_over_border(pools, ids, first + a * COUNT, first, numbers, identifier)
     for a in range(axles):
         if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
             pool(pools, ids, first + a * COUNT, first, axles, numbers)

@@ -1,12 +1,11 @@
 """Filter of the sinkage and of the two parameters of the soil that show in it: a bank of extended Kalman filters.
 
-States, each a value a lane: (z, y, l), on a border the old soil's (y, l) behind them: sinkage [m]; ln of the pressure
-[Pa] under which undisturbed soil lets the wheel `depth` deep, which is S depth^n; ln of the gain of digging over the
-nominal one. Between two points the sinkage follows the exact solution of its law (`effects.excavation_rate`); that it
-comes up to the bearing sinkage at once where it is less is taken in the mean over the uncertainty of both (statistical
-linearisation: Gelb 1974, Applied Optimal Estimation, Sec. 6.2). Pressure and gain hide each other along a curved ridge,
-therefore the prior of the gain is split among the filters of the bank (Gaussian sum: Alspach & Sorenson 1972, IEEE
-Trans. Automatic Control 17:439-448).
+States, each a value a lane, are (z, y, l), on a border with the old soil's (y, l) behind them. z is the sinkage [m]; y
+the ln of S depth^n [Pa], which lets the wheel `depth` deep; l the ln of the gain of digging over the nominal one.
+Between two points the sinkage follows the exact solution of its law (`effects.excavation_rate`). Where it is less than
+the bearing sinkage it comes up at once, in the mean over the uncertainty of both (statistical linearisation: Gelb 1974,
+Applied Optimal Estimation, Sec. 6.2). Pressure and gain hide each other along a curved ridge, so the prior of the gain
+is split among the filters (Gaussian sum: Alspach & Sorenson 1972, IEEE Trans. Automatic Control 17:439-448).
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ _LAG = 0.5  # share of the change in bearing sinkage since the last point that h
 _LEAST_MOVE, _MOVE, _JOLT, _CHANGE, _MISPLACED = 0.02, 0.1, 0.9, 0.5, 2.0
 _SPREAD = 0.9984  # variance by which they are weighed, so that all have that of the prior together
 _LARGEST_GAIN = 3.0  # |ln| of it
+_moments = scratch(16)
 _row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(STATES * COUNT)
 
 
@@ -109,20 +109,16 @@ def spread(s, i, j):
 @compiled_part
 def begin_next_sinkage(banks, k, numbers):
     """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
-    s = banks.sinkage[k]
-    z, y, g = mean(s, DEPTH), mean(s, PRESSURE), mean(s, GAIN)
-    zz, zy, zg = spread(s, DEPTH, DEPTH), spread(s, DEPTH, PRESSURE), spread(s, DEPTH, GAIN)
-    yy, yg, gg = spread(s, PRESSURE, PRESSURE), spread(s, PRESSURE, GAIN), spread(s, GAIN, GAIN)
+    s, before, becomes = banks.sinkage[k], _moments(), (DEPTH, OLD_PRESSURE, OLD_GAIN)
+    for i in range(HERE):
+        before[i] = mean(s, i)
+        for j in range(i + 1):
+            before[HERE * (i + 1) + j] = spread(s, j, i)
     new_soil(banks, k, numbers)
-    to_array(fill(z), s, DEPTH * COUNT)
-    to_array(fill(y), s, OLD_PRESSURE * COUNT)
-    to_array(fill(g), s, OLD_GAIN * COUNT)
-    to_array(fill(zz), s, cell(DEPTH, DEPTH))
-    to_array(fill(zy), s, cell(OLD_PRESSURE, DEPTH))
-    to_array(fill(zg), s, cell(OLD_GAIN, DEPTH))
-    to_array(fill(yy), s, cell(OLD_PRESSURE, OLD_PRESSURE))
-    to_array(fill(yg), s, cell(OLD_GAIN, OLD_PRESSURE))
-    to_array(fill(gg), s, cell(OLD_GAIN, OLD_GAIN))
+    for i in range(HERE):
+        to_array(fill(before[i]), s, becomes[i] * COUNT)
+        for j in range(i + 1):
+            to_array(fill(before[HERE * (i + 1) + j]), s, cell(becomes[i], becomes[j]))
 
 
 @compiled_part

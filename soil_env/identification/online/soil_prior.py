@@ -1,8 +1,7 @@
 """Prior of the filter: a Gaussian of the soil, that of the belief itself or the moments of its library of soils.
 
-Unknowns are (tan phi, cohesion, exponent n, ln K), which the forces show, and (y, l), which the sinkage shows: ln of
-the pressure S depth^n under which undisturbed soil lets the wheel `depth` deep, and ln of the gain of digging over the
-nominal one. Soils are compared by that pressure, since the unit of S depends on n.
+The forces show (tan phi, cohesion, exponent n, ln K), the sinkage shows (y, l): ln of the pressure S depth^n and of the
+gain of digging over the nominal one. Soils are compared by that pressure, since the unit of S depends on n.
 """
 
 from __future__ import annotations

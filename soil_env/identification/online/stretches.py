@@ -15,7 +15,7 @@ import numpy as np
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.online.border import begin_known_border
-from soil_env.identification.online.identifier import RENEWED, IdentifierNumbers, identifier_numbers
+from soil_env.identification.online.identifier import RENEWED, identifier_numbers
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
@@ -69,26 +69,17 @@ class PoolNumbers(NamedTuple):
 
 def new_pools(wheels: int) -> Pools:
     """Empty memory; `forget_stretches` sets one wheel to the prior."""
-    return Pools(
-        np.zeros((wheels, UNKNOWNS)),
-        np.zeros((wheels, UNKNOWNS)),
-        np.zeros((wheels, 2)),
-        np.zeros(wheels, dtype=np.int64),
-        np.zeros(wheels),
-        np.full(wheels, AT_START),
-        np.zeros(wheels),
-        np.zeros(wheels),
-        np.zeros((wheels, LAG, BELIEF)),
-        np.zeros(wheels, dtype=np.int64),
-        np.zeros((wheels, STRETCHES)),
-        np.zeros((wheels, STRETCHES)),
-        np.zeros((wheels, STRETCHES, BELIEF)),
-    )
+    (estimate, sd), (begins, ends) = np.zeros((2, wheels, UNKNOWNS)), np.zeros((2, wheels, STRETCHES))
+    status, left = np.zeros((2, wheels), dtype=np.int64)
+    place, crossing, points = np.zeros((3, wheels))
+    last, belief = np.zeros((wheels, LAG, BELIEF)), np.zeros((wheels, STRETCHES, BELIEF))
+    start, pull = np.full(wheels, AT_START), np.zeros((wheels, 2))
+    return Pools(estimate, sd, pull, status, place, start, crossing, points, last, left, begins, ends, belief)
 
 
 def pool_numbers(scenario: Scenario) -> PoolNumbers:
     """Pack what `share` needs."""
-    numbers: IdentifierNumbers = identifier_numbers(scenario)
+    numbers = identifier_numbers(scenario)
     prior = np.concatenate([numbers.prior[WHICH], numbers.prior_covariance[np.ix_(WHICH, WHICH)].ravel()])
     sd = 1.0 / np.sqrt(numbers.precision)
     return PoolNumbers(prior, sd, scenario.belief.border, RUT_DRIFT, ERROR_OF_MODEL)

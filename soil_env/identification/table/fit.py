@@ -180,24 +180,13 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
     parameters = _parameters(problem, u, whole, scaling, scatter)
     first = _units(problem, parameters, plain.fits)
     warnings = first + _undetermined(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
+    law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     return TableEstimate(
-        parameters=parameters,
-        free=labels,
-        covariance=covariance,
-        correlation=correlation,
-        condition=float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf,
-        reference_sinkage=problem.z_ref,
-        fits=fits,
-        row=problem.table.row[problem.use],
-        slip=problem.rows.slip,
-        load=problem.rows.load,
-        values=int(problem.measured.sum()),
-        exact=_exact(problem),
-        converged=converged,
-        law_error=math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True))),
-        check_first=tuple(first),
-        warnings=tuple(warnings),
-    )
+        parameters, labels, covariance, correlation, condition, problem.z_ref, fits, problem.table.row[problem.use],
+        problem.rows.slip, problem.rows.load, int(problem.measured.sum()), _exact(problem), converged, law_error,
+        tuple(first), tuple(warnings),
+    )  # fmt: skip
 
 
 def _parameters(
@@ -205,8 +194,8 @@ def _parameters(
 ) -> dict[str, Parameter]:
     """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
 
-    Where noise is estimated, Student's t with the degrees of freedom of the channel that has fewest; from few points
-    the noise is integrated out too (`scatter`), and the wider of the two taken on either side.
+    Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest. From few points the
+    noise is integrated out too (`scatter`), and the wider of the two taken on either side.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
     values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}
@@ -227,17 +216,15 @@ def _parameters(
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
         least, most = range_of.get(name, (-math.inf, math.inf))
-        bounds = [
-            float(value), max(float(value + min(below, -half)), least), min(float(value + max(above, half)), most)
-        ]  # fmt: skip
+        low, high = max(float(value + min(below, -half)), least), min(float(value + max(above, half)), most)
+        bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
         elif name != "tilt_deg":
             bounds[0] = 0.0 if abs(bounds[0]) < 1e-9 * half else bounds[0]
         prior_sd = math.sqrt(by_u @ by_u)
-        known = prior_sd == 0.0
-        shrunk = math.nan if known else half / reach / prior_sd
-        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit=unit, known=known, sd_over_prior=shrunk)
+        shrunk = half / reach / prior_sd if prior_sd > 0.0 else math.nan
+        out[name] = Parameter(bounds[0], bounds[1], bounds[2], unit, prior_sd == 0.0, shrunk)
     return out
 
 

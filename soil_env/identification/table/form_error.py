@@ -6,9 +6,8 @@ What is measured is taken to be
 
 where the columns B_k span a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
 (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464; Brynjarsdottir & O'Hagan 2014, Inverse Problems 30:114007). The
-error of the base law acts in the stresses: relative errors of the normal and of the shear stress, of where along the
-arc both act, and of how concentrated the normal stress is (`stress_changes`): independent processes of the same size,
-which reach sinkage, drawbar pull and torque together through the steady state.
+error of the base law acts in the stresses (`stress_changes`), as independent processes of the same size, which reach
+sinkage, drawbar pull and torque together through the steady state.
 
 A process is written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance
 becomes ordinary linear unknowns with unit prior.
@@ -152,10 +151,10 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
     """Changes of the stresses by a form error of the relative size h; `sinkage` [m], a typical one.
 
     The normal stress can be larger all along the arc; so can the shear stress. Where the error of the normal stress
-    changes along the arc, its resultant moves, and it is more or less concentrated: both by as much as an error that is
-    correlated over half of the arc moves and spreads a parabola of stress, written as a shift of the peak and as a
-    change of the sinkage exponent at the same mean pressure. The resultant of the shear stress moves as well, written
-    as a change of the shear deformation modulus at about the same mean shear stress.
+    changes along the arc, the stress moves and is more or less concentrated. Both are as large as an error correlated
+    over half of the arc makes them of a parabola of stress. They are written as a shift of the peak and as a change of
+    the sinkage exponent at the same mean pressure. The resultant of the shear stress moves as well, written as a change
+    of the shear deformation modulus at about the same mean shear stress.
     """
     more = _SPREAD * h
     depth = _MEAN_DEPTH * max(sinkage, 1e-6)
@@ -163,18 +162,13 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
         "sinkage_exponent": soil["sinkage_exponent"] + more,
         "sinkage_coefficient": soil["sinkage_coefficient"] * depth**-more,
     }
+    turned = {"shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h)}
     return (
         StressChange({"sinkage_coefficient": (1.0 + h) * soil["sinkage_coefficient"]}, {}),
         StressChange(_stronger(soil, h), {}),
         StressChange({}, {"stress_peak_shift_offset": _MOVED * h}),
         StressChange(flatter, {}),
-        StressChange(
-            {
-                "shear_modulus": soil["shear_modulus"] * math.exp(_TURNED * h),
-                **_stronger(soil, _STRONGER * _TURNED * h),
-            },
-            {},
-        ),
+        StressChange(turned | _stronger(soil, _STRONGER * _TURNED * h), {}),
     )
 
 

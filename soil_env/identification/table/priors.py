@@ -1,7 +1,7 @@
 """Unknowns of a fit to a measurement table, and what is known of a soil before it.
 
-Every unknown is fitted as u = (x - mean)/sd with the mean and standard deviation of its prior, x being the parameter
-or, for K and S, its logarithm: in u every prior is the standard normal, and parameters of any unit have one scale.
+Every unknown is fitted as u = (x - mean)/sd, x being the parameter or, for K and S, its logarithm. In u every prior is
+the standard normal, and parameters of any unit have one scale.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ The first pass, with q^ = q, is least squares with effective variance (Orear 198
 it converges to the solution that minimises over the true slips and loads too (Britt & Luecke 1973, Technometrics
 15:233-247).
 
-Noise that the setup leaves out is estimated with the soil: var = sum(residual^2) / (values - values spent on fitting),
-for each channel, until it no longer changes (MacKay 1992, Neural Computation 4:415-447).
+Noise that the setup leaves out is estimated with the soil until it no longer changes (MacKay 1992, Neural Computation
+4:415-447). For each channel var = sum(residual^2) / (values - values spent on fitting).
 """
 
 from __future__ import annotations
@@ -29,18 +29,8 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.table.form_error import (
-    LAW_LENGTHS,
-    SIZES,
-    Compression,
-    Process,
-    StressChange,
-    compressed,
-    marginals,
-    size_prior,
-    stress_changes,
-    whitened,
-)
+from soil_env.identification.table import form_error
+from soil_env.identification.table.form_error import LAW_LENGTHS, Process
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, soil_unknowns
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement.setup import Setup
@@ -66,7 +56,7 @@ class LawError(NamedTuple):
 
 
 #: Form errors that are marginalised.
-LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, SIZES.tolist())]
+LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, form_error.SIZES.tolist())]
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
@@ -164,7 +154,8 @@ class TableProblem:
         wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
         at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
         self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
-        self.form_error: Compression | None = None  # of the base law, beside the noise; none as long as it is not known
+        #: Of the base law, beside the noise; None as long as it is not known.
+        self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
@@ -197,7 +188,7 @@ class TableProblem:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
-    def steady(self, u: np.ndarray, rows: Rows, changed: StressChange | None = None) -> np.ndarray:
+    def steady(self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None) -> np.ndarray:
         """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other stresses."""
         soil, fx = self.values(u), NO_EFFECTS
         if changed is not None:
@@ -234,7 +225,7 @@ class TableProblem:
 
     def whiten(self, values: np.ndarray) -> np.ndarray:
         """[3 N] of an array [N, 3], under noise and form error."""
-        return whitened(self.form_error, self._by_noise(values))
+        return form_error.whitened(self.form_error, self._by_noise(values))
 
     def _by_noise(self, values: np.ndarray) -> np.ndarray:
         return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
@@ -272,13 +263,13 @@ class TableProblem:
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
 
-        Errors of the stresses reach the three channels together; channels that err by themselves stand for all else
-        that the model is not: the edges of the wheel, a rig that bends.
+        Errors of the stresses reach the three channels together. Channels that err by themselves stand for all else
+        that the model is not, such as a rig that bends.
         """
         known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
         functions = self.processes[span].at_points
         blocks = []
-        for change in stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
+        for change in form_error.stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
             moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
             blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
@@ -299,15 +290,15 @@ class TableProblem:
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
-        log, mean, covariance = marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
+        log, mean, covariance = form_error.marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
         self.form_error = kept
-        log += np.log(np.tile(size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
+        log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return np.exp(log - logsumexp(log)), mean, covariance
 
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
         """Take a form error, as it is at u, into the weights."""
         stresses, channels = self.law_errors(u, of.span)
-        self.form_error = compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
+        self.form_error = form_error.compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
 
     # --- solution ---
 

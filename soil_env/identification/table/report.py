@@ -76,26 +76,16 @@ def _rms(off: np.ndarray) -> float:
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON; null where there is none."""
-    keys = ("value", "low", "high", "unit", "known", "sd_over_prior")
-    return plain({
-        "parameters": {name: {key: getattr(p, key) for key in keys} for name, p in estimate.parameters.items()},
-        "reference_sinkage": estimate.reference_sinkage,
-        "free": estimate.free,
-        "covariance": estimate.covariance,
-        "correlation": estimate.correlation,
-        "condition": estimate.condition,
-        "channels": {
-            name: {
-                "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit.measured - fit.fitted),
-                "p_value": fit.p_value, "measured": fit.measured, "fitted": fit.fitted,
-            }
-            for name, fit in estimate.fits.items()
-        },
-        **{
-            key: getattr(estimate, key)
-            for key in ("row", "slip", "load", "values", "exact", "converged", "check_first", "warnings")
-        },
-    })  # fmt: skip
+    channels = {
+        name: {
+            "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit.measured - fit.fitted),
+            "p_value": fit.p_value, "measured": fit.measured, "fitted": fit.fitted,
+        }
+        for name, fit in estimate.fits.items()
+    }  # fmt: skip
+    content = {key: value for key, value in vars(estimate).items() if key not in ("fits", "law_error")}
+    parameters = {name: vars(p) for name, p in estimate.parameters.items()}
+    return plain(content | {"parameters": parameters, "channels": channels})
 
 
 def picture(estimate: TableEstimate) -> bytes:

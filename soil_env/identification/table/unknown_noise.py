@@ -1,15 +1,15 @@
 """Intervals where noise is estimated from a few points: the unknown noise integrated out.
 
-With the noise sigma of every estimated channel flat in its logarithm (Jeffreys), and the model linear about the
-solution, the parameters under a given sigma are normal with mean and covariance of weighted least squares, and sigma
-has the restricted likelihood (Patterson & Thompson 1971, Biometrika 58:545-554)
+The noise sigma of every estimated channel is flat in its logarithm (Jeffreys), the model linear about the solution.
+Under a given sigma the parameters are normal, with mean and covariance of weighted least squares. sigma has the
+restricted likelihood (Patterson & Thompson 1971, Biometrika 58:545-554)
 
     -2 ln L = ln|V| + ln|H| + e' V^-1 e + u'u - g' H^-1 g,   H = J' V^-1 J + I,   g = J' V^-1 e - u
 
-with e, V and J = df/du of `weighted.TableProblem`. With one channel the mixture over sigma is Student's t;
-with several it allows for weights that are themselves uncertain, which plugging in estimates of sigma does not. Where
-drawbar pull and torque are both of unknown noise, that of each is flat in sigma (Gelman 2006, Bayesian Analysis
-1:515-534) instead: by chance either of them can seem free of noise, and draws all weight.
+with e, V and J = df/du of `problem.TableProblem`. With one channel the mixture over sigma is Student's t; with several
+it allows for weights that are themselves uncertain. Where drawbar pull and torque are both of unknown noise, either can
+seem free of noise by chance and draw all weight. Their prior is flat in sigma instead (Gelman 2006, Bayesian Analysis
+1:515-534).
 """
 
 from __future__ import annotations

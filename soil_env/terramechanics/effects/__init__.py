@@ -2,10 +2,10 @@
 
 How to add an effect:
 
-1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, parameters with symbol, unit,
-   neutral value, bounds and prior scale, and for each published form its equation as text and its source. Set `varies`
-   to the condition that shows the effect and `speed_dependent` for a law of speed. A constant of the source that is not
-   fitted is a parameter `reference_speed` with scale 0. Another form of a listed mechanism is a `Form`, no effect.
+1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, `EffectParameter`s, and for each
+   published form its equation as text and its source. Set `varies` to the condition that shows the effect and
+   `speed_dependent` for a law of speed. A constant of the source that is not fitted is a parameter `reference_speed`
+   with scale 0. Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law as a compiled function `law(x, at, fx)` and give it to `Effect` as one of the places where effects act:
    `soil` (strength and bearing under the wheel), `arc` (exit angle and stress peak), `resistance` (force against the
    travel) or `drive` (friction between motor and axle). `fx.<name>_<parameter>` are its numbers; at the neutral values
@@ -20,16 +20,16 @@ How to add an effect:
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import reduce
 from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from soil_env._io.loading import ParameterError, unknown_key
-from soil_env._numba.compiling import compiled_inline, compiled_part
+from soil_env._io.loading import ParameterError, number, unknown_key
+from soil_env._numba.compiling import Compiled, compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller
 from soil_env._numba.lanes import alike
-from soil_env.terramechanics.effects.composing import any_of, chained
 from soil_env.terramechanics.effects.entry import Axle, Effect, Entry, Friction, Furrow, Passage
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
 from soil_env.terramechanics.effects.slip_bias import measured_slip, true_slip
@@ -43,45 +43,17 @@ from soil_env.terramechanics.effects.slip_sinkage import (
 )
 
 __all__ = [
-    "CATALOGUE",
-    "NO_EFFECTS",
-    "Effect",
-    "Effects",
-    "acting",
-    "arc_ends",
-    "depends_on_speed",
-    "digging",
-    "digging_ratio",
-    "drive_friction",
-    "drive_torque",
-    "excavated_depth",
-    "excavation_rate",
-    "measured_slip",
-    "onto_fresh",
-    "pack_effects",
-    "sliding_speed",
-    "slip_sinkage_ratio",
-    "soil_in_contact",
-    "soil_resistance",
+    "CATALOGUE", "NO_EFFECTS", "Effect", "Effects", "acting", "arc_ends", "depends_on_speed", "digging",
+    "digging_ratio", "drive_friction", "drive_torque", "excavated_depth", "excavation_rate", "measured_slip",
+    "onto_fresh", "pack_effects", "sliding_speed", "slip_sinkage_ratio", "soil_in_contact", "soil_resistance",
     "true_slip",
-]
+]  # fmt: skip
 
 #: Modules of this folder, one an effect.
 _NAMES = (
-    "slip_sinkage",
-    "rear_contact",
-    "stress_peak_shift",
-    "grousers",
-    "bulldozing",
-    "multipass",
-    "penetration_rate",
-    "shear_rate",
-    "shear_softening",
-    "grade",
-    "drivetrain_friction",
-    "slip_bias",
-    "sinkage_offset",
-)
+    "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
+    "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
+)  # fmt: skip
 #: The effects by name.
 CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {name: import_module(f"{__name__}.{name}").EFFECT for name in _NAMES}
@@ -123,18 +95,13 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
         for key, value in parameters.items():
             if key not in known:
                 raise unknown_key(key, known, f"effects: {name}")
-            p = known[key]
-            if isinstance(value, str):  # YAML 1.1 reads 1e-3 as text
-                try:
-                    value = float(value)
-                except ValueError:
-                    pass
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not p.low <= value <= p.high:
-                unit = f" {p.unit}" if p.unit else ""
+            p, where = known[key], f"effects: {name}: {key}"
+            value = number(float, value, where)
+            if not p.low <= value <= p.high:
                 raise ParameterError(
-                    f"effects: {name}: {key} = {value!r}: expected a number in [{p.low:g}, {p.high:g}]{unit}"
+                    f"{where} = {value}: expected a number in [{p.low:g}, {p.high:g}] {p.unit}".rstrip()
                 )
-            values[f"{name}_{key}"] = float(value)
+            values[f"{name}_{key}"] = value
     return NO_EFFECTS._replace(**values)
 
 
@@ -149,12 +116,32 @@ def acting(fx: Effects) -> Effects:
 
 # --- their laws, composed ---------------------------------------------------------------------------------------------
 
-_LIST = tuple(CATALOGUE.values())
-_soil = chained(effect.soil for effect in _LIST)
-_arc = chained(effect.arc for effect in _LIST)
-_resistance = chained(effect.resistance for effect in _LIST)
-_drive = chained(effect.drive for effect in _LIST)
-_speed_dependent = any_of(effect.speed_dependent for effect in _LIST)
+
+def _after(first: Compiled, second: Compiled) -> Compiled:
+    @compiled_inline
+    def both(x, at, fx):
+        return second(first(x, at, fx), at, fx)
+
+    return both
+
+
+def _either(first: Compiled, second: Compiled) -> Compiled:
+    @compiled_inline
+    def either(fx):
+        return first(fx) or second(fx)
+
+    return either
+
+
+def _composed(join: Callable[[Compiled, Compiled], Compiled], place: str) -> Compiled:
+    """The laws that act in one place of `Effect`, joined in the order of the catalogue."""
+    laws = [getattr(effect, place) for effect in CATALOGUE.values()]
+    return reduce(join, [law for law in laws if law is not None])
+
+
+_soil, _arc = _composed(_after, "soil"), _composed(_after, "arc")
+_resistance, _drive = _composed(_after, "resistance"), _composed(_after, "drive")
+_speed_dependent = _composed(_either, "speed_dependent")
 
 
 @compiled_part
@@ -193,4 +180,4 @@ def drive_torque(torque, wheel_speed, floor, fx):
 @compiled_part
 def depends_on_speed(fx):
     """True if the strength of the soil goes with the speed."""
-    return _speed_dependent(fx)
+    return _speed_dependent(fx)  # fmt: skip

@@ -19,8 +19,7 @@ def passive_coefficient(tan_phi):
 def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
-    Rankine: b (1/2 gamma z^2 Kp + 2 c z sqrt Kp). Hegedus (1960), as in Ishigami et al. (2007): b D1 (c z + D2 gamma
-    z^2/2), D1 = cot X + tan(X + phi), D2 = cot X + cot^2 X tan phi, X = 45 deg - phi/2.
+    By Rankine, or by Hegedus (1960) as in Ishigami et al. (2007): `Form`s below.
     """
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
         return alike(0.0, sinkage)
@@ -38,9 +37,7 @@ def _resistance(force, at, fx):
 
 
 EFFECT = Effect(
-    "bulldozing",
-    "bulldozing",
-    (PULL,),
+    "bulldozing", "bulldozing", (PULL,),
     (
         P("rankine", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on Rankine's passive pressure"),
         P("hegedus", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),

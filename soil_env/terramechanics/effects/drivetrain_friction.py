@@ -30,9 +30,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 _ARMSTRONG = "Armstrong-Helouvry et al. (1994), Automatica 30:1083-1138"
 EFFECT = Effect(
-    "drivetrain_friction",
-    "friction of the drivetrain",
-    (TORQUE,),
+    "drivetrain_friction", "friction of the drivetrain", (TORQUE,),
     (
         P("constant", "T0", "N m", 0.0, 0.0, 1e6, 0.0, "Coulomb friction"),
         P("share", "e", "", 0.0, 0.0, 1.0, 0.1, "share of the torque"),
@@ -46,6 +44,5 @@ EFFECT = Effect(
     ),
     beside="speed",  # friction of lubricated bearings falls and rises again with the speed (Stribeck)
     symbols={"T_measured": "measured torque", "w": "wheel speed, rad/s"},
-    priors=_priors,
-    drive=_drive,
+    priors=_priors, drive=_drive,
 )  # fmt: skip

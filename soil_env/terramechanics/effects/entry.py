@@ -151,25 +151,10 @@ class Friction(NamedTuple):
 
 #: Symbols that the equations of several effects share, in the order of a legend.
 SYMBOLS: Mapping[str, str] = {
-    "z": "sinkage",
-    "i": "slip",
-    "n": "sinkage exponent",
-    "theta1": "entry angle",
-    "theta2": "exit angle",
-    "thetam": "angle of the largest normal stress",
-    "r": "wheel radius",
-    "b": "wheel width",
-    "DP": "drawbar pull",
-    "DP_0": "drawbar pull without the effect",
-    "T": "torque",
-    "T_0": "torque without the effect",
-    "W": "load",
-    "S": "sinkage coefficient",
-    "N": "pass number",
-    "K": "shear deformation modulus",
-    "c": "cohesion",
-    "phi": "friction angle",
-    "gamma": "unit weight of the soil",
-    "Kp": "tan^2(45 deg + phi/2)",
-    "V": "travel speed",
-}
+    "z": "sinkage", "i": "slip", "n": "sinkage exponent",
+    "theta1": "entry angle", "theta2": "exit angle", "thetam": "angle of the largest normal stress",
+    "r": "wheel radius", "b": "wheel width",
+    "DP": "drawbar pull", "DP_0": "drawbar pull without the effect", "T": "torque", "T_0": "torque without the effect",
+    "W": "load", "S": "sinkage coefficient", "N": "pass number", "K": "shear deformation modulus", "c": "cohesion",
+    "phi": "friction angle", "gamma": "unit weight of the soil", "Kp": "tan^2(45 deg + phi/2)", "V": "travel speed",
+}  # fmt: skip

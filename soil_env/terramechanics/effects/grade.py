@@ -40,9 +40,7 @@ def _soil(soil, at, fx):
 
 _WEIGHT = "W_n = W [1 - {share} (1 - cos(b))]; DP = DP_0 - {share} W sin(b)"
 EFFECT = Effect(
-    "grade",
-    "grade",
-    (SINKAGE, PULL, TORQUE),
+    "grade", "grade", (SINKAGE, PULL, TORQUE),
     (
         P("share", "f", "", 0.0, -0.5, 2.0, 1.0, "share of the weight that acts along the slope"),
         P("weakening", "w", "", 0.0, -1.0, 3.0, 0.7, "loss of bearing on slopes, 1 as Meyerhof has it"),

@@ -39,8 +39,8 @@ def at_shear_radius(soil, q, shear_modulus):
 def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
-    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Rankine;
-    Bekker 1969), q = gamma z/2 the soil above it on average.
+    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Bekker 1969).
+    q = gamma z/2 is the soil above it on average.
     """
     if fx.grousers_blades == 0.0 or height <= 0.0:
         return alike(0.0, theta1)
@@ -70,9 +70,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _DING = "Ding et al. (2011), J. Terramechanics 48:27-45"
 _AT_RIM = (("slip_at_rim", 1.0),)
 EFFECT = Effect(
-    "grousers",
-    "grousers",
-    (SINKAGE, PULL, TORQUE),
+    "grousers", "grousers", (SINKAGE, PULL, TORQUE),
     (
         P("shear_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the shear radius"),
         P("radius_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the wheel radius"),

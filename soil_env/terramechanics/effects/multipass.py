@@ -20,8 +20,7 @@ def depends_on_passes(fx):
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
 
-    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)]; the terms in slip and pass number are those
-    of Senatore & Sandu (2011).
+    N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)].
     """
     more = passes - 1.0
     gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
@@ -48,9 +47,7 @@ _STIFFER = "K_N = K N^(-{stiffening}); "
 _STRONGER = "tan(phi_N) = tan(phi) N^{strength}"
 _MORE_COHESIVE = "c_N = c N^{cohesion}"
 EFFECT = Effect(
-    "multipass",
-    "multipass",
-    (SINKAGE, PULL, TORQUE),
+    "multipass", "multipass", (SINKAGE, PULL, TORQUE),
     (
         P("hardening", "a", "", 0.0, -1.0, 3.0, 0.4, "power of the pass number"),
         P("gain", "g", "", 0.0, -0.8, 8.0, 0.8, "saturating gain"),

@@ -44,9 +44,7 @@ def _neutral(bench: Bench) -> dict[str, float]:
 
 
 EFFECT = Effect(
-    "penetration_rate",
-    "rate of penetration",
-    (SINKAGE, PULL, TORQUE),
+    "penetration_rate", "rate of penetration", (SINKAGE, PULL, TORQUE),
     (
         P("exponent", "m", "", 0.0, -0.5, 1.0, 0.12, "power of the speed"),
         P("slope", "a", "", 0.0, -0.3, 1.0, 0.12, "change by a factor e of the speed"),
@@ -60,7 +58,5 @@ EFFECT = Effect(
     ),
     varies="speed",
     symbols={"S_V": "sinkage coefficient at the speed V"},
-    neutral=_neutral,
-    soil=_soil,
-    speed_dependent=_speed_dependent,
+    neutral=_neutral, soil=_soil, speed_dependent=_speed_dependent,
 )  # fmt: skip

@@ -14,9 +14,7 @@ def _arc(ends, at, fx):
 
 
 EFFECT = Effect(
-    "rear_contact",
-    "contact behind the lowest point",
-    (SINKAGE, PULL, TORQUE),
+    "rear_contact", "contact behind the lowest point", (SINKAGE, PULL, TORQUE),
     (
         P("ratio", "l", "", 0.0, 0.0, 0.95, 0.35, "exit angle over entry angle"),
         P("peak_follows", "", "", 1.0, 0.0, 1.0, 1.0, "1: the stress peak stays midway; 0: it stays at theta1/2"),

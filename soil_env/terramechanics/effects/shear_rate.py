@@ -45,9 +45,7 @@ def _hidden(bench: Bench) -> str:
 
 
 EFFECT = Effect(
-    "shear_rate",
-    "rate of shear",
-    (SINKAGE, PULL, TORQUE),
+    "shear_rate", "rate of shear", (SINKAGE, PULL, TORQUE),
     (
         P("exponent", "m", "", 0.0, -0.3, 0.6, 0.07, "power of the sliding speed"),
         P("slope", "a", "", 0.0, -0.3, 0.6, 0.07, "change by a factor e of the sliding speed"),
@@ -71,8 +69,5 @@ EFFECT = Effect(
     shows_without=True,  # the sliding speed varies with slip, too
     symbols={"c_v": "cohesion at the sliding speed v", "phi_v": "friction angle at the sliding speed v",
              "v": "sliding speed |r w - V|"},
-    neutral=_neutral,
-    hidden=_hidden,
-    soil=_soil,
-    speed_dependent=_speed_dependent,
+    neutral=_neutral, hidden=_hidden, soil=_soil, speed_dependent=_speed_dependent,
 )  # fmt: skip

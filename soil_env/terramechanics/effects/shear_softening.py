@@ -11,9 +11,9 @@ from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, 
 def shear_law(fx):
     """`ShearLaw` with a peak and a residual strength.
 
-    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1; it is divided
-    by its peak, so that phi and c stay those of the peak. Wong's (1983) law is of this family. `shear_softening_drop`
-    lets the strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
+    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1 (family of
+    Wong 1983). It is divided by its peak, so that phi and c stay those of the peak. `shear_softening_drop` lets the
+    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
     """
     s, drop = fx.shear_softening_sharpness, fx.shear_softening_drop
     if s < 1.0:
@@ -41,9 +41,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _WONG = "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234"
 _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness})^2; "
 EFFECT = Effect(
-    "shear_softening",
-    "peak and residual strength",
-    (SINKAGE, PULL, TORQUE),
+    "shear_softening", "peak and residual strength", (SINKAGE, PULL, TORQUE),
     (
         P("sharpness", "s", "", 0.0, 0.0, 30.0, 4.0, "off below 1; the residual share is 4 s/(1 + s)^2"),
         P("slope_kept", "", "", 0.0, 0.0, 1.0, 1.0, "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1"),

@@ -25,9 +25,7 @@ def measured_slip(slip, fx):
 
 _WONG = "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"
 EFFECT = Effect(
-    "slip_bias",
-    "bias of the measured slip",
-    (SINKAGE, PULL, TORQUE),
+    "slip_bias", "bias of the measured slip", (SINKAGE, PULL, TORQUE),
     (
         P("offset", "d", "", 0.0, -0.3, 0.3, 0.03, "offset of the slip"),
         P("radius_error", "e", "", 0.0, -0.3, 0.3, 0.03, "relative error of the rolling radius"),
@@ -39,4 +37,4 @@ EFFECT = Effect(
     beside="speed",  # the zero of a speed sensor counts the more, the slower the wheel
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
-)
+)  # fmt: skip

@@ -39,8 +39,8 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
 
     z_w [m] is the depth of undisturbed soil that carries the load. With travel |V| the wheel moves onto fresh soil
-    and z relaxes to z_w over the distance `length` [m]; the sliding speed |r w - V| carries soil away from under the
-    rim (`gain`), more slowly the deeper the hole, since its walls flow back (`recovery`):
+    and z relaxes to z_w over the distance `length` [m]. The sliding speed |r w - V| carries soil away from under the
+    rim (`gain`), more slowly the deeper the hole, whose walls flow back (`recovery`):
 
         dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
     """
@@ -83,9 +83,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 _RATIO = "[1 + {gain} i/(1 - i + {recovery} i)]"
 EFFECT = Effect(
-    "slip_sinkage",
-    "slip-sinkage",
-    (SINKAGE, PULL, TORQUE),
+    "slip_sinkage", "slip-sinkage", (SINKAGE, PULL, TORQUE),
     (
         P("gain", "g", "", 0.0, 0.0, 10.0, 1.5, "digging"),
         P("recovery", "h", "", 0.5, 0.0, 3.0, 0.5, "recovery", centre=0.5),
@@ -102,6 +100,5 @@ EFFECT = Effect(
              "Lyasko (2010), applied to the sinkage alone", (("apparent", 1.0),)),
     ),
     symbols={"z_w": "depth at which undisturbed soil bears the same pressure", "z_measured": "measured sinkage"},
-    priors=_priors,
-    soil=_soil,
+    priors=_priors, soil=_soil,
 )  # fmt: skip

@@ -18,9 +18,7 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 
 EFFECT = Effect(
-    "stress_peak_shift",
-    "moving stress peak",
-    (SINKAGE, PULL, TORQUE),
+    "stress_peak_shift", "moving stress peak", (SINKAGE, PULL, TORQUE),
     (
         P("offset", "a", "", 0.0, -0.4, 0.4, 0.1, "shift without slip"),
         P("slope", "c", "", 0.0, -0.6, 0.9, 0.3, "shift per slip"),
@@ -29,6 +27,5 @@ EFFECT = Effect(
         Form("linear", ("offset", "slope"), "thetam = (1/2 + {offset} + {slope} i) theta1",
              "Wong & Reece (1967), J. Terramechanics 4(1):81-98"),
     ),
-    priors=_priors,
-    arc=_arc,
+    priors=_priors, arc=_arc,
 )  # fmt: skip
