@@ -284,6 +284,17 @@ def wheels() -> dict[str, Wheel]:
     return dict(_library("wheels"))
 
 
+def with_preset(wheel: Any, where: str) -> Any:
+    """A mapping of `Wheel` with a preset, named alone or under the key `preset`, replaced by its values."""
+    wheel = {"preset": wheel} if isinstance(wheel, str) else wheel
+    if not isinstance(wheel, dict) or "preset" not in wheel:
+        return wheel
+    preset = wheel["preset"]
+    if not isinstance(preset, str) or preset not in wheels():
+        raise unknown_value(preset, wheels(), f"{where}: wheel")
+    return merge(to_dict(wheels()[preset]), {k: v for k, v in wheel.items() if k != "preset"})
+
+
 #: Scenario of the environments, of training and of evaluation, where none is named.
 DEFAULT_SCENARIO = "two_lines"
 
@@ -419,11 +430,6 @@ def _merged(
     if isinstance(mapping.get("wheel"), str):
         mapping["wheel"] = {"preset": mapping["wheel"]}
     mapping = merge(mapping, {k: to_dict(v) if isinstance(v, Checked) else v for k, v in changes.items()})
-    wheel = mapping.get("wheel")
-    if isinstance(wheel, dict) and "preset" in wheel:
-        wheel = dict(wheel)
-        preset = wheel.pop("preset")
-        if not isinstance(preset, str) or preset not in wheels():
-            raise unknown_value(preset, wheels(), f"{where}: wheel")
-        mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
+    if "wheel" in mapping:
+        mapping["wheel"] = with_preset(mapping["wheel"], where)
     return load(kind, complete(mapping), where)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import TIMES, UNITS, LogMap
+from soil_env.logs.mapping import TIMES, UNITS, LogMap, si_factor
 from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
@@ -90,17 +90,17 @@ class _Doubts:
     # --- words ---
 
     def _place(self, name: str) -> str:
-        return f"{name}: {self.map.channels.sources()[name].place}"
+        return f"{name}: {self.map.channels[name].place}"
 
     def _doubt(self, name: str, said: str, expected: object, reason: str) -> None:
         self.lines.append(f"{self._place(name)}: reads {said}: expected {expected}: {reason}?")
 
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
-        source, others = self.map.channels.sources()[name], ("A", "quaternion")
+        source, others = self.map.channels[name], ("A", "quaternion")
         if source.unit in others:
             return []
-        now = UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
+        now = si_factor(name, source.unit)
         return [u for u, f in UNITS[name].items() if u not in others and f != now and low <= f / now <= high]
 
     def _unit(self, name: str, low: float, high: float, otherwise: str = "another unit or field") -> str:

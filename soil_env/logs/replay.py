@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import LogMap
+from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.online import Estimate, OnlineIdentifier, Readings, Status, slips
 from soil_env.parameters import Soil
 from soil_env.slip import travel_speeds
@@ -90,7 +90,7 @@ class Replay:
 def identifier_of(log_map: LogMap) -> OnlineIdentifier:
     """The identifier that a map describes."""
     return OnlineIdentifier(
-        log_map.wheel.wheel(), log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
+        log_map.wheel, log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
         relaxation=log_map.relaxation,
     )  # fmt: skip
 
@@ -106,7 +106,7 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     prior, size = identifier.estimate, len(log)
     status, found, restarts = np.zeros(size, np.int64), np.zeros(size, np.int64), 0
     renewed, on_border, table = np.zeros(size, bool), np.zeros(size, bool), np.empty((size, len(COLUMNS)))
-    no_inertia = log_map.wheel.inertia is None
+    no_inertia = log_map.wheel.inertia == UNKNOWN_INERTIA
     names = [n for n in Readings._fields if n in log.readings and not (no_inertia and n == "motor_torque")]
     before, last, way = 0, math.nan, _NO_WAY
     for k, t in enumerate(log.time.tolist()):

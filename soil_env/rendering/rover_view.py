@@ -13,42 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import (
-    AMBER,
-    DESIGN,
-    GREEN,
-    GREY,
-    GRID,
-    INK,
-    LIGHT_AMBER,
-    LIGHT_GREEN,
-    LIGHT_PURPLE,
-    PURPLE,
-    RIM,
-    SKY,
-    WHITE,
-    Canvas,
-    soil_colour,
-)
+from soil_env.rendering import canvas as colours
+from soil_env.rendering.canvas import DESIGN, GREY, INK, Canvas, soil_colour
 from soil_env.rendering.charts import draw_axle_charts
-from soil_env.rendering.ground import (
-    Profile,
-    Scene,
-    depth_of_ruts,
-    draw_course,
-    draw_flag,
-    draw_ground,
-    draw_scale_bar,
-    friction_range,
-)
-from soil_env.rendering.stresses import Stresses, contact_stresses
+from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_course, friction_range
 from soil_env.rendering.view import CourseView
-from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
+from soil_env.rendering.wheels import ShownWheel, Stresses, contact_stresses, draw_cause, draw_scene, hub_of
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import RoverScenario, Vehicle
 
 #: Box of the side view: left, top, width, height
@@ -57,7 +30,11 @@ _AT = (0.5, 0.66)  # place of the ground below the middle of the rover, from lef
 _WIDTH = 1.55  # width of the side view over the length of the rover from rim to rim, and at least, of radii:
 _LEAST_WIDTH = 9.5
 _BODY, _BEAM, _BOGIE = (206, 198, 184), (86, 90, 100), (120, 124, 134)
-_COLOURS = {"front": (PURPLE, LIGHT_PURPLE), "middle": (AMBER, LIGHT_AMBER), "rear": (GREEN, LIGHT_GREEN)}
+_COLOURS = {  # dark, pale
+    "front": (colours.PURPLE, colours.LIGHT_PURPLE),
+    "middle": (colours.AMBER, colours.LIGHT_AMBER),
+    "rear": (colours.GREEN, colours.LIGHT_GREEN),
+}
 
 
 class Posture(NamedTuple):
@@ -110,82 +87,61 @@ def _width_of(simulation: RoverSimulation) -> float:
 class RoverRenderer(CourseView):
     """Side view of rover j of a `RoverSimulation`."""
 
-    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
+    scenario: RoverScenario
+
+    def __init__(self, scenario: RoverScenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         super().__init__(scenario, mode, size)
-        self.scenario: RoverScenario
-        self._axles = axle_names(self.scenario.axles)
-        self._angles = np.zeros(self.scenario.axles)  # [rad] that the wheels have turned
+        self._axles = axle_names(scenario.axles)
 
-    def clear(self) -> None:
-        """Forget the history: a new episode."""
-        super().clear()
-        self._angles = np.zeros(self.scenario.axles)
+    def _motion(self, simulation: RoverSimulation, k: int) -> tuple[int, np.ndarray]:
+        rovers = simulation.worlds.rovers
+        return int(rovers.body_counts.steps[k]), rovers.wheels.wheel_speed[simulation.wheels[k]]
 
-    def record(self, simulation: RoverSimulation, k: int) -> None:
-        """Add the present state of rover k to the history; at its reset the history starts anew."""
-        worlds, world, rows = simulation.worlds, simulation.numbers.world, simulation.wheels[k]
-        steps = int(worlds.rovers.body_counts.steps[k])
-        if steps == 0:
-            self.clear()
-        self._angles = self._angles + worlds.rovers.wheels.wheel_speed[rows] * self._step
-        if steps % (self._every * self.scenario.control.held) == 0:
-            now = [steps * world.period]
-            for row in rows.tolist():
-                w = worlds.rovers.wheels[row]
-                soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], world.border)
-                now += [w["slip"], w["sinkage"] / world.wheel.radius, w["load"] / simulation.numbers.task.weight]
-                friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
-                now += [friction, math.atan(soil.tan_phi)]
-            self._history.append(tuple(now))
+    def _sample(self, simulation: RoverSimulation, k: int) -> tuple[float, ...]:
+        """Slip, sinkage [radii], load [of that at rest], estimate and truth of phi [rad], axle by axle."""
+        worlds, numbers = simulation.worlds, simulation.numbers
+        now: list[float] = []
+        for row in simulation.wheels[k].tolist():
+            w = worlds.rovers.wheels[row]
+            soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], numbers.world.border)
+            friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
+            now += [w["slip"], w["sinkage"] / numbers.world.wheel.radius, w["load"] / numbers.task.weight]
+            now += [friction, math.atan(soil.tan_phi)]
+        return tuple(now)
 
     def _paint(self, canvas: Canvas, simulation: RoverSimulation, k: int) -> None:
-        numbers, base = simulation.numbers, self.scenario.vehicle.base
-        x = simulation.worlds.rovers.wheels.x[simulation.wheels[k]]
-        width = _width_of(simulation)
-        profile = self._ground(simulation, k, width, numbers.task.length + base + width, False)
-        bounds = friction_range(self.scenario, simulation)
-        colours = [_COLOURS[name] for name in self._axles]
-        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
+        length, width, known = simulation.numbers.task.length, _width_of(simulation), simulation.worlds.known
+        beyond = length + self.scenario.vehicle.base + width
+        profile = self._ground(simulation, k, width, beyond, False)
+        bounds, rows = friction_range(self.scenario, simulation), simulation.wheels[k]
+        shown = [_COLOURS[name] for name in self._axles]
+        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in shown])
         _draw_readings(canvas, simulation, k)
-        rows, known = simulation.wheels[k].tolist(), simulation.worlds.known
-        identified = self._identified and known is not None
-        status = [self._status(known.status[row]) if identified else "none" for row in rows]
+        status = [self._status(known, row) for row in rows.tolist()]
         _draw_table(canvas, simulation, k, self._axles, bounds, status)
-        draw_course(canvas, profile, numbers.task.length, x, bounds)
-        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours, identified)
+        draw_course(canvas, profile, length, simulation.worlds.rovers.wheels.x[rows], bounds)
+        history = np.array(self._history).reshape(-1, 1 + 5 * len(shown)).T
+        draw_axle_charts(canvas, history, shown, self._shows(known))
 
 
 def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles, colours) -> None:
-    """Terrain, ruts, end of the course, rover and stresses in a camera that moves with the rover."""
-    world, vehicle, rows = simulation.numbers.world.wheel, simulation.scenario.vehicle, simulation.wheels[j]
-    wheels, r = simulation.worlds.rovers.wheels, world.radius
+    """The side view in a camera that moves with the rover."""
+    vehicle, rows, ruts = simulation.scenario.vehicle, simulation.wheels[j], simulation.worlds.ruts
+    wheels, r, width = simulation.worlds.rovers.wheels, simulation.numbers.world.wheel.radius, _width_of(simulation)
     p = posture_of(simulation, j, profile)
-    width = _width_of(simulation)
     middle = 0.5 * (wheels.x[rows[0]] + wheels.x[rows[-1]])
     place = np.add(SCENE[:2], np.multiply(_AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
-    c.clip(SCENE)
-    c.box(SCENE, SKY)
     x = middle + (np.linspace(0.0, 1.0, 261) - _AT[0]) * 1.2 * width  # along the slope
-    ruts = simulation.worlds.ruts
     rut = depth_of_ruts(x, (ruts.floor[rows] + ruts.rut[rows]).max(axis=0)) / np.gradient(profile.at(x)[0], x)
-    draw_ground(c, scene, x, profile, rut, p.hubs, r, bounds)
-    draw_flag(c, scene, scene.at(*profile.at(simulation.numbers.task.length)))
-    size = r * scene.scale
-    _draw_body(c, scene, vehicle, p, r)
-    typical = simulation.numbers.task.weight / (0.5 * r * world.width)  # [Pa]
     stresses = [rover_stresses(simulation, j, axle) for axle in range(len(rows))]
-    for hub, angle, colour in zip(p.hubs, angles, colours, strict=True):
-        draw_wheel(c, scene.at(*hub), size, float(angle), colour)
-    for axle, k in enumerate(rows.tolist()):
-        side = -1.0 if wheels.speed[k] < -REST_SPEED else 1.0
-        hub = scene.at(*p.hubs[axle])
-        draw_stresses(c, hub, size, float(p.grades[axle]), side, stresses[axle], 0.45 * size / typical)
-    _draw_suspension(c, scene, vehicle, p, r)
-    draw_stress_key(c, SCENE, stresses)
-    c.clip(None)
-    c.box(SCENE, None, GRID)
-    draw_scale_bar(c, scene, width)
+    shown = [
+        ShownWheel(*each) for each in zip(p.hubs, p.grades, angles, wheels.speed[rows], stresses, colours, strict=True)
+    ]
+    draw_scene(
+        c, scene, x, profile, rut, bounds, simulation, shown,
+        lambda: _draw_body(c, scene, vehicle, p, r), lambda: _draw_suspension(c, scene, vehicle, p, r),
+    )  # fmt: skip
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
@@ -209,9 +165,9 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
         knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
         c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
         c.lines([pivot, knee, hubs[alone]], _BEAM, width)
-        c.circle(pivot, 0.8 * width, RIM)
+        c.circle(pivot, 0.8 * width, colours.RIM)
     centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
-    c.circle(centre, 6.0, WHITE)
+    c.circle(centre, 6.0, colours.WHITE)
     c.circle(centre, 6.0, INK, 1.2)
     c.circle(centre, 2.0, INK)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from soil_env.logs.mapping import QUANTITIES
+from soil_env.logs.mapping import UNITS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_bag.py"
 MAP = {
@@ -29,7 +29,7 @@ def write_map(folder, changes=None, name="map.yaml", base=MAP):
     """A map.yaml: `base` with whole channels and top-level keys replaced; None takes one out."""
     content = json.loads(json.dumps(base))
     for key, value in (changes or {}).items():
-        place = content["channels"] if key in QUANTITIES else content
+        place = content["channels"] if key in UNITS else content
         place[key] = value
         if value is None:
             del place[key]

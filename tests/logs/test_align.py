@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env.logs.align import Channel, align, interpolated
-from soil_env.logs.fields import uphill
+from soil_env.logs.bags import uphill
 
 NS = 1_000_000_000
 

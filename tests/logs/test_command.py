@@ -13,9 +13,9 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.align import Aligned, Channel
-from soil_env.logs.grounds import advice, commands, files, grounds, setup_text
 from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
-from soil_env.logs.report import contents
+from soil_env.logs.report import report_of
+from soil_env.logs.steady import advice, commands, files, grounds, setup_text
 from soil_env.measurement.setup import read_setup
 from soil_env.measurement.table import read_table
 from soil_env.online import OnlineIdentifier, Status
@@ -161,7 +161,7 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     monkeypatch.setattr(OnlineIdentifier, "update", absurd)
     log.channels.update({n: Channel(n) for n in log.readings})
     found = replay(log, log_map)
-    written = contents("a.csv", log, log_map, found, steady_windows(log, log_map, found.ground))
+    written = report_of("a.csv", log, log_map, found, steady_windows(log, log_map, found.ground)).files
     refused = [line for line in found.warnings if "refused" in line]
     assert len(refused) == 1 and "13 of 80" in refused[0] and written["report.html"].count("refused, being") == 1
     cells = [dict(zip(COLUMNS, row.split(",")[1:], strict=False)) for row in written["estimates.csv"].splitlines()]
