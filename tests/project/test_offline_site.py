@@ -14,10 +14,6 @@ import pytest
 
 pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
 
-from mkdocs.exceptions import PluginError  # noqa: E402
-
-import mkdocs_hooks  # noqa: E402
-
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.documents, pytest.mark.slow]
 
@@ -66,16 +62,6 @@ def test_formulas_are_drawn_without_a_script(site):
     for page in site.rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert 'class="arithmatex"' not in text and not re.search(r"<m[a-z]+>\\[a-z]", text), page
-
-
-@pytest.mark.parametrize("name", ["torch", "soil_env"])
-def test_a_build_that_imports_what_it_must_not_need_fails(monkeypatch, name):
-    for other in mkdocs_hooks.UNNEEDED:
-        monkeypatch.delitem(sys.modules, other, raising=False)
-    mkdocs_hooks.on_env(None)
-    monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(PluginError, match=f"imported {name}: "):
-        mkdocs_hooks.on_env(None)
 
 
 def test_the_search_index_is_a_script(site):
