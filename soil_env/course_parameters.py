@@ -52,24 +52,19 @@ class CourseSpec(Checked):
         super().__post_init__()
         if self.lines > 1:
             self._check_lines()
-        if self.border > self.patch_length[0]:
-            raise FieldError(
-                self, "border", f" = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
-            )
+        shortest = self.patch_length[0]
+        if self.border > shortest:
+            raise FieldError(self, "border", f" = {self.border}: expected at most the shortest patch, {shortest} m")
 
     def _check_lines(self) -> None:
         if self.classes < 2:
             raise FieldError(self, "classes", f" = {self.classes}: expected at least 2 where lines = 2")
         if self.halt_time == 0.0:
             raise FieldError(self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in")
-        low, high = self.halt_before
-        if low < self.border or high > self.patch_length[0] - self.border:
-            raise FieldError(
-                self,
-                "halt_before",
-                f" = {self.halt_before}: expected between the border, {self.border} m, and the "
-                f"shortest patch less the border, {self.patch_length[0] - self.border:g} m",
-            )
+        (low, high), most = self.halt_before, self.patch_length[0] - self.border
+        if low < self.border or high > most:
+            expected = f"between the border, {self.border} m, and the shortest patch less the border, {most:g} m"
+            raise FieldError(self, "halt_before", f" = {self.halt_before}: expected {expected}")
 
 
 @dataclass(frozen=True)

@@ -245,7 +245,8 @@ class OnlineIdentifier:
         outcome = HELD
         if rim == rim and speed == speed:
             self._put(readings, rim, speed)
-            self._observe(self._ids, _ONE, self._values[None], self._numbers_of(period), self._done)
+            numbers = self._numbers._replace(filter=self._numbers.filter._replace(period=period))
+            self._observe(self._ids, _ONE, self._values[None], numbers, self._done)
             outcome = self._done.outcome.item()
         self._time = readings.time if readings.time == readings.time else self._time + period
         if outcome != HELD or self._estimate.renewed:
@@ -294,13 +295,6 @@ class OnlineIdentifier:
         if passed != passed:
             return self._numbers.filter.period
         raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
-
-    def _numbers_of(self, period: float) -> IdentifierNumbers:
-        """The numbers of the identifier for readings `period` [s] after the last."""
-        numbers = self._numbers
-        if period == numbers.filter.period:
-            return numbers
-        return numbers._replace(filter=numbers.filter._replace(period=period))
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
         """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""

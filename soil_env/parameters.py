@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -64,9 +64,8 @@ class Wheel(Checked):
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
-            raise FieldError(
-                self, "inertia", f" = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
-            )
+            expected = f"expected at least {least:g} kg m2, 2 % of body_mass radius^2"
+            raise FieldError(self, "inertia", f" = {self.inertia:g}: {expected}")
 
 
 def check_lugs(height: float, radius: float) -> None:
@@ -227,17 +226,15 @@ class Scenario(Checked):
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library
-        for name, weight in self.soils.items():
-            if name not in library:
-                raise unknown_key(name, library, "soils")
-            if not 0.0 <= weight <= _HEAVIEST:
-                raise ParameterError(f"soils.{name} = {weight!r}: expected a weight >= 0, at most {_HEAVIEST:g}")
+        for place, weights, least in (("soils", self.soils, ">= 0"), ("belief.soils", self.belief.soils, "> 0")):
+            for name, weight in weights.items():
+                if name not in library:
+                    raise unknown_key(name, library, place)
+                if not 0.0 <= weight <= _HEAVIEST or (weight == 0.0 and least == "> 0"):
+                    expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
+                    raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
+        for name in self.soils:
             library[name].lumped(self.wheel.width)
-        for name, weight in self.belief.soils.items():
-            if name not in library:
-                raise unknown_key(name, library, "belief.soils")
-            if not 0.0 < weight <= _HEAVIEST:
-                raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0, at most {_HEAVIEST:g}")
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError("reward.information: expected 0 where belief.method = 'none' identifies nothing")
         if sum(self.soils.values()) <= 0.0:
@@ -268,20 +265,19 @@ class Scenario(Checked):
 
 
 @cache
-def _library(kind: str) -> dict[str, Any]:
+def _library(kind: str, cls: type) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
-    cls = {"soils": Soil, "wheels": Wheel}[kind]
     return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
 
 
 def soils() -> dict[str, Soil]:
     """The soil presets of configs/soils.yaml by name."""
-    return dict(_library("soils"))
+    return dict(_library("soils", Soil))
 
 
 def wheels() -> dict[str, Wheel]:
     """The wheel presets of configs/wheels.yaml by name."""
-    return dict(_library("wheels"))
+    return dict(_library("wheels", Wheel))
 
 
 def with_preset(wheel: Any, where: str) -> Any:
@@ -355,8 +351,13 @@ def load_scenario_as(
         mapping, where = read_yaml(path), path.name if path.parent == config_dir() / folder else str(path)
         _check_kind(mapping, changes or {}, folder, f"{singular}: {str(which)!r}")
         mapping.setdefault("name", path.stem)
-    merged = partial(_merged, kind, complete, mapping)
-    return merged(changes or {}, place if changes and _is_valid(merged) else where)
+    if changes:
+        try:
+            _merged(kind, complete, mapping, {}, where)
+            where = place  # all that can be wrong now is in the changes
+        except ParameterError:
+            pass
+    return _merged(kind, complete, mapping, changes or {}, where)
 
 
 def _expected(folder: str) -> str:
@@ -373,14 +374,6 @@ def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, w
         raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
     if folder == "rovers" and mapping and known.issuperset((*mapping, *changes)):
         raise ParameterError(f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}")
-
-
-def _is_valid(merged: Callable[[dict[str, Any], str], Any]) -> bool:
-    try:
-        merged({}, "")
-    except ParameterError:
-        return False
-    return True
 
 
 #: Numbers of `Belief` that a library of soils takes the place of.

@@ -27,8 +27,7 @@ from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.logs.replay import DIFFERS, Replay
 from soil_env.measurement.table import MEASURED
-from soil_env.online import Estimate, slips
-from soil_env.slip import travel_speeds
+from soil_env.online import Estimate
 from soil_env.terramechanics.effects import excavation_rate
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
@@ -107,8 +106,8 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
 def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     """Quantities [N] of steady points; the weight for the load, and the like, where a channel is not measured."""
-    rim, pitch, mass = log.get("wheel_speed") * log_map.wheel.radius, log.get("pitch"), log_map.wheel.body_mass
-    slip = np.where(np.isnan(log.get("slip")), slips(rim, log.get("speed")), np.clip(log.get("slip"), -1.0, 1.0))
+    rim, speed, slip = log.motion(log_map.wheel.radius)
+    pitch, mass = log.get("pitch"), log_map.wheel.body_mass
     motor = log.get("motor_torque")
     if "motor_torque" in log.readings and len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
@@ -118,7 +117,7 @@ def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
 
     return {
         "slip": slip,
-        "speed": first("speed", travel_speeds(rim, slip)),
+        "speed": speed,
         "rim": rim,
         "load": first("load", log_map.weight * np.cos(np.nan_to_num(pitch))),
         "pitch": pitch,
