@@ -9,7 +9,7 @@ import pytest
 
 from soil_env import ParameterError
 from soil_env.logs import read_map, read_recording, replay
-from tests.logs.bags import example, write_json_mcap, write_map
+from tests.logs.bags import example, write_json_mcap, write_map, write_mcap
 
 NS = 1_000_000_000
 pytest.importorskip("mcap")
@@ -163,22 +163,16 @@ def stamped(path, delay, back=20):
 
     From message `back` on the clock of the stamps is set back by a second.
     """
-    from mcap.writer import Writer
 
-    with open(path, "wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("any", "jsonschema", b"{}")
-        drive, odom = (writer.register_channel(t, "json", schema) for t in ("/drive", "/odom"))
+    def messages():
         for k in range(20):
             at = 100 * NS + k * NS // 10
             late, own = at + round(delay * NS), at - NS * (k >= back)
             header = {"stamp": {"sec": own // NS, "nanosec": own % NS}}
-            content = {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}}
-            writer.add_message(drive, late, json.dumps(content).encode(), late)
-            writer.add_message(odom, late, json.dumps({"twist": {"x": 0.1 * k}, "depth": 20.0}).encode(), late)
-        writer.finish()
-    return path
+            yield "/drive", late, {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}}
+            yield "/odom", late, {"twist": {"x": 0.1 * k}, "depth": 20.0}
+
+    return write_mcap(path, messages())
 
 
 def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):

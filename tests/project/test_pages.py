@@ -164,27 +164,22 @@ def agree(rows: list[dict[str, str]], expected: list[tuple]) -> None:
         assert [float(row[key]) for key in ("min", "max", "centre", "scale")] == pytest.approx(numbers, abs=1e-4), name
 
 
-def test_the_observation_tables_of_the_environment():
-    found = tables(DOCS / "guide" / "environment.md")
-    identified = entries("soil_env:SoilWheel-v0", observation="identified")
-    true_soil = entries("soil_env:SoilWheel-v0", observation="true_soil")
-    agree(
-        found["Sensors"] + found["Identified soil"] + found["Camera"] + found["Camera and identified soil"], identified
-    )
-    agree(found["True soil"] + found["Camera and true soil"], true_soil)
-    beside = len(found["Camera and identified soil"])  # the same entries again, of the line beside
-    assert int(found["Camera and identified soil"][-1]["#"]) + beside + 1 == len(identified)
-    assert int(found["Camera and true soil"][-1]["#"]) + len(found["Camera and true soil"]) + 1 == len(true_soil)
-
-
-def test_the_observation_tables_of_the_rover():
-    found = tables(DOCS / "guide" / "rover.md")
-    identified = entries("soil_env:SoilRover-v0", observation="identified")
-    true_soil = entries("soil_env:SoilRover-v0", observation="true_soil")
-    agree(found["Body"] + found["Axles"] + found["Identified soil"], identified)
-    agree(found["True soil"], true_soil)
-    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["Identified soil"]) == len(identified)
-    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["True soil"]) == len(true_soil)
+@pytest.mark.parametrize(
+    ("page", "env_id", "variant", "once", "twice"),
+    [
+        ("environment.md", "SoilWheel-v0", "identified", ["Sensors", "Identified soil", "Camera"],
+         ["Camera and identified soil"]),
+        ("environment.md", "SoilWheel-v0", "true_soil", ["Sensors", "True soil", "Camera"], ["Camera and true soil"]),
+        ("rover.md", "SoilRover-v0", "identified", ["Body"], ["Axles", "Identified soil"]),
+        ("rover.md", "SoilRover-v0", "true_soil", ["Body"], ["Axles", "True soil"]),
+    ],
+)  # fmt: skip
+def test_the_observation_tables(page, env_id, variant, once, twice):
+    """Entries of the tables `twice` come again, for the line beside or the other axle."""
+    found, expected = tables(DOCS / "guide" / page), entries(f"soil_env:{env_id}", observation=variant)
+    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(variant, ())  # numbered as with "identified"
+    agree([row for name in (*once, *twice) if name not in sensors for row in found[name]], expected)
+    assert sum(len(found[name]) for name in once) + 2 * sum(len(found[name]) for name in twice) == len(expected)
 
 
 def test_actions_rewards_causes_and_info_of_the_environment():
