@@ -1,8 +1,8 @@
 """Strict loading: dataclass fields with units and bounds, and YAML into dataclasses.
 
-Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range; a
-value outside the range, an unknown key or a wrong type is refused with one line that names the key, the value and what
-was expected (`ParameterError`).
+Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range. A
+value outside the range, an unknown key or a wrong type raises `ParameterError`: one line with key, value and what was
+expected.
 """
 
 from __future__ import annotations

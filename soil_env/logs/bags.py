@@ -1,8 +1,8 @@
 """Messages of ROS 2 bags and MCAP files, one by one, without ROS, and the numbers in them.
 
-MCAP is read by the library `mcap`, a bag in SQLite by Python's own module, and messages in CDR are decoded by `rosbags`
-with the definitions that the recording bears (those of the current ROS 2 where it bears none). Files are read from
-front to end with no more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
+MCAP is read by the library `mcap`, a bag in SQLite by Python's own module. Messages in CDR are decoded by `rosbags`
+with the definitions that the recording bears, or those of the current ROS 2. Files are read from front to end with no
+more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
 """
 
 from __future__ import annotations
@@ -258,8 +258,8 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
 def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False) -> float:
     """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
 
-    Raises `ParameterError` for a path that messages of this type do not have, `NotHere` where only this message lacks
-    it: a list that is too short, or a name that is not in it.
+    Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where only this message
+    lacks it. Then a list is too short, or a name is not in it.
     """
     value = message
     for step in steps:

@@ -1,9 +1,9 @@
 """Implausible readings: another unit, sign, field or mass than the map says.
 
 Each reading is compared with what the map says of the wheel, or with another reading of the same quantity. Rim speed is
-compared with travel speed and slip; load and pull with the weight; torque with weight times radius; pull with mass
-times acceleration; pitch with the gravity in accelerometer or pull. Medians over the steps that drive are compared. A
-doubt is one line: what, where, what was expected.
+compared with travel speed and slip, a force with the weight, and torque with weight times radius. Pull is compared with
+mass times acceleration, and pitch with the gravity in accelerometer or pull. All values are medians over the steps that
+drive. A doubt is one line: what, where, what was expected.
 """
 
 from __future__ import annotations

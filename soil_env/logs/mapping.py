@@ -144,6 +144,7 @@ class LogMap(Checked):
             raise FieldError(self, "channels", ": expected wheel_speed, and speed or slip, or else no slip is known")
         if self.channels["wheel_speed"].constant is not None:
             raise FieldError(self, "channels.wheel_speed", ": expected readings, which make the time axis; no constant")
+        self.noise()
         if self.windows.duration < 4.0 * self.period:
             raise ParameterError(
                 f"windows: duration = {self.windows.duration:g} s: expected at least four periods of {self.period:g} s"
@@ -182,8 +183,8 @@ class LogMap(Checked):
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
                 if sd[name] > most[name]:
-                    limit = most[name] * unit
-                    raise ParameterError(f"channels.{name}.sd = {source.sd:g}: expected at most {limit:g}, in its unit")
+                    expected = f"expected at most {most[name] * unit:g}, in its unit"
+                    raise FieldError(self, f"channels.{name}.sd", f" = {source.sd:g}: {expected}")
         return Noise(**sd)
 
 
@@ -201,8 +202,4 @@ def read_map(path: str | Path) -> LogMap:
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
     setup_of({"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil}, where)
-    try:
-        found.noise()
-    except ParameterError as error:
-        raise ParameterError(f"{where}: {error}") from None
     return found

@@ -1,8 +1,8 @@
 """Steady stretches of a log as points of measurement tables, one table a ground, with a setup beside each.
 
-A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch, and where sinkage
-has come to what the slip makes of it. Sinkage follows dz/dt = A (z_end - z), A = (|V| + recovery |r w - V|)/l
-(`effects.excavation_rate`): from a change dz between the halves, a time T/2 apart, there is dz/(1 - exp(-A T/2)) to go.
+A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch. Sinkage must have
+come to the value that belongs to the slip. It follows dz/dt = A (z_end - z), A = (|V| + recovery |r w - V|)/l
+(`effects.excavation_rate`). After a change dz between the halves, a time T/2 apart, dz/(1 - exp(-A T/2)) is left to go.
 
 A fit to points of several soils is that of none, so each ground between two borders (`replay`) has a table of its own.
 The filter finds a border some centimetres late: points within `belief.border` of one are left out. `steady.csv` has all

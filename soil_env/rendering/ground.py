@@ -81,8 +81,10 @@ def draw_ground(
     c: Canvas, scene: Scene, x: np.ndarray, profile: Profile, lowered: np.ndarray, hubs: Any, r: float,
     bounds: tuple[float, float],
 ) -> None:  # fmt: skip
-    """The soil up to its surface at x [m] along the course, `lowered` [m] by ruts and pressed down by wheels of radius
-    r [m] at `hubs`, with specks; dashed where the surface was before."""
+    """The soil up to its surface at x [m] along the course, with specks; dashed where the surface was before.
+
+    It is `lowered` [m] by ruts, and pressed down by wheels of radius r [m] at `hubs`.
+    """
     across, before = profile.at(x)
     now = before - lowered
     for hub in hubs:

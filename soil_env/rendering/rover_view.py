@@ -1,8 +1,7 @@
 """Side view of a rover: body, suspension, every wheel with the stress under it, ruts, and charts axle by axle.
 
-Laid out as `side_view` is, and nothing physical is computed here either: where the wheels stand, in the ruts of those
-ahead of them, what they bear and how the body is pitched is the state of the simulation. The course is drawn in true
-lengths, distance along it being that along the slope.
+Laid out as `side_view` is. Nothing physical is computed here either: places, loads and pitch are the state of the
+simulation. The course is drawn in true lengths, and distance along it is that along the slope.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
+from soil_env.parameters import SoilState
 from soil_env.rendering import canvas as colours
 from soil_env.rendering.canvas import DESIGN, GREY, INK, Canvas, soil_colour
 from soil_env.rendering.charts import draw_axle_charts
@@ -69,13 +69,19 @@ def posture_of(simulation: RoverSimulation, j: int, profile: Profile) -> Posture
     return at_front._replace(origin=pivot - at_front.on_body(behind, above))
 
 
+def _soil_under(simulation: RoverSimulation, j: int, k: int) -> SoilState:
+    """The undisturbed soil under wheel k, which is one of rover j."""
+    worlds, rovers = simulation.worlds, simulation.worlds.rovers
+    border = simulation.numbers.world.border
+    soil, _, _ = ground_at(worlds.courses, j, rovers.wheels.x[k], rovers.counts.patch[k], border)
+    return soil
+
+
 def rover_stresses(simulation: RoverSimulation, j: int, axle: int) -> Stresses:
     """`Stresses` under the wheel of rover j on an axle as it moves now, under the load that the suspension gives it."""
-    worlds, world, k = simulation.worlds, simulation.numbers.world, simulation.wheels[j, axle]
-    w = worlds.rovers.wheels[k]
-    soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], world.border)
-    r = world.wheel.radius
-    return contact_stresses(soil, w["load"], w["speed"], w["wheel_speed"] * r, w["sinkage"], r, world.wheel.width)
+    k, wheel = simulation.wheels[j, axle], simulation.numbers.world.wheel
+    w, soil, r = simulation.worlds.rovers.wheels[k], _soil_under(simulation, j, k), wheel.radius
+    return contact_stresses(soil, w["load"], w["speed"], w["wheel_speed"] * r, w["sinkage"], r, wheel.width)
 
 
 def _width_of(simulation: RoverSimulation) -> float:
@@ -102,8 +108,7 @@ class RoverRenderer(CourseView):
         worlds, numbers = simulation.worlds, simulation.numbers
         now: list[float] = []
         for row in simulation.wheels[k].tolist():
-            w = worlds.rovers.wheels[row]
-            soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], numbers.world.border)
+            w, soil = worlds.rovers.wheels[row], _soil_under(simulation, k, row)
             friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
             now += [w["slip"], w["sinkage"] / numbers.world.wheel.radius, w["load"] / numbers.task.weight]
             now += [friction, math.atan(soil.tan_phi)]
@@ -174,8 +179,7 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
 
 def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
     """Numbers of the rover as a whole above the side view, and the state of the episode."""
-    rovers, worlds = simulation.worlds.rovers, simulation.worlds
-    body = rovers.body[j]
+    body = simulation.worlds.rovers.body[j]
     cells = (
         ("distance of the rear axle", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
         ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
@@ -184,23 +188,22 @@ def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
     for x, (name, value) in zip((14, 190, 280), cells, strict=True):
         c.text(x, 14, name, 15, GREY)
         c.text(x, 32, value, 20)
-    draw_cause(c, Cause(int(worlds.cause[j])), body["halt_left"] > 0.0)
+    draw_cause(c, Cause(int(simulation.worlds.cause[j])), body["halt_left"] > 0.0)
 
 
 def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds, status: list[str]) -> None:
     """State of each axle, with the rut that it runs in, the true soil under it and the `status` of its estimate, below
     the side view."""
-    worlds, border = simulation.worlds, simulation.numbers.world.border
+    rovers = simulation.worlds.rovers
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
     for axle, (name, k) in enumerate(zip(names, simulation.wheels[j].tolist(), strict=True)):
-        w, y = worlds.rovers.wheels[k], 380 + 16 * axle
-        soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], border)
+        w, y, soil = rovers.wheels[k], 380 + 16 * axle, _soil_under(simulation, j, k)
         phi = math.degrees(math.atan(soil.tan_phi))
         values = (
-            name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * worlds.rovers.axles.floor[k]:.1f} mm",
+            name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * rovers.axles.floor[k]:.1f} mm",
             f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
             f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
             status[axle],

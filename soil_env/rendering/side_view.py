@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from soil_env.driving.wheels import Simulation
+from soil_env.parameters import SoilState
 from soil_env.rendering.canvas import GREY, Canvas, soil_colour
 from soil_env.rendering.charts import draw_charts
 from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_course, friction_range
@@ -27,12 +28,19 @@ _WHEEL_AT = (0.46, 0.6)  # place of the ground under the wheel in the side view,
 SCENE = (14, 92, 548, 304)
 
 
+def _soil_under(simulation: Simulation, k: int) -> SoilState:
+    """The undisturbed soil under wheel k."""
+    w = simulation.wheel(k)
+    soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], simulation.numbers.world.border)
+    return soil
+
+
 def stresses_under(simulation: Simulation, k: int) -> Stresses:
     """`Stresses` under wheel k as it moves now."""
-    w, world = simulation.wheel(k), simulation.numbers.world
-    soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
-    load, r = w["mass"] * world.wheel.gravity * math.cos(w["grade"]), world.wheel.radius
-    return contact_stresses(soil, load, w["speed"], w["wheel_speed"] * r, w["sinkage"], r, world.wheel.width)
+    w, wheel = simulation.wheel(k), simulation.numbers.world.wheel
+    load, r = w["mass"] * wheel.gravity * math.cos(w["grade"]), wheel.radius
+    rim_speed = w["wheel_speed"] * r
+    return contact_stresses(_soil_under(simulation, k), load, w["speed"], rim_speed, w["sinkage"], r, wheel.width)
 
 
 class Renderer(CourseView):
@@ -44,12 +52,11 @@ class Renderer(CourseView):
 
     def _sample(self, simulation: Simulation, k: int) -> tuple[float, ...]:
         """Slip, sinkage [radii], estimate [3] and its sd [3], truth [3], of phi [rad], ln K and ln S."""
-        w, ids, world = simulation.wheel(k), simulation.worlds.ids, simulation.numbers.world
-        soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], world.border)
+        w, ids, soil = simulation.wheel(k), simulation.worlds.ids, _soil_under(simulation, k)
         same = sinkage_coefficient_at(soil, self.scenario.belief.sinkage_exponent, w["bearing_sinkage"])
         known = (math.nan,) * 6 if ids is None else (*ids.estimate[k, :3], *ids.sd[k, :3])
         truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-        return w["slip"], w["sinkage"] / world.wheel.radius, *known, *truth
+        return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
 
     def _paint(self, canvas: Canvas, simulation: Simulation, k: int) -> None:
         margin, length = _VIEW * simulation.numbers.world.wheel.radius, simulation.numbers.task.length
@@ -77,9 +84,9 @@ def _draw_scene(c: Canvas, simulation, k: int, profile: Profile, bounds, angle: 
 def _draw_readings(c: Canvas, simulation, k: int, bounds, status: str) -> None:
     """Numbers and the `status` of the estimate above the side view, the state of the episode, and the true soil under
     the wheel below it."""
-    w, worlds, numbers = simulation.wheel(k), simulation.worlds, simulation.numbers
+    w = simulation.wheel(k)
     cells = (
-        ("distance", f"{w['x']:.2f} of {numbers.task.length:g} m"),
+        ("distance", f"{w['x']:.2f} of {simulation.numbers.task.length:g} m"),
         ("speed", f"{w['speed']:.2f} m/s"),
         ("slip", f"{w['slip']:.2f}"),
         ("sinkage", f"{1e3 * w['sinkage']:.0f} mm"),
@@ -92,8 +99,8 @@ def _draw_readings(c: Canvas, simulation, k: int, bounds, status: str) -> None:
         x, y = (14, 140, 296, 396)[i % 4], 14 + 40 * (i // 4)
         c.text(x, y, name, 15, GREY)
         c.text(x, y + 16, value, 20)
-    draw_cause(c, Cause(int(worlds.cause[k])), w["halt_left"] > 0.0)
-    soil, _, _ = ground_at(worlds.courses, k, w["x"], w["patch"], numbers.world.border)
+    draw_cause(c, Cause(int(simulation.worlds.cause[k])), w["halt_left"] > 0.0)
+    soil = _soil_under(simulation, k)
     phi = math.degrees(math.atan(soil.tan_phi))
     c.box((14, 404, 20, 14), soil_colour([phi], bounds)[0], GREY)
     moduli = f"K = {1e3 * soil.shear_modulus:.1f} mm   S = {1e-6 * soil.sinkage_coefficient:.2f} MN/m^(n+2)"
