@@ -232,8 +232,8 @@ class OnlineIdentifier:
     def update(self, readings: Readings) -> Estimate:
         """Take one set of readings; the estimate after it, renewed about every eighth time, on a border every time.
 
-        Raises, and changes nothing: TypeError for anything but `Readings` of numbers; ValueError for a time that is not
-        later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
+        Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that is not later than the
+        last, and for a reading that is infinite or larger than `largest_readings`. An error changes nothing. Readings
         that lead to no soil at all start the identifier anew.
         """
         if not isinstance(readings, Readings):

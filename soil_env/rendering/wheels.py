@@ -13,15 +13,7 @@ from soil_env.rendering import canvas
 from soil_env.rendering.canvas import Box, Canvas, Colour
 from soil_env.rendering.ground import Profile, Scene, draw_flag, draw_ground, draw_scale_bar
 from soil_env.simulation.task import Cause
-from soil_env.terramechanics.contact import (
-    JANOSI,
-    entry_angle,
-    mirror_angle,
-    mobilised,
-    motion_from_speeds,
-    relative_stress,
-    shear_displacement,
-)
+from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import REST_SPEED, reaction
 
 ARC_POINTS = 25
@@ -44,15 +36,15 @@ def contact_stresses(
     coefficient does not matter: so the same holds in a rut.
     """
     coefficient = reaction(speed, rim_speed, sinkage, load, soil, r, b).sinkage_coefficient
-    rim, travel, _ = motion_from_speeds(rim_speed, speed, REST_SPEED)
-    theta1 = entry_angle(sinkage, r)
+    rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
+    theta1 = contact.entry_angle(sinkage, r)
     angle = np.linspace(0.0, theta1, ARC_POINTS)
     normal, shear = np.empty(ARC_POINTS), np.empty(ARC_POINTS)
     for i, theta in enumerate(angle):
-        front = mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
-        normal[i] = coefficient * relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
-        j, _, _ = shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
-        share, _ = mobilised(j, soil.shear_modulus, JANOSI)
+        front = contact.mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
+        normal[i] = coefficient * contact.relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
+        j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
+        share, _ = contact.mobilised(j, soil.shear_modulus, contact.JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
     return Stresses(angle, normal, shear)
 
