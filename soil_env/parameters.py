@@ -81,10 +81,10 @@ def check_lugs(height: float, radius: float) -> None:
 class Noise(Checked):
     """Standard deviations of the sensors, white and Gaussian. Forces are shares of the unloaded wheel's weight.
 
-    Odometry integrates the readings of the speed sensor, with their noise, times a scale that is drawn once a course,
-    of the order that visual odometry of rovers is off by (Maimone, Cheng & Matthies 2007, J. Field Robotics
-    24:169-186). The speed sensor has no such scale, so whoever sees all its readings (an action a control period,
-    `repeat` 1) can find the scale and is left with the place that the speeds add up to.
+    Odometry integrates the readings of the speed sensor, with their noise, times a scale that is drawn once a course.
+    The scale is of the order of errors of visual odometry (Maimone, Cheng & Matthies 2007, J. Field Robotics
+    24:169-186). The speed sensor has no such scale. An agent that sees all its readings (`repeat` 1) can find
+    the scale.
     """
 
     slip: float = quantity("", 0.0, 1.0, default=0.01)
@@ -107,8 +107,8 @@ class Belief(Checked):
     Neither the soil nor the parameters of the world's slip-sinkage are known to it. Friction angle, cohesion and
     exponent have a normal prior, K, S and the gain of digging a log-normal one (`..._sd` are relative there); the
     recovery of digging has one value. Where `soils` names a library, the prior has the mean and the covariance of its
-    soils instead, each with the scatter of `spread`; of the numbers before, only `dig_gain` and `sinkage_exponent`
-    count then, as those to which gain and S are referred. With `method` "none" nothing is identified and nothing of
+    soils instead, each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
+    count then, to which gain and S are referred. With `method` "none" nothing is identified and nothing of
     the observation may ask for it: a step costs about half.
     """
 
@@ -337,8 +337,6 @@ def load_scenario_as(
         raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
     else:
         path = Path(which)
-        if str(which) == "":
-            raise ParameterError(f"{singular} = '': expected a name or the path of a YAML file")
         if path.suffix not in (".yaml", ".yml"):
             path = config_dir() / folder / f"{which}.yaml"
             if not path.is_file():

@@ -19,7 +19,7 @@ class Vehicle(Checked):
 
     Lengths are measured along the body from the front axle backwards, heights from the line of the axles upwards. Two
     axles are fixed to the body. Of three, two hang on a bogie that turns freely about its pivot, as in a rocker-bogie
-    suspension: then each wheel bears what the equilibrium of bogie and body leaves to it.
+    suspension. Then the load of each wheel follows from the equilibrium of bogie and body.
     """
 
     mass: float = quantity("kg", 0.6, 4e5, doc="of the whole rover, without payload")
