@@ -66,7 +66,7 @@ types: $(TEST_READY)  ## whether every public name of soil_env has a complete ty
 environment: $(TEST_READY)  ## only .venv with the pinned versions, for tests one by one
 
 kernels: $(BASE_READY)  ## compile what most tests use, once for all test processes
-	$(PY) -m soil_env.warmup
+	$(PY) -m soil_env.cli warmup
 
 docs: $(DOCS_READY)  ## build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -11,7 +11,7 @@ one change each, and the last all changes.
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -26,7 +26,6 @@ from soil_env._io.files import write_json
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.logs import LogMap, Source, Windows, replay
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import Channels, RoverWheel
 from soil_env.online import Status
 from soil_env.parameters import Scenario, load_scenario
 
@@ -72,10 +71,9 @@ def log_of(
     readings = {name: rows[:, k].copy() for k, name in enumerate(_READ) if name not in without}
     readings["wheel_speed"] /= wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
-    rover = RoverWheel(**{f.name: getattr(wheel, f.name) for f in fields(RoverWheel)})
     sources = {name: Source(column=name, sd=getattr(noise, name) * unit.get(name, 1.0)) for name in readings}
     log_map = LogMap(
-        rover, Channels(**sources), period=period, gravity=scenario.gravity, relaxation=scenario.relaxation,
+        wheel, sources, period=period, gravity=scenario.gravity, relaxation=scenario.relaxation,
         belief=replace(scenario.belief, spread=scenario.belief.spread or scenario.spread),
         windows=Windows(duration=max(1.0, 4.0 * period)),
     )  # fmt: skip

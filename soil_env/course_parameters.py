@@ -14,8 +14,8 @@ class CourseSpec(Checked):
     """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
     Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
-    weight in reserve, cut to the upper bound of `grade_deg`; soils that would need less than its lower bound are not
-    used. So every course is passable, and by how much at least is stated.
+    weight in reserve, cut to the upper bound of `grade_deg`. Soils that would need less than its lower bound are not
+    used. So every course is passable with a known reserve.
 
     A border may not be longer than the shortest patch, so that it lies between two patches only.
 
@@ -28,8 +28,8 @@ class CourseSpec(Checked):
     after those, of different classes and each with a grade of its own. It is halted `halt_before` the border, and the
     sign of the action at the end of a halt chooses: below 0 the line beside, else the one straight ahead. On a share
     `dead_ends` of these patches one of the two lines, either with equal chance, lacks `deficit` of drawbar pull at its
-    best slip; the other is passable by `margin` as all others are. That is what rovers are to predict slip by class
-    for: to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field
+    best slip. The other is passable by `margin` as all others are. Rovers predict slip by class to choose a way around
+    such ground before they are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field
     Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
     """
 
@@ -52,24 +52,19 @@ class CourseSpec(Checked):
         super().__post_init__()
         if self.lines > 1:
             self._check_lines()
-        if self.border > self.patch_length[0]:
-            raise FieldError(
-                self, "border", f" = {self.border}: expected at most the shortest patch, {self.patch_length[0]} m"
-            )
+        shortest = self.patch_length[0]
+        if self.border > shortest:
+            raise FieldError(self, "border", f" = {self.border}: expected at most the shortest patch, {shortest} m")
 
     def _check_lines(self) -> None:
         if self.classes < 2:
             raise FieldError(self, "classes", f" = {self.classes}: expected at least 2 where lines = 2")
         if self.halt_time == 0.0:
             raise FieldError(self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in")
-        low, high = self.halt_before
-        if low < self.border or high > self.patch_length[0] - self.border:
-            raise FieldError(
-                self,
-                "halt_before",
-                f" = {self.halt_before}: expected between the border, {self.border} m, and the "
-                f"shortest patch less the border, {self.patch_length[0] - self.border:g} m",
-            )
+        (low, high), most = self.halt_before, self.patch_length[0] - self.border
+        if low < self.border or high > most:
+            expected = f"between the border, {self.border} m, and the shortest patch less the border, {most:g} m"
+            raise FieldError(self, "halt_before", f" = {self.halt_before}: expected {expected}")
 
 
 @dataclass(frozen=True)

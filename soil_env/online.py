@@ -235,8 +235,8 @@ class OnlineIdentifier:
     def update(self, readings: Readings) -> Estimate:
         """Take one set of readings; the estimate after it, renewed about every eighth time, on a border every time.
 
-        Raises, and changes nothing: TypeError for anything but `Readings` of numbers; ValueError for a time that is not
-        later than the last, and for a reading that is infinite or larger than `largest_readings`. Readings within these
+        Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that is not later than the
+        last, and for a reading that is infinite or larger than `largest_readings`. An error changes nothing. Readings
         that lead to no soil at all start the identifier anew.
         """
         if not isinstance(readings, Readings):
@@ -248,7 +248,8 @@ class OnlineIdentifier:
         outcome = HELD
         if rim == rim and speed == speed:
             self._put(readings, rim, speed)
-            outcome = self._observe(self._ids, 0, self._values, self._numbers_of(period))
+            numbers = self._numbers._replace(filter=self._numbers.filter._replace(period=period))
+            outcome = self._observe(self._ids, 0, self._values, numbers)
         self._time = readings.time if readings.time == readings.time else self._time + period
         if outcome != HELD or self._estimate.renewed:
             self._estimate = self._published(outcome != HELD)
@@ -296,13 +297,6 @@ class OnlineIdentifier:
         if passed != passed:
             return self._numbers.filter.period
         raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
-
-    def _numbers_of(self, period: float) -> IdentifierNumbers:
-        """The numbers of the identifier for readings `period` [s] after the last."""
-        numbers = self._numbers
-        if period == numbers.filter.period:
-            return numbers
-        return numbers._replace(filter=numbers.filter._replace(period=period))
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
         """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""

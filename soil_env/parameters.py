@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -64,9 +64,8 @@ class Wheel(Checked):
         super().__post_init__()
         least = 0.02 * self.body_mass * self.radius**2
         if self.inertia < least:
-            raise FieldError(
-                self, "inertia", f" = {self.inertia:g}: expected at least {least:g} kg m2, 2 % of body_mass radius^2"
-            )
+            expected = f"expected at least {least:g} kg m2, 2 % of body_mass radius^2"
+            raise FieldError(self, "inertia", f" = {self.inertia:g}: {expected}")
 
 
 def check_lugs(height: float, radius: float) -> None:
@@ -82,10 +81,10 @@ def check_lugs(height: float, radius: float) -> None:
 class Noise(Checked):
     """Standard deviations of the sensors, white and Gaussian. Forces are shares of the unloaded wheel's weight.
 
-    Odometry integrates the readings of the speed sensor, with their noise, times a scale that is drawn once a course,
-    of the order that visual odometry of rovers is off by (Maimone, Cheng & Matthies 2007, J. Field Robotics
-    24:169-186). The speed sensor has no such scale, so whoever sees all its readings (an action a control period,
-    `repeat` 1) can find the scale and is left with the place that the speeds add up to.
+    Odometry integrates the readings of the speed sensor, with their noise, times a scale that is drawn once a course.
+    The scale is of the order of errors of visual odometry (Maimone, Cheng & Matthies 2007, J. Field Robotics
+    24:169-186). The speed sensor has no such scale. An agent that sees all its readings (`repeat` 1) can find
+    the scale.
     """
 
     slip: float = quantity("", 0.0, 1.0, default=0.01)
@@ -108,8 +107,8 @@ class Belief(Checked):
     Neither the soil nor the parameters of the world's slip-sinkage are known to it. Friction angle, cohesion and
     exponent have a normal prior, K, S and the gain of digging a log-normal one (`..._sd` are relative there); the
     recovery of digging has one value. Where `soils` names a library, the prior has the mean and the covariance of its
-    soils instead, each with the scatter of `spread`; of the numbers before, only `dig_gain` and `sinkage_exponent`
-    count then, as those to which gain and S are referred. With `method` "none" nothing is identified and nothing of
+    soils instead, each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
+    count then, to which gain and S are referred. With `method` "none" nothing is identified and nothing of
     the observation may ask for it: a step costs about half.
     """
 
@@ -227,17 +226,15 @@ class Scenario(Checked):
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library
-        for name, weight in self.soils.items():
-            if name not in library:
-                raise unknown_key(name, library, "soils")
-            if not 0.0 <= weight <= _HEAVIEST:
-                raise ParameterError(f"soils.{name} = {weight!r}: expected a weight >= 0, at most {_HEAVIEST:g}")
+        for place, weights, least in (("soils", self.soils, ">= 0"), ("belief.soils", self.belief.soils, "> 0")):
+            for name, weight in weights.items():
+                if name not in library:
+                    raise unknown_key(name, library, place)
+                if not 0.0 <= weight <= _HEAVIEST or (weight == 0.0 and least == "> 0"):
+                    expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
+                    raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
+        for name in self.soils:
             library[name].lumped(self.wheel.width)
-        for name, weight in self.belief.soils.items():
-            if name not in library:
-                raise unknown_key(name, library, "belief.soils")
-            if not 0.0 < weight <= _HEAVIEST:
-                raise ParameterError(f"belief.soils.{name} = {weight!r}: expected a weight > 0, at most {_HEAVIEST:g}")
         if self.belief.method == "none" and self.reward.information > 0.0:
             raise ParameterError("reward.information: expected 0 where belief.method = 'none' identifies nothing")
         if sum(self.soils.values()) <= 0.0:
@@ -268,20 +265,30 @@ class Scenario(Checked):
 
 
 @cache
-def _library(kind: str) -> dict[str, Any]:
+def _library(kind: str, cls: type) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
-    cls = {"soils": Soil, "wheels": Wheel}[kind]
     return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
 
 
 def soils() -> dict[str, Soil]:
     """The soil presets of configs/soils.yaml by name."""
-    return dict(_library("soils"))
+    return dict(_library("soils", Soil))
 
 
 def wheels() -> dict[str, Wheel]:
     """The wheel presets of configs/wheels.yaml by name."""
-    return dict(_library("wheels"))
+    return dict(_library("wheels", Wheel))
+
+
+def with_preset(wheel: Any, where: str) -> Any:
+    """A mapping of `Wheel` with a preset, named alone or under the key `preset`, replaced by its values."""
+    wheel = {"preset": wheel} if isinstance(wheel, str) else wheel
+    if not isinstance(wheel, dict) or "preset" not in wheel:
+        return wheel
+    preset = wheel["preset"]
+    if not isinstance(preset, str) or preset not in wheels():
+        raise unknown_value(preset, wheels(), f"{where}: wheel")
+    return merge(to_dict(wheels()[preset]), {k: v for k, v in wheel.items() if k != "preset"})
 
 
 #: Scenario of the environments, of training and of evaluation, where none is named.
@@ -330,8 +337,6 @@ def load_scenario_as(
         raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
     else:
         path = Path(which)
-        if str(which) == "":
-            raise ParameterError(f"{singular} = '': expected a name or the path of a YAML file")
         if path.suffix not in (".yaml", ".yml"):
             path = config_dir() / folder / f"{which}.yaml"
             if not path.is_file():
@@ -344,8 +349,13 @@ def load_scenario_as(
         mapping, where = read_yaml(path), path.name if path.parent == config_dir() / folder else str(path)
         _check_kind(mapping, changes or {}, folder, f"{singular}: {str(which)!r}")
         mapping.setdefault("name", path.stem)
-    merged = partial(_merged, kind, complete, mapping)
-    return merged(changes or {}, place if changes and _is_valid(merged) else where)
+    if changes:
+        try:
+            _merged(kind, complete, mapping, {}, where)
+            where = place  # all that can be wrong now is in the changes
+        except ParameterError:
+            pass
+    return _merged(kind, complete, mapping, changes or {}, where)
 
 
 def _expected(folder: str) -> str:
@@ -362,14 +372,6 @@ def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, w
         raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
     if folder == "rovers" and mapping and known.issuperset((*mapping, *changes)):
         raise ParameterError(f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}")
-
-
-def _is_valid(merged: Callable[[dict[str, Any], str], Any]) -> bool:
-    try:
-        merged({}, "")
-    except ParameterError:
-        return False
-    return True
 
 
 #: Numbers of `Belief` that a library of soils takes the place of.
@@ -419,11 +421,6 @@ def _merged(
     if isinstance(mapping.get("wheel"), str):
         mapping["wheel"] = {"preset": mapping["wheel"]}
     mapping = merge(mapping, {k: to_dict(v) if isinstance(v, Checked) else v for k, v in changes.items()})
-    wheel = mapping.get("wheel")
-    if isinstance(wheel, dict) and "preset" in wheel:
-        wheel = dict(wheel)
-        preset = wheel.pop("preset")
-        if not isinstance(preset, str) or preset not in wheels():
-            raise unknown_value(preset, wheels(), f"{where}: wheel")
-        mapping["wheel"] = merge(to_dict(wheels()[preset]), wheel)
+    if "wheel" in mapping:
+        mapping["wheel"] = with_preset(mapping["wheel"], where)
     return load(kind, complete(mapping), where)

@@ -38,9 +38,10 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
 class Soil(Checked):
     """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
 
-    The pressure-sinkage relation p = (k_c/b + k_phi) z^n is given by its two moduli or by their sum for the wheel at
-    hand, `sinkage_coefficient` (the S of the source paper). Unless `dig_gain` is given there is no slip-sinkage, as in
-    the base model of Eqs. (1)-(10); the presets of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
+    The pressure-sinkage relation is p = (k_c/b + k_phi) z^n. It is given by its two moduli, or by their sum for the
+    wheel at hand, `sinkage_coefficient` (the S of the source paper). Unless `dig_gain` is given there is no
+    slip-sinkage, as in the base model of Eqs. (1)-(10). The presets of configs/soils.yaml have it, and 1.5 is Lyasko
+    (2010).
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)

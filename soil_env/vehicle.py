@@ -19,7 +19,7 @@ class Vehicle(Checked):
 
     Lengths are measured along the body from the front axle backwards, heights from the line of the axles upwards. Two
     axles are fixed to the body. Of three, two hang on a bogie that turns freely about its pivot, as in a rocker-bogie
-    suspension: then each wheel bears what the equilibrium of bogie and body leaves to it.
+    suspension. Then the load of each wheel follows from the equilibrium of bogie and body.
     """
 
     mass: float = quantity("kg", 0.6, 4e5, doc="of the whole rover, without payload")
@@ -36,29 +36,21 @@ class Vehicle(Checked):
         if not 2 <= count <= MOST_AXLES:
             raise FieldError(self, "axles", f"{given}: expected 2 or 3 axles")
         if self.axles[0] != 0.0 or any(b <= a for a, b in zip(self.axles, self.axles[1:], strict=False)):
-            raise FieldError(
-                self,
-                "axles",
-                f"{given}: expected metres behind the front axle, front to rear: 0 first, each larger than the last",
-            )
+            expected = "metres behind the front axle, front to rear: 0 first, each larger than the last"
+            raise FieldError(self, "axles", f"{given}: expected {expected}")
         super().__post_init__()
         if (self.bogie == "none") != (count == 2):
             known = "'none' with two axles" if count == 2 else "'front' or 'rear' with three axles"
             raise FieldError(self, "bogie", f" = {self.bogie!r}: expected {known}")
         if self.bogie != "none":
-            first = self.first_on_bogie
-            low, high = self.axles[first], self.axles[first + 1]
+            low, high = self.axles[self.first_on_bogie : self.first_on_bogie + 2]
             if not low < self.pivot < high:
-                raise FieldError(
-                    self, "pivot", f" = {self.pivot}: expected between the axles of the bogie, {low} and {high}"
-                )
+                expected = f"expected between the axles of the bogie, {low} and {high}"
+                raise FieldError(self, "pivot", f" = {self.pivot}: {expected}")
         if min(self.shares) < 0.02:
-            raise FieldError(
-                self,
-                "centre",
-                f" = {self.centre}: expected between the axles, so that each bears at least 2 % of the "
-                f"weight; they bear {', '.join(f'{s:.3g}' for s in self.shares)}",
-            )
+            expected = "expected between the axles, so that each bears at least 2 % of the weight"
+            bear = ", ".join(f"{s:.3g}" for s in self.shares)
+            raise FieldError(self, "centre", f" = {self.centre}: {expected}; they bear {bear}")
 
     @property
     def first_on_bogie(self) -> int:
@@ -97,20 +89,12 @@ class RoverScenario(Scenario):
         places, least = self.vehicle.axles, 2.0 * self.wheel.radius
         nearest = min(b - a for a, b in zip(places, places[1:], strict=False))
         if nearest < least:
-            raise FieldError(
-                self,
-                "vehicle.axles",
-                f" = {places!r}: expected wheels of {self.wheel.radius:g} m radius apart, "
-                f"axles at least {least:g} m behind each other",
-            )
+            expected = f"wheels of {self.wheel.radius:g} m radius apart, axles at least {least:g} m behind each other"
+            raise FieldError(self, "vehicle.axles", f" = {places!r}: expected {expected}")
         share = mass_of_wheel(self.vehicle)
         if abs(self.wheel.body_mass - share) > 1e-6 * share:
-            raise FieldError(
-                self,
-                "wheel.body_mass",
-                f" = {self.wheel.body_mass:g}: expected none, or the vehicle's mass over "
-                f"its number of wheels, {share:g} kg",
-            )
+            expected = f"expected none, or the vehicle's mass over its number of wheels, {share:g} kg"
+            raise FieldError(self, "wheel.body_mass", f" = {self.wheel.body_mass:g}: {expected}")
 
     @property
     def axles(self) -> int:

@@ -39,7 +39,7 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         for rest in partial.values():
-            with suppress(OSError):  # the first failure is what is told
+            with suppress(OSError):  # the first failure is the one that is reported
                 rest.unlink(missing_ok=True)
 
 

@@ -1,8 +1,8 @@
 """Strict loading: dataclass fields with units and bounds, and YAML into dataclasses.
 
-Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range; a
-value outside the range, an unknown key or a wrong type is refused with one line that names the key, the value and what
-was expected (`ParameterError`).
+Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range. A
+value outside the range, an unknown key or a wrong type raises `ParameterError`: one line with key, value and what was
+expected.
 """
 
 from __future__ import annotations
@@ -50,18 +50,12 @@ def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, defau
 
 
 def check(instance) -> None:
-    """Raise `ParameterError` if a `quantity` field of `instance` is not finite or out of range."""
-    for f in dataclasses.fields(instance):
-        if "unit" not in f.metadata:
-            continue
-        value = getattr(instance, f.name)
-        low, high = f.metadata["low"], f.metadata["high"]
-        numbers = value if isinstance(value, tuple) else (value,)
-        for x in numbers:
-            if x is None:
-                continue
+    """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is allowed."""
+    for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
+        value, low, high = getattr(instance, f.name), f.metadata["low"], f.metadata["high"]
+        for x in value if isinstance(value, tuple) else (value,):
             is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
-            if not (is_number and low <= x <= high and math.isfinite(x)):
+            if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 raise FieldError(instance, f.name, f" = {_said(value)}: expected a number in {limits}")
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
@@ -144,13 +138,9 @@ def load(cls, mapping, where: str = ""):
         if key not in names:
             raise unknown_key(key, names, where)
     values = {key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()}
-    missing = [
-        n
-        for n, f in names.items()
-        if n not in values and f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
-    ]
-    if missing:
-        raise ParameterError(f"{where}: missing {', '.join(missing)}")
+    required = [n for n, f in names.items() if f.default is f.default_factory is dataclasses.MISSING]
+    if missing := ", ".join(n for n in required if n not in values):
+        raise ParameterError(f"{where}: missing {missing}")
     try:
         return cls(**values)
     except FieldError as error:
@@ -253,52 +243,42 @@ class _Strict(yaml.SafeLoader):
     Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
     """
 
-    def __init__(self, stream) -> None:
-        super().__init__(stream)
-        self.depth = self.composed = self.values = 0
+    values = 0  # counted so far
 
-    def compose_node(self, parent, index):
-        """A node; the root is checked whole."""
-        self.depth, self.composed = self.depth + 1, self.composed + 1
-        if self.depth > DEEPEST or self.composed > MOST_VALUES:
-            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH)
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        if parent is None:
+    def get_single_node(self):
+        """The root, checked whole."""
+        node = super().get_single_node()
+        if node is not None:
             self._check(node, ())
         return node
 
     def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
         """Refuse a node that stands for too much, contains itself or has a key twice; `above` are those around it."""
         self.values += 1
-        mark = node.start_mark
-        reason = _TOO_MUCH if self.values > MOST_VALUES or len(above) >= DEEPEST else ""
-        reason = "a value that contains itself" if node in above else reason
-        if isinstance(node, yaml.MappingNode) and not reason:
-            mark, reason = _twice(node)
-        if reason:
-            raise yaml.constructor.ConstructorError(None, None, reason, mark)
-        for item in () if isinstance(node, yaml.ScalarNode) else node.value:
+        if self.values > MOST_VALUES or len(above) >= DEEPEST:
+            raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH, node.start_mark)
+        if node in above:
+            raise yaml.constructor.ConstructorError(None, None, "a value that contains itself", node.start_mark)
+        if isinstance(node, yaml.ScalarNode):
+            return
+        keys = set()
+        for item in node.value:
             for part in item if isinstance(item, tuple) else (item,):
                 self._check(part, (*above, node))
-
-
-def _twice(node: yaml.MappingNode) -> tuple[yaml.Mark, str]:
-    """Place of the second mention of a key in a mapping and the complaint, "" if no key stands twice."""
-    seen: set[str] = set()
-    for key, _ in node.value:
-        if isinstance(key, yaml.ScalarNode):
-            if key.value in seen:
-                return key.start_mark, f"key {key.value!r} appears twice"
-            seen.add(key.value)
-    return node.start_mark, ""
+            if isinstance(item, tuple) and isinstance(key := item[0], yaml.ScalarNode):
+                if key.value in keys:
+                    twice = f"key {key.value!r} appears twice"
+                    raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)
+                keys.add(key.value)
 
 
 def parse_yaml(text: str):
     """The value that a YAML text stands for; `yaml.YAMLError` for whatever is wrong with it."""
     try:
         return yaml.load(text, _Strict)  # a SafeLoader
-    except (ValueError, OverflowError, RecursionError) as error:  # a day 2001-99-99, a number of 5000 digits
+    except RecursionError:
+        raise yaml.YAMLError(_TOO_MUCH) from None
+    except (ValueError, OverflowError) as error:  # a day 2001-99-99, a number of 5000 digits
         raise yaml.YAMLError(f"{type(error).__name__}: {error}") from None
 
 

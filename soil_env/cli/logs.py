@@ -13,12 +13,11 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 from soil_env._io.files import check_outputs, replace_files
 from soil_env.cli.running import PATH, out_option
-from soil_env.logs.grounds import FILES, advice, commands, grounds
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
-from soil_env.logs.replay import findings, replay
-from soil_env.logs.report import ALWAYS, channel_table, contents, ground_table, soil_table, summary
-from soil_env.logs.steady import steady_windows
+from soil_env.logs.replay import replay
+from soil_env.logs.report import ALWAYS, report_of
+from soil_env.logs.steady import FILES, steady_windows
 
 
 @click.command("logs")
@@ -49,27 +48,12 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
         log = read_recording(recording, log_map, progress)
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
-    files = contents(recording.name, log, log_map, found, steady)
-    replace_files(out, files)
+    report = report_of(recording.name, log, log_map, found, steady, out)
+    replace_files(out, report.files)
     for place in out.iterdir():
-        if FILES.fullmatch(place.name) and place.name not in files and place.is_file():  # of an earlier run
+        if FILES.fullmatch(place.name) and place.name not in report.files and place.is_file():  # of an earlier run
             place.unlink()
-    parts = grounds(found, steady)
-    print(summary(log))
-    for line in log.doubts:
-        print(f"check first: {line}")
-    print(channel_table(log).text(2))
-    print(soil_table(found).text(2))
-    if len(parts) > 1:
-        print(ground_table(parts).text(2))
-    for line in (*findings(found, log), *advice(found, parts, steady)):
-        print(f"- {line}")
-    for line in (*log.notes, *found.warnings):
-        print(f"! {line}")
-    for name in files:
-        print(f"written: {out / name}")
-    for line in commands(parts, steady, out):
-        print(f"next: {line}")
+    print(report.text, end="")
 
 
 @contextmanager

@@ -1,13 +1,22 @@
-"""`soil-env warmup`."""
+"""`soil-env warmup`: compilation of everything that environments, online identifier, commands and examples use.
+
+For an image, or before many processes start at once.
+"""
 
 from __future__ import annotations
 
 import time
 
 import click
+import gymnasium
+import numpy as np
 
 from soil_env._numba.cache import place
-from soil_env.warmup import warm_up
+from soil_env.online import OnlineIdentifier, Readings, slips
+from soil_env.parameters import soils, wheels
+from soil_env.terramechanics.effects import excavation_rate, sliding_speed
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.traversability import best_points
 
 
 @click.command("warmup")
@@ -16,3 +25,38 @@ def command() -> None:
     start = time.perf_counter()
     warm_up()
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
+
+
+def _drive(env_id: str, action: float, **options: object) -> None:
+    """Reset an environment, make a step and draw a picture."""
+    env = gymnasium.make(env_id, render_mode="rgb_array", **options)
+    env.reset(seed=0)
+    env.step(np.full(env.action_space.shape, action, np.float32))
+    env.render()
+    env.close()
+
+
+def warm_up() -> None:
+    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the source paper."""
+    from soil_env.paper import compare  # with its printed values; here so that importing this file reads none
+
+    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
+    for world in (None, model):
+        _drive("SoilWheel-v0", 0.4, model=world)
+        envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point", model=world)
+        envs.reset(seed=0)
+        envs.step(np.full((64, 1), 0.4, dtype=np.float32))
+        envs.close()
+    _drive("SoilRover-v0", 0.4)
+    identifier = OnlineIdentifier(wheels()["planetary_rover"])
+    identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
+    identifier.traversability()
+    slips(np.array([0.3]), np.array([0.2]))
+    model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
+    sliding_speed(np.float64(0.3), np.float64(0.1))
+    excavation_rate(0.2, 0.1, 0.0, 1.0, 0.3)
+    out = np.zeros((2, 1))
+    best_points(np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1])
+    for equations in compare.HELD:
+        compare.root(equations)
+        compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)

@@ -13,7 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from soil_env.online import slips
 from soil_env.slip import travel_speeds
+
+_LOCKED = -0.9  # slip below which the rim says little of the travel speed
 
 
 @dataclass
@@ -52,13 +55,20 @@ class Aligned:
         """Readings [N] of a channel; NaN where it is not measured."""
         return self.readings.get(name, np.full(len(self), math.nan))
 
+    def motion(self, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(Rim speed [m/s], travel speed [m/s], slip) [N] of a wheel of `radius` [m].
+
+        Speed and slip follow from each other where one of them is missing.
+        """
+        rim, speed, slip = self.get("wheel_speed") * radius, self.get("speed"), self.get("slip")
+        slip = np.where(np.isnan(slip), slips(rim, speed), np.clip(slip, -1.0, 1.0))
+        return rim, np.where(np.isnan(speed), travel_speeds(rim, np.maximum(slip, _LOCKED)), speed), slip
+
     def travelled(self, radius: float) -> np.ndarray:
         """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of the wheel."""
-        rim, speed = self.readings["wheel_speed"] * radius, self.get("speed")
-        slip = np.clip(np.nan_to_num(self.get("slip")), -0.9, 1.0)
-        speed = np.where(np.isnan(speed), travel_speeds(rim, slip), speed)
+        rim, speed, _ = self.motion(radius)
         steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
-        return np.cumsum(np.abs(np.nan_to_num(speed)) * steps)
+        return np.cumsum(np.abs(np.nan_to_num(np.where(np.isnan(speed), rim, speed))) * steps)
 
 
 def align(channels: dict[str, Channel], constants: dict[str, float], period: float, max_gap: float) -> Aligned:

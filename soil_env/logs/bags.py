@@ -1,25 +1,32 @@
-"""Messages of ROS 2 bags and MCAP files, one by one, without ROS.
+"""Messages of ROS 2 bags and MCAP files, one by one, without ROS, and the numbers in them.
 
-MCAP is read by the library `mcap`, a bag in SQLite by Python's own module, and messages in CDR are decoded by `rosbags`
-with the definitions that the recording bears (those of the current ROS 2 where it bears none). Files are read from
-front to end with no more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
+MCAP is read by the library `mcap`, a bag in SQLite by Python's own module. Messages in CDR are decoded by `rosbags`
+with the definitions that the recording bears, or those of the current ROS 2. Files are read from front to end with no
+more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
 import json
+import math
+import re
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
+from functools import partial
+from numbers import Real
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from soil_env._io.loading import ParameterError, read_yaml
+from soil_env._io.loading import ParameterError, nearest, read_yaml
 
 SUFFIXES = (".mcap", ".db3")
-_NEEDED = "bags need the extra logs: pip install 'soil_env[logs]'"
+_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[[^\[\]]+\])*)\Z")  # of a path into a message
+_LISTS_OF_NAMES = ("name", "joint_names", "names")
 
 Progress = Callable[[int, int], None]  # bytes read, of how many in all
 
@@ -66,6 +73,11 @@ def bag_files(path: Path) -> list[Path]:
 
 def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> Iterator[Message]:
     """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order of recording."""
+    try:
+        import mcap  # noqa: F401
+        import rosbags  # noqa: F401
+    except ImportError:
+        raise ParameterError("bags need the extra logs: pip install 'soil_env[logs]'") from None
     files = bag_files(path)
     sizes = [p.stat().st_size if p.is_file() else 0 for p in files]
     for k, file in enumerate(files):
@@ -89,10 +101,8 @@ class _Decoder:
     """Messages from bytes; one for each file."""
 
     def __init__(self) -> None:
-        try:
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError:
-            raise ParameterError(_NEEDED) from None
+        from rosbags.typesys import Stores, get_typestore
+
         self._known = get_typestore(Stores.LATEST)
         self._own = get_typestore(Stores.EMPTY)
 
@@ -104,16 +114,16 @@ class _Decoder:
         if new:
             self._own.register(new)
 
-    def cdr(self, kind: str, data: bytes, where: str) -> Any:
-        """The message of this type; `ParameterError` for a type that nothing defines."""
+    def cdr(self, kind: str, where: str, data: bytes) -> Any:
+        """The message of this type, compressed or not; `ParameterError` for a type that nothing defines."""
+        if data[:4] == b"\x28\xb5\x2f\xfd":  # zstd; CDR begins with 00
+            import zstandard
+
+            data = zstandard.decompress(data)
         for store in (self._own, self._known):
             if kind in store.types:
-                return store.deserialize_cdr(_unpacked(data), kind)
+                return store.deserialize_cdr(data, kind)
         raise ParameterError(f"{where}: message type {kind} is not known, and the recording does not define it")
-
-
-def _objects(data: bytes) -> Any:
-    return json.loads(data, object_hook=lambda d: SimpleNamespace(**d))
 
 
 # --- MCAP -------------------------------------------------------------------------------------------------------------
@@ -152,43 +162,33 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
 
 def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
     """Messages of an MCAP file."""
-    try:
-        from mcap.records import Channel, Message as Record, Schema
-    except ImportError:
-        raise ParameterError(_NEEDED) from None
+    from mcap.records import Channel, Message as Record, Schema
+
     decoder, schemas, channels = _Decoder(), {}, {}
     for r in _mcap_records(file, notes, report):
         if isinstance(r, Schema):
             schemas[r.id] = r
         elif isinstance(r, Channel):
             schema = schemas.get(r.schema_id)
-            channels[r.id] = r, schema
-            notes.topics.setdefault(r.topic, schema.name if schema else r.message_encoding)
+            kind = schema.name if schema else r.message_encoding
+            notes.topics.setdefault(r.topic, kind)
             if r.topic in wanted:
-                _prepare(decoder, file, r, schema)
+                channels[r.id] = r.topic, kind, _decoding(decoder, f"{file}: topic {r.topic}", r, schema)
         elif isinstance(r, Record) and r.channel_id in channels:
-            channel, schema = channels[r.channel_id]
-            if channel.topic in wanted:
-                yield _message(decoder, file, channel, schema, r)
+            topic, kind, decode = channels[r.channel_id]
+            yield Message(topic, r.log_time, kind, decode(r.data))
 
 
-def _prepare(decoder: _Decoder, file: Path, channel, schema) -> None:
-    """Take the type of a topic that is wanted; `ParameterError` for an encoding that is not read."""
-    where = f"{file}: topic {channel.topic}"
+def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes], Any]:
+    """Function that decodes the messages of a channel; `ParameterError` for an encoding that is not read."""
     if channel.message_encoding == "json":
-        return
+        return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
     if channel.message_encoding != "cdr" or schema is None or schema.encoding not in ("ros2msg", ""):
         encoding = f"{channel.message_encoding} with schema {schema.encoding if schema else 'none'}"
         raise ParameterError(f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json")
     if schema.data:
         decoder.define(schema.name, schema.data.decode("utf-8", "replace"))
-
-
-def _message(decoder: _Decoder, file: Path, channel, schema, record) -> Message:
-    if channel.message_encoding == "json":
-        return Message(channel.topic, record.log_time, schema.name if schema else "json", _objects(record.data))
-    content = decoder.cdr(schema.name, record.data, f"{file}: topic {channel.topic}")
-    return Message(channel.topic, record.log_time, schema.name, content)
+    return partial(decoder.cdr, schema.name, where)
 
 
 # --- SQLite -----------------------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], 
             query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
             for number, topic, time, data in base.execute(query + " ORDER BY id", ids):
                 name, kind = topics[topic]
-                yield Message(name, time, kind, decoder.cdr(kind, data, f"{file}: topic {name}"))
+                yield Message(name, time, kind, decoder.cdr(kind, f"{file}: topic {name}", data))
                 if number % 64 == 0:
                     report(int(size * min(number / count, 1.0)))
         except sqlite3.DatabaseError as error:
@@ -235,10 +235,93 @@ def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> Non
                 decoder.define(kind, text)
 
 
-def _unpacked(data: bytes) -> bytes:
-    """A message, also of a bag whose messages are compressed one by one."""
-    if data[:4] == b"\x28\xb5\x2f\xfd":  # zstd; CDR begins with 00
-        import zstandard
+# --- numbers ----------------------------------------------------------------------------------------------------------
 
-        return zstandard.decompress(data)
-    return data
+
+class NotHere(LookupError):
+    """The value is missing in this one message; others may have it."""
+
+
+def parse(field: str, where: str) -> tuple[str | int, ...]:
+    """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for indices."""
+    steps: list[str | int] = []
+    for step in field.split("."):
+        found = _STEP.match(step)
+        if not found:
+            expected = "expected a path as twist.twist.linear.x or velocity[front_left]"
+            raise ParameterError(f"{where} = {field!r}: {expected}")
+        inner = re.findall(r"\[([^\[\]]+)\]", found[2])
+        steps += [found[1], *(int(i) if i.isdecimal() else f"[{i}]" for i in inner)]
+    return tuple(steps)
+
+
+def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False) -> float:
+    """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
+
+    Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where only this message
+    lacks it. Then a list is too short, or a name is not in it.
+    """
+    value = message
+    for step in steps:
+        if isinstance(step, int) or step.startswith("["):
+            value = _item(message, value, step, where)
+        elif hasattr(value, step):
+            value = getattr(value, step)
+        else:
+            raise ParameterError(f"{where}: the message has no such field; {_near(message, steps)}")
+    if quaternion:
+        try:
+            return uphill(value.x, value.y, value.z, value.w)
+        except AttributeError:
+            raise ParameterError(f"{where}: expected an orientation with x, y, z and w for unit quaternion") from None
+    if not isinstance(value, Real):
+        raise ParameterError(f"{where}: is no number but {_kind(value)}; {_near(message, steps)}")
+    return float(value)
+
+
+def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
+    """Element of a list by its index, or by its "[name]" in the list of names of the message."""
+    if not hasattr(values, "__len__") or isinstance(values, str):
+        raise ParameterError(f"{where}: {step} of something that is no list: {_kind(values)}")
+    if isinstance(step, str):
+        names = next((list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None)
+        if names is None:
+            raise ParameterError(f"{where}: the message has no list of names: expected a number in brackets")
+        name = step[1:-1]
+        if name not in names:
+            known = ", ".join(map(str, names)) or "none"
+            raise NotHere(f"{where}: no name {name!r}{nearest(name, names)} (names: {known})")
+        step = names.index(name)
+    if step >= len(values):
+        raise NotHere(f"{where}: the list has {len(values)} values: expected more than {step}")
+    return values[step]
+
+
+def uphill(x: float, y: float, z: float, w: float) -> float:
+    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no orientation."""
+    norm = x * x + y * y + z * z + w * w
+    return math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
+
+
+def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
+    """Paths of a message that lead to numbers or lists."""
+    if isinstance(value, Real):
+        return [prefix]
+    if dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace):
+        fields = {n: v for n, v in vars(value).items() if not n.startswith("_")} if depth else {}
+        return [p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)]
+    return [f"{prefix}[0]"] if hasattr(value, "__len__") and not isinstance(value, str) else []
+
+
+def _kind(value: Any) -> str:
+    return f"a list of {len(value)}" if hasattr(value, "__len__") else type(value).__name__.removesuffix("_")
+
+
+def _near(message: Any, steps: tuple[str | int, ...]) -> str:
+    """The most similar path of a message, and the others."""
+    asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
+    known = _paths(message)
+    ends = [p for p in known if p.split("[")[0].endswith("." + asked)]
+    near = ends or difflib.get_close_matches(asked, known, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"{hint}(fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"

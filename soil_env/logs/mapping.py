@@ -16,14 +16,13 @@ from soil_env._io.loading import (
     FieldError,
     ParameterError,
     load,
-    merge,
     quantity,
     read_yaml,
-    to_dict,
     unknown_key,
+    unknown_value,
 )
 from soil_env.measurement.setup import setup_of
-from soil_env.parameters import LARGEST_WHEEL, Belief, Noise, Wheel, refuse_idle_prior, wheels
+from soil_env.parameters import Belief, Noise, Wheel, refuse_idle_prior, with_preset
 
 _LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
@@ -46,8 +45,9 @@ UNITS: dict[str, dict[str, float]] = {
 }
 #: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
-QUANTITIES = tuple(UNITS)
 _GEARED = ("wheel_speed", "torque", "motor_torque")
+UNKNOWN_INERTIA = 1e5  # [kg m2] of a map that has none; a motor torque, which needs it, is left out then
+_WHEEL = {"inertia": UNKNOWN_INERTIA, "stall_torque": 1e6, "no_load_speed": 10.0}  # that limit nothing
 _BORDER = 2.0  # [wheel radii] length of a border between soils, where the belief of the map says nothing of it
 
 
@@ -79,85 +79,17 @@ class Source(Checked):
         return f"topic {self.topic}, field {self.field}" if self.topic else f"column {self.column}"
 
 
-@dataclass(frozen=True)
-class Channels:
-    """The readings that a recording has; those left out are not measured. See `soil_env.online.Readings`."""
-
-    wheel_speed: Source | None = None
-    speed: Source | None = None
-    sinkage: Source | None = None
-    drawbar_pull: Source | None = None
-    load: Source | None = None
-    torque: Source | None = None
-    slip: Source | None = None
-    pitch: Source | None = None
-    motor_torque: Source | None = None
-    acceleration: Source | None = None
-
-    def __post_init__(self) -> None:
-        for name, source in self.sources().items():
-            _check_source(self, name, source)
-        if self.wheel_speed is None or (self.speed is None and self.slip is None):
-            raise ParameterError("expected wheel_speed, and speed or slip; without them no slip is known")
-        if self.wheel_speed.constant is not None:
-            raise FieldError(self, "wheel_speed", ": expected readings, which make the time axis; no constant")
-
-    def sources(self) -> dict[str, Source]:
-        """The sources by the name of the reading."""
-        return {name: s for name in QUANTITIES if (s := getattr(self, name)) is not None}
-
-
-def _check_source(channels: Channels, name: str, s: Source) -> None:
-    """Raise `FieldError` for a source whose fields do not go together."""
-    kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
-    if kinds != 1 or bool(s.topic) != bool(s.field):
-        raise FieldError(channels, name, ": expected topic and field, or column, or constant")
-    if s.unit is not None and s.unit not in UNITS[name]:
-        near = str(unknown_key(s.unit, UNITS[name], "")).partition(repr(s.unit))[2]
-        raise FieldError(channels, f"{name}.unit", f" = {s.unit!r}: expected a unit that is known{near}")
-    if abs(s.sign) != 1.0:
-        raise FieldError(channels, f"{name}.sign", f" = {s.sign:g}: expected 1 or -1")
-    if (s.unit == "A") != (s.motor_constant is not None):
-        raise FieldError(channels, name, ": expected motor_constant [N m/A] with unit A, and only there")
-    if s.gear != 1.0 and name not in _GEARED:
-        raise FieldError(channels, f"{name}.gear", f": expected only with {', '.join(_GEARED)}")
-    if s.efficiency != 1.0 and "torque" not in name:
-        raise FieldError(channels, f"{name}.efficiency", ": expected only with torque or motor_torque")
+def si_factor(name: str, unit: str | None) -> float:
+    """SI value of one `unit` of the reading `name`; None is the SI unit."""
+    return 1.0 if unit is None else UNITS[name][unit]
 
 
 def factor(name: str, source: Source) -> float:
     """SI value of the reading `name` to one unit of its source, with the sign."""
-    f = source.sign * UNITS[name][source.unit if source.unit is not None else next(iter(UNITS[name]))]
+    f = source.sign * si_factor(name, source.unit)
     if source.motor_constant is not None:
         f *= source.motor_constant
     return f / source.gear if name == "wheel_speed" else f * source.gear * source.efficiency
-
-
-@dataclass(frozen=True)
-class RoverWheel(Checked):
-    """The wheel of the rover; a motor that is left out limits nothing."""
-
-    radius: float = quantity("m", 0.01, LARGEST_WHEEL)
-    width: float = quantity("m", 0.005, LARGEST_WHEEL)
-    body_mass: float = quantity("kg", 0.1, 1e5, doc="mass on this wheel")
-    inertia: float | None = quantity(
-        "kg m2", 1e-6, 1e5, default=None, doc="with the rotor seen through the gear; needed for a motor torque"
-    )
-    stall_torque: float = quantity("N m", 1e-3, 1e6, default=1e6)
-    no_load_speed: float = quantity("rad/s", 1e-3, 1e3, default=10.0)
-    source: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.wheel()
-
-    def wheel(self) -> Wheel:
-        """As the identifier takes it; an unknown inertia is the least that a `Wheel` may have.
-
-        `replay` then leaves out the motor torque, the only reading that depends on it.
-        """
-        inertia = 0.02 * self.body_mass * self.radius**2 * (1.0 + 1e-12) if self.inertia is None else self.inertia
-        return Wheel(self.radius, self.width, inertia, self.stall_torque, self.no_load_speed, self.body_mass)
 
 
 @dataclass(frozen=True)
@@ -189,8 +121,8 @@ class Windows(Checked):
 class LogMap(Checked):
     """Contents of a recording, and how it is read."""
 
-    wheel: RoverWheel
-    channels: Channels
+    wheel: Wheel
+    channels: dict[str, Source]  # by the name of the reading (`soil_env.online.Readings`); others are not measured
     time: TimeColumn | None = None  # of a table
     clock: Literal["header", "log"] = "header"  # of a bag: time stamp in the message, or that of its recording
     period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier")
@@ -204,10 +136,36 @@ class LogMap(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name, source in self.channels.items():
+            if name not in UNITS:
+                raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))
+            self._check_source(name, source)
+        if "wheel_speed" not in self.channels or self.channels.keys().isdisjoint(("speed", "slip")):
+            raise FieldError(self, "channels", ": expected wheel_speed, and speed or slip, or else no slip is known")
+        if self.channels["wheel_speed"].constant is not None:
+            raise FieldError(self, "channels.wheel_speed", ": expected readings, which make the time axis; no constant")
+        self.noise()
         if self.windows.duration < 4.0 * self.period:
             raise ParameterError(
                 f"windows: duration = {self.windows.duration:g} s: expected at least four periods of {self.period:g} s"
             )
+
+    def _check_source(self, name: str, s: Source) -> None:
+        """Raise `FieldError` for a source whose fields do not go together."""
+        place = f"channels.{name}"
+        kinds = bool(s.topic or s.field) + bool(s.column) + (s.constant is not None)
+        if kinds != 1 or bool(s.topic) != bool(s.field):
+            raise FieldError(self, place, ": expected topic and field, or column, or constant")
+        if s.unit is not None and s.unit not in UNITS[name]:
+            raise FieldError(self, f"{place}.unit", str(unknown_value(s.unit, UNITS[name])))
+        if abs(s.sign) != 1.0:
+            raise FieldError(self, f"{place}.sign", f" = {s.sign:g}: expected 1 or -1")
+        if (s.unit == "A") != (s.motor_constant is not None):
+            raise FieldError(self, place, ": expected motor_constant [N m/A] with unit A, and only there")
+        if s.gear != 1.0 and name not in _GEARED:
+            raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(_GEARED)}")
+        if s.efficiency != 1.0 and "torque" not in name:
+            raise FieldError(self, f"{place}.efficiency", ": expected only with torque or motor_torque")
 
     @property
     def weight(self) -> float:
@@ -216,40 +174,32 @@ class LogMap(Checked):
 
     def noise(self) -> Noise:
         """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
-        weight, twist, most = self.weight, self.weight * self.wheel.radius, {f.name: f.metadata for f in fields(Noise)}
-        scale = {"drawbar_pull": weight, "load": weight, "torque": twist, "motor_torque": twist}
+        force, twist = self.weight, self.weight * self.wheel.radius
+        scale = {"drawbar_pull": force, "load": force, "torque": twist, "motor_torque": twist}
+        most = {f.name: f.metadata["high"] for f in fields(Noise)}
         sd = {}
-        for name, source in self.channels.sources().items():
+        for name, source in self.channels.items():
             if source.sd is not None:
                 unit = scale.get(name, 1.0) / abs(factor(name, source))
                 sd[name] = source.sd / unit
-                if sd[name] > most[name]["high"]:
-                    limit = most[name]["high"] * unit
-                    raise ParameterError(f"channels.{name}.sd = {source.sd:g}: expected at most {limit:g}, in its unit")
+                if sd[name] > most[name]:
+                    expected = f"expected at most {most[name] * unit:g}, in its unit"
+                    raise FieldError(self, f"channels.{name}.sd", f" = {source.sd:g}: {expected}")
         return Noise(**sd)
 
 
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
     mapping, where = read_yaml(Path(path)), str(path)
-    wheel = mapping.get("wheel")
-    if isinstance(wheel, str):
-        wheel = {"preset": wheel}
-    if isinstance(wheel, dict) and "preset" in wheel:
-        if wheel["preset"] not in wheels():
-            raise unknown_key(wheel["preset"], wheels(), f"{where}: wheel")
-        own = {k: v for k, v in wheel.items() if k != "preset"}
-        mapping = mapping | {"wheel": merge(to_dict(wheels()[wheel["preset"]]), own)}
-    if isinstance(mapping.get("belief"), dict):
-        refuse_idle_prior(mapping["belief"], where)
+    wheel = with_preset(mapping.get("wheel"), where)
+    if isinstance(wheel, dict):
+        mapping = mapping | {"wheel": _WHEEL | wheel}
+    belief = mapping.get("belief") or {}
+    if isinstance(belief, dict):
+        refuse_idle_prior(belief, where)
     found: LogMap = load(LogMap, mapping, where)
-    if "border" not in (mapping.get("belief") or {}):
+    if "border" not in belief:
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
-    rim = {"radius": found.wheel.radius, "width": found.wheel.width}
-    setup_of({"wheel": rim, "soil": found.soil}, where)
-    try:
-        found.noise()
-    except ParameterError as error:
-        raise ParameterError(f"{where}: {error}") from None
+    setup_of({"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil}, where)
     return found

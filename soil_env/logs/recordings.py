@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_key
 from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
-from soil_env.logs.bags import Message, Notes, Progress
+from soil_env.logs.bags import Message, Notes, NotHere, Progress, number, parse
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.fields import NotHere, number, parse
-from soil_env.logs.mapping import UNITS, LogMap, Source, factor
+from soil_env.logs.mapping import UNITS, LogMap, factor
 from soil_env.online import largest_readings
 
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the report says so
@@ -33,15 +31,10 @@ def read_recording(path: str | Path, log_map: LogMap, progress: Progress = lambd
     (reader.read_table if table else reader.read_bag)(path, notes, progress)
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
     if len(found) == 0:
-        raise ParameterError(f"{path}: {log_map.channels.wheel_speed.place}: not one reading of wheel_speed")
-    found.notes.extend(notes.lines + _remarks(found, log_map))
+        raise ParameterError(f"{path}: {log_map.channels['wheel_speed'].place}: not one reading of wheel_speed")
+    found.notes.extend(notes.lines + _remarks(found, log_map, reader.limits))
     found.doubts.extend(time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map))
     return found
-
-
-def largest(log_map: LogMap) -> dict[str, float]:
-    """Largest plausible size [SI] by the name of the reading; larger ones are left out."""
-    return largest_readings(log_map.wheel.wheel(), log_map.gravity)._asdict()
 
 
 def _check_kind(path: Path, log_map: LogMap) -> bool:
@@ -53,7 +46,7 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
         raise ParameterError(f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file")
     if path.is_file() and path.stat().st_size == 0:
         raise ParameterError(f"{path}: is empty (0 bytes)")
-    for name, source in log_map.channels.sources().items():
+    for name, source in log_map.channels.items():
         if (source.topic and table) or (source.column and not table):
             expected = "column" if table else "topic and field"
             raise ParameterError(f"channels.{name}: has a {source.place}: expected {expected} for {path.name}")
@@ -69,9 +62,10 @@ class _Clock:
     """
 
     def __init__(self, source: str, gap: int) -> None:
-        self._source, self._gap, self._latest = source, gap, -(2**63)
+        self._source, self._gap = source, gap
         self._back = self._left_out = 0
         self._first = ""
+        self.begin()
 
     def begin(self) -> None:
         """Begin another file, whose times may lie before those of the last."""
@@ -87,56 +81,42 @@ class _Clock:
         self._back, self._left_out = self._back + 1, self._left_out + late
         return not late
 
-    def lines(self) -> list[str]:
-        """A note where time went back."""
-        if not self._back:
-            return []
-        return [
-            f"{self._source}: time goes back {self._back} times, first in {self._first}: {self._left_out} of them, "
-            f"more than {self._gap * 1e-9:g} s (max_gap) late, left out"
-        ]
-
-
-class _Field(NamedTuple):
-    """A number in the messages of a topic."""
-
-    name: str  # of the reading
-    source: Source
-    steps: tuple[str | int, ...]  # `fields.parse`
+    def note(self, notes: Notes) -> None:
+        """Add a note where time went back."""
+        if self._back:
+            notes.add(
+                f"{self._source}: time goes back {self._back} times, first in {self._first}: {self._left_out} of them, "
+                f"more than {self._gap * 1e-9:g} s (max_gap) late, left out"
+            )
 
 
 class _Reader:
     """Numbers of a recording, in SI units and by channel."""
 
     def __init__(self, log_map: LogMap) -> None:
-        self.map, given = log_map, log_map.channels.sources()
-        self.constants = {
-            n: s.constant * factor(n, s) + s.offset for n, s in given.items() if s.constant is not None
-        }  # fmt: skip
+        self.map, given = log_map, log_map.channels
+        self.constants = {n: s.constant * factor(n, s) + s.offset for n, s in given.items() if s.constant is not None}
         self.sources = {n: s for n, s in given.items() if s.constant is None}
         self.channels = {n: Channel(s.place) for n, s in given.items()}
+        self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()  # larger readings are left out
         self._scale = {n: (factor(n, s), s.offset) for n, s in self.sources.items()}
-        self._limits, self._gap = largest(log_map), round(log_map.max_gap * 1e9)
+        self._gap = round(log_map.max_gap * 1e9)
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
         for name, value in self.constants.items():
-            if not abs(value) <= self._limits[name]:
-                raise ParameterError(
-                    f"channels.{name}: constant {value:g} in SI units: expected at most {self._limits[name]:g}"
-                )
+            if not abs(value) <= (most := self.limits[name]):
+                raise ParameterError(f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}")
 
     def _add(self, name: str, time: int, value: float) -> None:
         """Count a reading in the unit of its source, and keep it if it is plausible."""
         scale, offset = self._scale[name]
         channel, value = self.channels[name], scale * value + offset
         channel.readings += 1
-        if abs(value) <= self._limits[name]:
+        if abs(value) <= self.limits[name]:
             channel.times.append(time)
             channel.values.append(value)
         else:
             channel.unusable += 1
-
-    # --- tables ---
 
     def read_table(self, path: Path, notes: Notes, progress: Progress) -> None:
         """Read a CSV or Parquet file."""
@@ -156,16 +136,14 @@ class _Reader:
                             self._add(name, row.time, value)
         if len(times) > 1:
             self.interval = float(np.median(np.abs(np.diff(times)))) * 1e-9
-        notes.lines.extend(clock.lines())
-
-    # --- bags ---
+        clock.note(notes)
 
     def read_bag(self, path: Path, notes: Notes, progress: Progress) -> None:
         """Read a bag."""
-        by_topic: dict[str, list[_Field]] = {}
+        by_topic: dict[str, list[str]] = {}
         for name, source in self.sources.items():
-            steps = parse(source.field, f"channels.{name}.field")
-            by_topic.setdefault(source.topic, []).append(_Field(name, source, steps))
+            by_topic.setdefault(source.topic, []).append(name)
+        paths = {name: parse(source.field, f"channels.{name}.field") for name, source in self.sources.items()}
         lacking: dict[str, NotHere] = {}
         delays: dict[str, list[float]] = {topic: [] for topic in by_topic}
         clocks, file = {t: _Clock(f"topic {t}", self._gap) for t in by_topic}, ""
@@ -177,14 +155,16 @@ class _Reader:
                     clock.begin()
             if not clocks[message.topic].accept(time, f"the message recorded at {message.time * 1e-9:.3f} s"):
                 continue
-            for name, source, steps in by_topic[message.topic]:
+            for name in by_topic[message.topic]:
+                source = self.sources[name]
                 where = f"channels.{name}: topic {message.topic} ({message.kind}), field {source.field}"
                 try:
-                    self._add(name, time, number(message.content, steps, where, source.unit == "quaternion"))
+                    self._add(name, time, number(message.content, paths[name], where, source.unit == "quaternion"))
                 except NotHere as error:
                     lacking.setdefault(name, error)
         self._check_found(path, notes, lacking)
-        notes.lines.extend(line for clock in clocks.values() for line in clock.lines())
+        for clock in clocks.values():
+            clock.note(notes)
         _note_delays(notes, {topic: float(np.mean(d)) for topic, d in delays.items() if d}, set(delays))
 
     def _time(self, message: Message, delays: list[float]) -> int:
@@ -222,24 +202,23 @@ def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None
         )
 
 
-def _remarks(found: Aligned, log_map: LogMap) -> list[str]:
+def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[str]:
     """Notes on channels without readings, with implausible or slow ones, and on gaps."""
-    lines, given = [], log_map.channels.sources()
+    lines = []
     for name, c in found.channels.items():
-        if name in given and given[name].constant is not None:
-            continue
-        if c.readings == 0:
-            lines.append(f"{name}: {c.place}: not one reading")
+        place = f"{name}: {c.place}"
+        if c.readings == 0 and log_map.channels[name].constant is None:
+            lines.append(f"{place}: not one reading")
         if c.unusable:
             doubtful = ": another unit or field?" if 2 * c.unusable > c.readings else ""
+            expected = f"expected at most {limits[name]:g} {next(iter(UNITS[name]))}"
             lines.append(
-                f"{name}: {c.place}: {c.unusable} of {c.readings} readings out of range (expected at most "
-                f"{largest(log_map)[name]:g} {next(iter(UNITS[name]))}), left out{doubtful}"
+                f"{place}: {c.unusable} of {c.readings} readings out of range ({expected}), left out{doubtful}"
             )
         if c.interpolated > _SLOW:
             lines.append(
-                f"{name}: {c.place}: comes less often than every {found.period:g} s: {100 * c.interpolated:.0f} % of "
-                "its values are interpolated and count as readings; a longer period would be more honest"
+                f"{place}: comes less often than every {found.period:g} s: {c.interpolated:.0%} of its values are "
+                "interpolated and count as readings; a longer period would be more honest"
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:

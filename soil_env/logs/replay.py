@@ -12,10 +12,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from soil_env.logs.align import Aligned
-from soil_env.logs.mapping import LogMap
-from soil_env.online import Estimate, OnlineIdentifier, Readings, Status, slips
+from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
+from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 from soil_env.parameters import Soil
-from soil_env.slip import travel_speeds
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
 ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
@@ -87,14 +86,6 @@ class Replay:
         }
 
 
-def identifier_of(log_map: LogMap) -> OnlineIdentifier:
-    """The identifier that a map describes."""
-    return OnlineIdentifier(
-        log_map.wheel.wheel(), log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
-        relaxation=log_map.relaxation,
-    )  # fmt: skip
-
-
 def replay(log: Aligned, log_map: LogMap) -> Replay:
     """Give the readings of a log to the online identifier, step by step.
 
@@ -102,11 +93,14 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     wheel is left out. The drawbar margin and the torque required are those of `OnlineIdentifier.traversability`,
     renewed with the estimate. An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
     """
-    identifier = identifier_of(log_map)
+    identifier = OnlineIdentifier(
+        log_map.wheel, log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
+        relaxation=log_map.relaxation,
+    )  # fmt: skip
     prior, size = identifier.estimate, len(log)
     status, found, restarts = np.zeros(size, np.int64), np.zeros(size, np.int64), 0
     renewed, on_border, table = np.zeros(size, bool), np.zeros(size, bool), np.empty((size, len(COLUMNS)))
-    no_inertia = log_map.wheel.inertia is None
+    no_inertia = log_map.wheel.inertia == UNKNOWN_INERTIA
     names = [n for n in Readings._fields if n in log.readings and not (no_inertia and n == "motor_torque")]
     before, last, way = 0, math.nan, _NO_WAY
     for k, t in enumerate(log.time.tolist()):
@@ -226,10 +220,8 @@ def _impassable(
     It got further as far as it travelled without spinning; what it rolled back counts against that.
     """
     radius = log_map.wheel.radius
-    rim, speed, slip = log.readings["wheel_speed"] * radius, log.get("speed"), log.get("slip")
-    slip = np.where(np.isnan(slip), slips(rim, speed), slip)
-    speed = np.nan_to_num(np.where(np.isnan(speed), travel_speeds(rim, np.clip(slip, -_SPINS, 1.0)), speed))
-    speed[(speed > 0.0) & (slip >= _SPINS)] = 0.0
+    _, speed, slip = log.motion(radius)
+    speed = np.where((speed > 0.0) & (slip >= _SPINS), 0.0, np.nan_to_num(speed))
     place = np.cumsum(speed * np.minimum(np.diff(log.time, prepend=0.0), log.period))
     ahead = np.maximum.accumulate(place[::-1])[::-1] - place
     margin, sd, lines = values["drawbar_margin"], values["drawbar_margin_sd"], []

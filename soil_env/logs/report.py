@@ -6,19 +6,18 @@ import io
 import json
 import math
 from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
 from soil_env._io.files import plain
-from soil_env.logs import grounds as by_ground
 from soil_env.logs.align import Aligned
-from soil_env.logs.grounds import Ground
 from soil_env.logs.mapping import UNITS, LogMap
 from soil_env.logs.replay import SD_OF, Replay, findings
-from soil_env.logs.steady import Steady, cell
+from soil_env.logs.steady import Ground, Steady, advice, cell, commands, files, grounds
 from soil_env.online import Status
 
 ALWAYS = ("report.html", "log.json", "estimates.csv", "estimates.png", "readings.png")
@@ -37,41 +36,37 @@ _SHOWN = {  # in the picture: scale, label
 }
 
 
-def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, steady: Steady) -> dict[str, bytes | str]:
-    """All files of the folder by name: `ALWAYS`, and tables and setups where there are steady points."""
-    parts = by_ground.grounds(found, steady)
-    estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
-    lines = findings(found, log)
-    body = render(
-        "soil_env.logs:report.html",
-        recording=recording,
-        summary=summary(log),
-        doubts=log.doubts,
-        notes=log.notes,
-        channels=channel_table(log),
-        readings=html_image(readings, "Readings over time in SI units; steady stretches are shaded."),
-        findings=lines,
-        soil=soil_table(found),
-        estimates=html_image(
-            estimates, "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
-        ),
-        warnings=found.warnings,
-        steady=by_ground.advice(found, parts, steady),
-        commands=by_ground.commands(parts, steady),
-        grounds=ground_table(parts),
-        points=_points(steady),
-    )
-    facts = {
+class Report(NamedTuple):
+    """Files of the folder by name, `ALWAYS` and tables and setups of steady points, and the text for the terminal."""
+
+    files: dict[str, bytes | str]
+    text: str
+
+
+def report_of(
+    recording: str,
+    log: Aligned,
+    log_map: LogMap,
+    found: Replay,
+    steady: Steady,
+    folder: Path = Path(),  # noqa: B008
+) -> Report:
+    """Report of a replayed log; `folder` is where its files will be."""
+    parts, begin = grounds(found, steady), datetime.fromtimestamp(log.start * 1e-9, UTC)
+    length = log.time[-1] - log.time[0]
+    values = {
         "recording": recording,
+        "doubts": log.doubts,
+        "notes": log.notes,
+        "findings": findings(found, log),
+        "warnings": found.warnings,
+    }
+    facts = values | {
         "start": log.start,
         "steps": len(log),
         "period": log.period,
         "channels": {name: channel.facts() for name, channel in log.channels.items()},
-        "doubts": log.doubts,
-        "notes": log.notes,
-        "findings": lines,
         "learnt": found.learnt(),
-        "warnings": found.warnings,
         "estimate": {name: float(values[-1]) for name, values in found.values.items()},
         "status": Status(found.status[-1]).name,
         "steady_points": len(steady.rows),
@@ -82,26 +77,37 @@ def contents(recording: str, log: Aligned, log_map: LogMap, found: Replay, stead
         ],
         "noise": steady.noise,
     }
-    files: dict[str, bytes | str] = {
+    values |= {
+        "summary": f"From {begin.isoformat(timespec='milliseconds')}, {length:.1f} s, {len(log)} steps of "
+        f"{log.period:g} s.",
+        "channels": _channel_table(log),
+        "soil": _soil_table(found),
+        "grounds": _ground_table(parts),
+        "points": _points(steady),
+        "steady": advice(found, parts, steady),
+    }
+    estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
+    shaded = "Readings over time in SI units; steady stretches are shaded."
+    grey = "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
+    pictures = {"readings": html_image(readings, shaded), "estimates": html_image(estimates, grey)}
+    body = render("soil_env.logs:report.html", commands=commands(parts, steady), **values, **pictures)
+    written: dict[str, bytes | str] = {
         "report.html": html_page(f"Log: {recording}", body),
         "log.json": json.dumps(plain(facts), indent=1, allow_nan=False) + "\n",
         "estimates.csv": found.csv(),
         "estimates.png": estimates,
         "readings.png": readings,
     }
-    return files | by_ground.files(parts, steady, log_map, found.prior)
+    written |= files(parts, steady, log_map, found.prior)
+    places = [folder / name for name in written]
+    text = render("soil_env.logs:report.txt", commands=commands(parts, steady, folder), places=places, **values)
+    return Report(written, text)
 
 
-# --- words and tables -------------------------------------------------------------------------------------------------
+# --- tables -----------------------------------------------------------------------------------------------------------
 
 
-def summary(log: Aligned) -> str:
-    """Start, length and steps in a sentence."""
-    begin = datetime.fromtimestamp(log.start * 1e-9, UTC).isoformat(timespec="milliseconds")
-    return f"From {begin}, {log.time[-1] - log.time[0]:.1f} s, {len(log)} steps of {log.period:g} s."
-
-
-def channel_table(log: Aligned) -> Table:
+def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading."""
     length, rows = max(float(log.time[-1] - log.time[0]), log.period), []
     for name, c in log.channels.items():
@@ -112,7 +118,7 @@ def channel_table(log: Aligned) -> Table:
     return Table(("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows)
 
 
-def soil_table(found: Replay) -> Table:
+def _soil_table(found: Replay) -> Table:
     """The estimate at the end and the least standard deviation over that of the prior."""
     learnt, rows = found.learnt(), []
     for name, (words, unit) in _NAMES.items():
@@ -124,11 +130,11 @@ def soil_table(found: Replay) -> Table:
     return Table(header, rows, f"Status at the end: {Status(found.status[-1]).name}")
 
 
-def ground_table(parts: list[Ground]) -> Table:
+def _ground_table(parts: list[Ground]) -> Table:
     """The grounds: when, how sure that each is not the last, its last current estimate, its steady points."""
     rows = []
     for g in parts:
-        e, cells = g.estimate, ("no current estimate", "", "")
+        e, cells, slip = g.estimate, ("no current estimate", "", ""), [row["slip"] for row in g.points.rows]
         if e is not None:
             cells = (
                 f"{e['friction_angle_deg']:.1f} +- {e['friction_angle_sd_deg']:.1f} deg",
@@ -136,7 +142,7 @@ def ground_table(parts: list[Ground]) -> Table:
                 f"{e['sinkage_coefficient']:.3g} +- {e['sinkage_coefficient_relative_sd']:.0%}",
             )
         time = (f"{g.begin:.1f}", f"{g.end:.1f}", cell(g.differs, ".2f"))
-        rows.append((g.number, *time, *cells, len(g.points.rows), g.slips))
+        rows.append((g.number, *time, *cells, len(slip), f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""))
     header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
     return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
 
@@ -152,7 +158,6 @@ def _points(steady: Steady) -> Table:
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
     figure = Figure(figsize=(9.0, height), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     axes[-1].set_xlabel("time [s]")
     return figure, axes

@@ -16,13 +16,10 @@ CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 def draw_charts(c: Canvas, history: np.ndarray, identified: bool = True) -> None:
     """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true, from the history
     [12, samples]."""
-    end = max(SPAN, history[0].max(initial=0.0))
-    history = history[:, history[0] >= end - SPAN - 1e-9]
+    history, end = _recent(history)
     time, slip, sinkage = history[:3]
-    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
-    x, y, _, h = CHARTS[0]
-    _draw_chart(c, CHARTS[0], end, time, (low, 1.0), False, [(sinkage, GREEN), (slip, INK)])
-    c.text(x, y - 11, "slip [-]", 16)
+    _draw_chart(c, 0, "slip [-]", end, time, _slip_limits(slip), [(sinkage, GREEN), (slip, INK)])
+    x, y, width, _ = CHARTS[0]
     c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
     names = "friction angle φ [deg]", "shear deformation modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
     for i, name in enumerate(names):
@@ -32,9 +29,8 @@ def draw_charts(c: Canvas, history: np.ndarray, identified: bool = True) -> None
         if identified:
             lines, band = [*lines, (estimate, BLUE)], (low, high)
         limits = _limits(np.concatenate([true, *(band or ())]), i > 0)
-        _draw_chart(c, CHARTS[i + 1], end, time, limits, i > 0, lines, band)
-        c.text(x, CHARTS[i + 1][1] - 11, name, 16)
-    right, y = x + CHARTS[1][2], CHARTS[1][1] - 11
+        _draw_chart(c, i + 1, name, end, time, limits, lines, i > 0, band)
+    right, y = x + width, CHARTS[1][1] - 11
     legend = [(right - 44, "true", ORANGE)]
     if identified:
         c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
@@ -42,7 +38,6 @@ def draw_charts(c: Canvas, history: np.ndarray, identified: bool = True) -> None
     for place, words, colour in legend:
         c.lines([(place, y), (place + 16, y)], colour, 2)
         c.text(place + 20, y, words, 15, colour)
-    _draw_times(c, end)
 
 
 def draw_axle_charts(
@@ -53,43 +48,40 @@ def draw_axle_charts(
 
     `history` [1 + 5 axles, samples]: time, then those five of each axle in turn.
     """
-    end = max(SPAN, history[0].max(initial=0.0))
-    history = history[:, history[0] >= end - SPAN - 1e-9]
-    time, axles = history[0], history[1:].reshape(len(colours), 5, -1).transpose(1, 0, 2)  # [what, axle, sample]
+    history, end = _recent(history)
+    time, axles = history[0], history[1:].reshape(len(colours), 5, -1).transpose(1, 0, 2)  # [quantity, axle, sample]
     dark, pale = zip(*colours, strict=True)
-    slip, sinkage, load = axles[:3]
-    low = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25
-    high = max(0.5, 0.5 * math.ceil(2.0 * sinkage.max(initial=0.0)))
-    most = max(1.5, 0.5 * math.ceil(2.0 * load.max(initial=0.0)))
+    deep, most = (0.5 * math.ceil(2.0 * values.max(initial=0.0)) for values in axles[1:3])
     charts = (
-        ("slip [-]", slip, (low, 1.0)), ("sinkage / radius [-]", sinkage, (0.0, high)),
-        ("load / mean load at rest on the level [-]", load, (0.0, most)),
+        ("slip [-]", _slip_limits(axles[0])), ("sinkage / radius [-]", (0.0, max(0.5, deep))),
+        ("load / mean load at rest on the level [-]", (0.0, max(1.5, most))),
     )  # fmt: skip
-    for box, (name, values, limits) in zip(CHARTS, charts, strict=False):
-        _draw_chart(c, box, end, time, limits, False, list(zip(values, dark, strict=True)))
-        c.text(box[0], box[1] - 11, name, 16)
-    box, (estimate, true) = CHARTS[3], np.degrees(axles[3:])
+    for i, (name, limits) in enumerate(charts):
+        _draw_chart(c, i, name, end, time, limits, list(zip(axles[i], dark, strict=True)))
+    estimate, true = np.degrees(axles[3:])
     lines, shown, words = [*zip(true, pale, [6.0] * len(pale), strict=True)], true, "true"
     if identified:
         lines += zip(estimate, dark, strict=True)
         shown, words = np.stack([estimate, true]), "estimate, true (broad)"
-    _draw_chart(c, box, end, time, _limits(shown.ravel(), False), False, lines)
-    c.text(box[0], box[1] - 11, f"friction angle φ [deg]: {words}", 16)
-    _draw_times(c, end)
+    _draw_chart(c, 3, f"friction angle φ [deg]: {words}", end, time, _limits(shown.ravel(), False), lines)
 
 
-def _draw_times(c: Canvas, end: float) -> None:
-    """The axis of time below the last chart."""
-    x, y, width, height = CHARTS[3]
-    for t in ticks(end - SPAN, end, 5.0):
-        c.text(x + width * (t - end + SPAN) / SPAN, y + height + 10, f"{t:g}", 14, GREY, 0.5)
-    c.text(x + 0.5 * width, y + height + 24, "time [s]", 15, GREY, 0.5)
+def _recent(history: np.ndarray) -> tuple[np.ndarray, float]:
+    """The samples of the last `SPAN` seconds of a history, whose first row is time [s], and the end of the axis [s]."""
+    end = max(SPAN, history[0].max(initial=0.0))
+    return history[:, history[0] >= end - SPAN - 1e-9], end
 
 
-def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> None:
-    """A strip chart of `SPAN` seconds up to `end` [s]: (values, colour) of each line, with a width if it is another
-    than 1.8, and (lower, upper) of a band."""
-    left, top, width, height = box
+def _slip_limits(slip: np.ndarray) -> tuple[float, float]:
+    return -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
+
+
+def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, lines, log=False, band=None) -> None:
+    """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the last one.
+
+    `lines`: (values, colour), with a width if it is another than 1.8; `band`: (lower, upper).
+    """
+    left, top, width, height = CHARTS[place]
     of = np.log if log else np.asarray
     low, high = of(limits)
 
@@ -97,7 +89,8 @@ def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> Non
         share = (of(values) - low) / (high - low)
         return np.stack([left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
 
-    c.box(box, WHITE)
+    c.box(CHARTS[place], WHITE)
+    c.text(left, top - 11, name, 16)
     for t in ticks(end - SPAN, end, 5.0):
         c.lines(at(np.array([t, t]), limits), GRID, 1)
     for v in _log_ticks(*limits) if log else ticks(*limits, nice((limits[1] - limits[0]) / 2.4)):
@@ -109,6 +102,10 @@ def _draw_chart(c: Canvas, box, end, time, limits, log, lines, band=None) -> Non
         c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
     for values, colour, *thickness in lines:
         c.lines(at(time, values), colour, *(thickness or [1.8]))
+    if place == len(CHARTS) - 1:
+        for t in ticks(end - SPAN, end, 5.0):
+            c.text(left + width * (t - end + SPAN) / SPAN, top + height + 10, f"{t:g}", 14, GREY, 0.5)
+        c.text(left + 0.5 * width, top + height + 24, "time [s]", 15, GREY, 0.5)
 
 
 def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:

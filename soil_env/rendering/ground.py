@@ -68,13 +68,8 @@ class Scene(NamedTuple):
 
     def at(self, x: Any, y: Any) -> np.ndarray:
         """Place in the picture of points of the world [m]."""
-        return np.stack(
-            [
-                self.place[0] + self.scale * (x - self.centre[0]),
-                self.place[1] - self.scale * (y - self.centre[1]),
-            ],
-            axis=-1,
-        )
+        across, up = self.scale * (x - self.centre[0]), self.scale * (y - self.centre[1])
+        return np.stack([self.place[0] + across, self.place[1] - up], axis=-1)
 
 
 def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -83,17 +78,13 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def draw_ground(
-    c: Canvas,
-    scene: Scene,
-    x: np.ndarray,
-    profile: Profile,
-    lowered: np.ndarray,
-    hubs: Any,
-    r: float,
+    c: Canvas, scene: Scene, x: np.ndarray, profile: Profile, lowered: np.ndarray, hubs: Any, r: float,
     bounds: tuple[float, float],
-) -> None:
-    """The soil up to its surface at x [m] along the course, `lowered` [m] by ruts and pressed down by wheels of radius
-    r [m] at `hubs`, with specks; dashed where the surface was before."""
+) -> None:  # fmt: skip
+    """The soil up to its surface at x [m] along the course, with specks; dashed where the surface was before.
+
+    It is `lowered` [m] by ruts, and pressed down by wheels of radius r [m] at `hubs`.
+    """
     across, before = profile.at(x)
     now = before - lowered
     for hub in hubs:
@@ -123,9 +114,9 @@ def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
         c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
 
 
-def draw_scale_bar(c: Canvas, scene: Scene, width: float) -> None:
-    """A bar of a round length, about a quarter of the scene's width [m], in its upper right corner."""
-    bar, right, y = nice(0.25 * width), scene.box[0] + scene.box[2] - 14, scene.box[1] + 22
+def draw_scale_bar(c: Canvas, scene: Scene) -> None:
+    """A bar of a round length, about a quarter of the scene's width, in its upper right corner."""
+    bar, right, y = nice(0.25 * scene.box[2] / scene.scale), scene.box[0] + scene.box[2] - 14, scene.box[1] + 22
     left = right - bar * scene.scale
     for ends in ([(left, y), (right, y)], [(left, y - 4), (left, y + 4)], [(right, y - 4), (right, y + 4)]):
         c.lines(ends, INK, 2)

@@ -1,8 +1,7 @@
 """Side view of a rover: body, suspension, every wheel with the stress under it, ruts, and charts axle by axle.
 
-Laid out as `side_view` is, and nothing physical is computed here either: where the wheels stand, in the ruts of those
-ahead of them, what they bear and how the body is pitched is the state of the simulation. The course is drawn in true
-lengths, distance along it being that along the slope.
+Laid out as `side_view` is. Nothing physical is computed here either: places, loads and pitch are the state of the
+simulation. The course is drawn in true lengths, and distance along it is that along the slope.
 """
 
 from __future__ import annotations
@@ -13,42 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.parameters import Scenario
-from soil_env.rendering.canvas import (
-    AMBER,
-    DESIGN,
-    GREEN,
-    GREY,
-    GRID,
-    INK,
-    LIGHT_AMBER,
-    LIGHT_GREEN,
-    LIGHT_PURPLE,
-    PURPLE,
-    RIM,
-    SKY,
-    WHITE,
-    Canvas,
-    soil_colour,
-)
+from soil_env.parameters import SoilState
+from soil_env.rendering import canvas as colours
+from soil_env.rendering.canvas import DESIGN, GREY, INK, Canvas, soil_colour
 from soil_env.rendering.charts import draw_axle_charts
-from soil_env.rendering.ground import (
-    Profile,
-    Scene,
-    depth_of_ruts,
-    draw_course,
-    draw_flag,
-    draw_ground,
-    draw_scale_bar,
-    friction_range,
-)
-from soil_env.rendering.stresses import Stresses, contact_stresses
+from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_course, friction_range
 from soil_env.rendering.view import CourseView
-from soil_env.rendering.wheels import draw_cause, draw_stress_key, draw_stresses, draw_wheel, hub_of
+from soil_env.rendering.wheels import ShownWheel, Stresses, contact_stresses, draw_cause, draw_scene, hub_of
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import RoverScenario, Vehicle
 
 #: Box of the side view: left, top, width, height
@@ -57,7 +30,11 @@ _AT = (0.5, 0.66)  # place of the ground below the middle of the rover, from lef
 _WIDTH = 1.55  # width of the side view over the length of the rover from rim to rim, and at least, of radii:
 _LEAST_WIDTH = 9.5
 _BODY, _BEAM, _BOGIE = (206, 198, 184), (86, 90, 100), (120, 124, 134)
-_COLOURS = {"front": (PURPLE, LIGHT_PURPLE), "middle": (AMBER, LIGHT_AMBER), "rear": (GREEN, LIGHT_GREEN)}
+_COLOURS = {  # dark, pale
+    "front": (colours.PURPLE, colours.LIGHT_PURPLE),
+    "middle": (colours.AMBER, colours.LIGHT_AMBER),
+    "rear": (colours.GREEN, colours.LIGHT_GREEN),
+}
 
 
 class Posture(NamedTuple):
@@ -92,13 +69,19 @@ def posture_of(simulation: RoverSimulation, j: int, profile: Profile) -> Posture
     return at_front._replace(origin=pivot - at_front.on_body(behind, above))
 
 
+def _soil_under(simulation: RoverSimulation, j: int, k: int) -> SoilState:
+    """The undisturbed soil under wheel k, which is one of rover j."""
+    worlds, rovers = simulation.worlds, simulation.worlds.rovers
+    border = simulation.numbers.world.border
+    soil, _, _ = ground_at(worlds.courses, j, rovers.wheels.x[k], rovers.counts.patch[k], border)
+    return soil
+
+
 def rover_stresses(simulation: RoverSimulation, j: int, axle: int) -> Stresses:
     """`Stresses` under the wheel of rover j on an axle as it moves now, under the load that the suspension gives it."""
-    worlds, world, k = simulation.worlds, simulation.numbers.world, simulation.wheels[j, axle]
-    w = worlds.rovers.wheels[k]
-    soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], world.border)
-    r = world.wheel.radius
-    return contact_stresses(soil, w["load"], w["speed"], w["wheel_speed"] * r, w["sinkage"], r, world.wheel.width)
+    k, wheel = simulation.wheels[j, axle], simulation.numbers.world.wheel
+    w, soil, r = simulation.worlds.rovers.wheels[k], _soil_under(simulation, j, k), wheel.radius
+    return contact_stresses(soil, w["load"], w["speed"], w["wheel_speed"] * r, w["sinkage"], r, wheel.width)
 
 
 def _width_of(simulation: RoverSimulation) -> float:
@@ -110,82 +93,60 @@ def _width_of(simulation: RoverSimulation) -> float:
 class RoverRenderer(CourseView):
     """Side view of rover j of a `RoverSimulation`."""
 
-    def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
+    scenario: RoverScenario
+
+    def __init__(self, scenario: RoverScenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         super().__init__(scenario, mode, size)
-        self.scenario: RoverScenario
-        self._axles = axle_names(self.scenario.axles)
-        self._angles = np.zeros(self.scenario.axles)  # [rad] that the wheels have turned
+        self._axles = axle_names(scenario.axles)
 
-    def clear(self) -> None:
-        """Forget the history: a new episode."""
-        super().clear()
-        self._angles = np.zeros(self.scenario.axles)
+    def _motion(self, simulation: RoverSimulation, k: int) -> tuple[int, np.ndarray]:
+        rovers = simulation.worlds.rovers
+        return int(rovers.body_counts.steps[k]), rovers.wheels.wheel_speed[simulation.wheels[k]]
 
-    def record(self, simulation: RoverSimulation, k: int) -> None:
-        """Add the present state of rover k to the history; at its reset the history starts anew."""
-        worlds, world, rows = simulation.worlds, simulation.numbers.world, simulation.wheels[k]
-        steps = int(worlds.rovers.body_counts.steps[k])
-        if steps == 0:
-            self.clear()
-        self._angles = self._angles + worlds.rovers.wheels.wheel_speed[rows] * self._step
-        if steps % (self._every * self.scenario.control.held) == 0:
-            now = [steps * world.period]
-            for row in rows.tolist():
-                w = worlds.rovers.wheels[row]
-                soil, _, _ = ground_at(worlds.courses, k, w["x"], worlds.rovers.counts.patch[row], world.border)
-                now += [w["slip"], w["sinkage"] / world.wheel.radius, w["load"] / simulation.numbers.task.weight]
-                friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
-                now += [friction, math.atan(soil.tan_phi)]
-            self._history.append(tuple(now))
+    def _sample(self, simulation: RoverSimulation, k: int) -> tuple[float, ...]:
+        """Slip, sinkage [radii], load [of that at rest], estimate and truth of phi [rad], axle by axle."""
+        worlds, numbers = simulation.worlds, simulation.numbers
+        now: list[float] = []
+        for row in simulation.wheels[k].tolist():
+            w, soil = worlds.rovers.wheels[row], _soil_under(simulation, k, row)
+            friction = math.nan if worlds.known is None else worlds.known.estimate[row, 0]
+            now += [w["slip"], w["sinkage"] / numbers.world.wheel.radius, w["load"] / numbers.task.weight]
+            now += [friction, math.atan(soil.tan_phi)]
+        return tuple(now)
 
     def _paint(self, canvas: Canvas, simulation: RoverSimulation, k: int) -> None:
-        numbers, base = simulation.numbers, self.scenario.vehicle.base
-        x = simulation.worlds.rovers.wheels.x[simulation.wheels[k]]
-        width = _width_of(simulation)
-        profile = self._ground(simulation, k, width, numbers.task.length + base + width, False)
-        bounds = friction_range(self.scenario, simulation)
-        colours = [_COLOURS[name] for name in self._axles]
-        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in colours])
+        length, width, known = simulation.numbers.task.length, _width_of(simulation), simulation.worlds.known
+        beyond = length + self.scenario.vehicle.base + width
+        profile = self._ground(simulation, k, width, beyond, False)
+        bounds, rows = friction_range(self.scenario, simulation), simulation.wheels[k]
+        shown = [_COLOURS[name] for name in self._axles]
+        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in shown])
         _draw_readings(canvas, simulation, k)
-        rows, known = simulation.wheels[k].tolist(), simulation.worlds.known
-        identified = self._identified and known is not None
-        status = [self._status(known.status[row]) if identified else "none" for row in rows]
+        status = [self._status(known, row) for row in rows.tolist()]
         _draw_table(canvas, simulation, k, self._axles, bounds, status)
-        draw_course(canvas, profile, numbers.task.length, x, bounds)
-        draw_axle_charts(canvas, np.array(self._history).reshape(-1, 1 + 5 * len(colours)).T, colours, identified)
+        draw_course(canvas, profile, length, simulation.worlds.rovers.wheels.x[rows], bounds)
+        history = np.array(self._history).reshape(-1, 1 + 5 * len(shown)).T
+        draw_axle_charts(canvas, history, shown, self._shows(known))
 
 
 def _draw_scene(c: Canvas, simulation, j: int, profile: Profile, bounds, angles, colours) -> None:
-    """Terrain, ruts, end of the course, rover and stresses in a camera that moves with the rover."""
-    world, vehicle, rows = simulation.numbers.world.wheel, simulation.scenario.vehicle, simulation.wheels[j]
-    wheels, r = simulation.worlds.rovers.wheels, world.radius
+    """The side view in a camera that moves with the rover."""
+    vehicle, rows, ruts = simulation.scenario.vehicle, simulation.wheels[j], simulation.worlds.ruts
+    wheels, r, width = simulation.worlds.rovers.wheels, simulation.numbers.world.wheel.radius, _width_of(simulation)
     p = posture_of(simulation, j, profile)
-    width = _width_of(simulation)
     middle = 0.5 * (wheels.x[rows[0]] + wheels.x[rows[-1]])
     place = np.add(SCENE[:2], np.multiply(_AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
-    c.clip(SCENE)
-    c.box(SCENE, SKY)
     x = middle + (np.linspace(0.0, 1.0, 261) - _AT[0]) * 1.2 * width  # along the slope
-    ruts = simulation.worlds.ruts
     rut = depth_of_ruts(x, (ruts.floor[rows] + ruts.rut[rows]).max(axis=0)) / np.gradient(profile.at(x)[0], x)
-    draw_ground(c, scene, x, profile, rut, p.hubs, r, bounds)
-    draw_flag(c, scene, scene.at(*profile.at(simulation.numbers.task.length)))
-    size = r * scene.scale
-    _draw_body(c, scene, vehicle, p, r)
-    typical = simulation.numbers.task.weight / (0.5 * r * world.width)  # [Pa]
     stresses = [rover_stresses(simulation, j, axle) for axle in range(len(rows))]
-    for hub, angle, colour in zip(p.hubs, angles, colours, strict=True):
-        draw_wheel(c, scene.at(*hub), size, float(angle), colour)
-    for axle, k in enumerate(rows.tolist()):
-        side = -1.0 if wheels.speed[k] < -REST_SPEED else 1.0
-        hub = scene.at(*p.hubs[axle])
-        draw_stresses(c, hub, size, float(p.grades[axle]), side, stresses[axle], 0.45 * size / typical)
-    _draw_suspension(c, scene, vehicle, p, r)
-    draw_stress_key(c, SCENE, stresses)
-    c.clip(None)
-    c.box(SCENE, None, GRID)
-    draw_scale_bar(c, scene, width)
+    shown = [
+        ShownWheel(*each) for each in zip(p.hubs, p.grades, angles, wheels.speed[rows], stresses, colours, strict=True)
+    ]
+    draw_scene(
+        c, scene, x, profile, rut, bounds, simulation, shown,
+        lambda: _draw_body(c, scene, vehicle, p, r), lambda: _draw_suspension(c, scene, vehicle, p, r),
+    )  # fmt: skip
 
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
@@ -209,17 +170,16 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
         knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
         c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
         c.lines([pivot, knee, hubs[alone]], _BEAM, width)
-        c.circle(pivot, 0.8 * width, RIM)
+        c.circle(pivot, 0.8 * width, colours.RIM)
     centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
-    c.circle(centre, 6.0, WHITE)
+    c.circle(centre, 6.0, colours.WHITE)
     c.circle(centre, 6.0, INK, 1.2)
     c.circle(centre, 2.0, INK)
 
 
 def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
     """Numbers of the rover as a whole above the side view, and the state of the episode."""
-    rovers, worlds = simulation.worlds.rovers, simulation.worlds
-    body = rovers.body[j]
+    body = simulation.worlds.rovers.body[j]
     cells = (
         ("distance of the rear axle", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
         ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
@@ -228,23 +188,22 @@ def _draw_readings(c: Canvas, simulation: RoverSimulation, j: int) -> None:
     for x, (name, value) in zip((14, 190, 280), cells, strict=True):
         c.text(x, 14, name, 15, GREY)
         c.text(x, 32, value, 20)
-    draw_cause(c, Cause(int(worlds.cause[j])), body["halt_left"] > 0.0)
+    draw_cause(c, Cause(int(simulation.worlds.cause[j])), body["halt_left"] > 0.0)
 
 
 def _draw_table(c: Canvas, simulation: RoverSimulation, j: int, names, bounds, status: list[str]) -> None:
     """State of each axle, with the rut that it runs in, the true soil under it and the `status` of its estimate, below
     the side view."""
-    worlds, border = simulation.worlds, simulation.numbers.world.border
+    rovers = simulation.worlds.rovers
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
     places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
     for axle, (name, k) in enumerate(zip(names, simulation.wheels[j].tolist(), strict=True)):
-        w, y = worlds.rovers.wheels[k], 380 + 16 * axle
-        soil, _, _ = ground_at(worlds.courses, j, w["x"], worlds.rovers.counts.patch[k], border)
+        w, y, soil = rovers.wheels[k], 380 + 16 * axle, _soil_under(simulation, j, k)
         phi = math.degrees(math.atan(soil.tan_phi))
         values = (
-            name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * worlds.rovers.axles.floor[k]:.1f} mm",
+            name, f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * rovers.axles.floor[k]:.1f} mm",
             f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
             f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
             status[axle],

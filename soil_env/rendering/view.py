@@ -36,18 +36,37 @@ class CourseView(ABC):
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
         self._history: deque[tuple] = deque(maxlen=_POINTS + 2)
+        self._angles: Any = 0.0  # [rad] that the wheels have turned
 
     def clear(self) -> None:
         """Forget the history: a new episode."""
         self._history.clear()
+        self._angles = 0.0
 
-    @abstractmethod
     def record(self, simulation: Any, k: int) -> None:
         """Add the present state of number k to the history; at its reset the history starts anew."""
+        steps, wheel_speed = self._motion(simulation, k)
+        if steps == 0:
+            self.clear()
+        self._angles = self._angles + wheel_speed * self._step
+        if steps % (self._every * self.scenario.control.held) == 0:
+            self._history.append((steps * simulation.numbers.world.period, *self._sample(simulation, k)))
 
-    def _status(self, status: int) -> str:
-        """The word for a status of the identifier."""
-        return Status(int(status)).name.lower().replace("_", " ") if self._identified else "none"
+    @abstractmethod
+    def _motion(self, simulation: Any, k: int) -> tuple[int, Any]:
+        """Control periods since the reset, and the speed of each wheel [rad/s]."""
+
+    @abstractmethod
+    def _sample(self, simulation: Any, k: int) -> tuple[float, ...]:
+        """Numbers of the charts now."""
+
+    def _status(self, known: Any, k: int) -> str:
+        """The word for the status of the identifier of wheel k; "none" where there is none."""
+        return Status(int(known.status[k])).name.lower().replace("_", " ") if self._shows(known) else "none"
+
+    def _shows(self, known: Any) -> bool:
+        """True if there is an estimate to show."""
+        return self._identified and known is not None
 
     @abstractmethod
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:

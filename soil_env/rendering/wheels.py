@@ -1,30 +1,94 @@
-"""A wheel in a picture, the stresses under it, and the state of an episode."""
+"""Wheels in a picture with the ground and the stresses under them, and the state of an episode."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.rendering.canvas import (
-    AMBER,
-    BLUE,
-    GREEN,
-    GREY,
-    LIGHT_BLUE,
-    LIGHT_ORANGE,
-    ORANGE,
-    RIM,
-    SPOKE,
-    WHEEL,
-    WHITE,
-    Box,
-    Canvas,
-    Colour,
-)
-from soil_env.rendering.stresses import ARC_POINTS, Stresses
+from soil_env.parameters import SoilState
+from soil_env.rendering import canvas
+from soil_env.rendering.canvas import Box, Canvas, Colour
+from soil_env.rendering.ground import Profile, Scene, draw_flag, draw_ground, draw_scale_bar
 from soil_env.simulation.task import Cause
+from soil_env.terramechanics import contact
+from soil_env.terramechanics.reaction import REST_SPEED, reaction
+
+ARC_POINTS = 25
+
+
+class Stresses(NamedTuple):
+    """Stress along the contact arc, from the lowest point of the rim to the entry."""
+
+    angle: np.ndarray  # [points] theta [rad]
+    normal: np.ndarray  # [points] sigma [Pa], Eqs. (7) and (8)
+    shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
+
+
+def contact_stresses(
+    soil: SoilState, load: float, speed: float, rim_speed: float, sinkage: float, r: float, b: float
+) -> Stresses:
+    """`Stresses` under a wheel of radius r and width b [m] at the sinkage coefficient that its load [N] mobilises.
+
+    Speeds of travel and of the rim [m/s]; sinkage [m] below the ground that the wheel meets. The soil's own sinkage
+    coefficient does not matter: so the same holds in a rut.
+    """
+    coefficient = reaction(speed, rim_speed, sinkage, load, soil, r, b).sinkage_coefficient
+    rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
+    theta1 = contact.entry_angle(sinkage, r)
+    angle = np.linspace(0.0, theta1, ARC_POINTS)
+    normal, shear = np.empty(ARC_POINTS), np.empty(ARC_POINTS)
+    for i, theta in enumerate(angle):
+        front = contact.mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
+        normal[i] = coefficient * contact.relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
+        j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
+        share, _ = contact.mobilised(j, soil.shear_modulus, contact.JANOSI)
+        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
+    return Stresses(angle, normal, shear)
+
+
+class ShownWheel(NamedTuple):
+    """A wheel as it is drawn."""
+
+    hub: np.ndarray  # horizontal place and height [m]
+    grade: float  # [rad] of the ground under it
+    angle: float  # [rad] that it has turned
+    speed: float  # [m/s] of travel
+    stresses: Stresses
+    colour: Colour = canvas.RIM
+
+
+def draw_scene(
+    c: Canvas, scene: Scene, x: np.ndarray, profile: Profile, lowered: np.ndarray, bounds: tuple[float, float],
+    simulation: Any, wheels: Sequence[ShownWheel], behind: Callable[[], None] | None = None,
+    front: Callable[[], None] | None = None,
+) -> None:  # fmt: skip
+    """Terrain lowered by ruts [m] at x [m] along the course, end of the course, and wheels with their stresses.
+
+    `behind` and `front` draw what is behind and in front of the wheels.
+    """
+    world, task = simulation.numbers.world.wheel, simulation.numbers.task
+    size = world.radius * scene.scale
+    per_pascal = 0.45 * size * 0.5 * world.radius * world.width / task.weight  # drawn length of a stress
+    c.clip(scene.box)
+    c.box(scene.box, canvas.SKY)
+    draw_ground(c, scene, x, profile, lowered, [w.hub for w in wheels], world.radius, bounds)
+    draw_flag(c, scene, scene.at(*profile.at(task.length)))
+    if behind is not None:
+        behind()
+    for w in wheels:
+        draw_wheel(c, scene.at(*w.hub), size, float(w.angle), w.colour)
+    for w in wheels:
+        side = -1.0 if w.speed < -REST_SPEED else 1.0
+        draw_stresses(c, scene.at(*w.hub), size, float(w.grade), side, w.stresses, per_pascal)
+    if front is not None:
+        front()
+    draw_stress_key(c, scene.box, [w.stresses for w in wheels])
+    c.clip(None)
+    c.box(scene.box, None, canvas.GRID)
+    draw_scale_bar(c, scene)
 
 
 def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
@@ -32,14 +96,14 @@ def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
     return np.asarray(ground) + height * np.array([-math.sin(grade), math.cos(grade)])
 
 
-def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = RIM) -> None:
+def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = canvas.RIM) -> None:
     """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
-    c.circle(centre, size, WHEEL)
+    c.circle(centre, size, canvas.WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
-        c.lines([centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], SPOKE, 3.0)
-    c.circle(centre, size, RIM, 0.07 * size)
-    c.circle(centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]), 0.06 * size, ORANGE)
-    c.circle(centre, 0.14 * size if hub == RIM else 0.22 * size, hub)
+        c.lines([centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], canvas.SPOKE, 3.0)
+    c.circle(centre, size, canvas.RIM, 0.07 * size)
+    c.circle(centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]), 0.06 * size, canvas.ORANGE)
+    c.circle(centre, 0.14 * size if hub == canvas.RIM else 0.22 * size, hub)
 
 
 def draw_stresses(
@@ -53,23 +117,23 @@ def draw_stresses(
     outward = np.stack([np.sin(a), np.cos(a)], axis=1)
     normal, shear = (np.minimum(np.abs(s) * scale, 0.85 * size)[:, None] for s in stresses[1:])
     rim, outer = hub + outward * size, hub + outward * (size + normal)
-    c.polygon([*rim, *outer[::-1]], LIGHT_BLUE)
-    c.lines(outer, BLUE)
+    c.polygon([*rim, *outer[::-1]], canvas.LIGHT_BLUE)
+    c.lines(outer, canvas.BLUE)
     for i in np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1].round().astype(int):
-        c.arrow(outer[i], rim[i], BLUE, 1.6)
+        c.arrow(outer[i], rim[i], canvas.BLUE, 1.6)
     inside, inner = hub + outward * 0.93 * size, hub + outward * (0.93 * size - shear)
-    c.polygon([*inside, *inner[::-1]], LIGHT_ORANGE)
-    c.lines(inner, ORANGE)
+    c.polygon([*inside, *inner[::-1]], canvas.LIGHT_ORANGE)
+    c.lines(inner, canvas.ORANGE)
     i = int(np.argmax(shear))
     if shear[i] > 4.0:
         forward = 0.16 * size * np.array([outward[i, 1], -outward[i, 0]]) * np.sign(stresses.shear[i])
         middle = 0.5 * (inside[i] + inner[i])
-        c.arrow(middle - forward, middle + forward, ORANGE, 2.2)
+        c.arrow(middle - forward, middle + forward, canvas.ORANGE, 2.2)
 
 
 def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
     """Colours of the stresses, and the peak under each of the wheels, in the upper left corner of a box."""
-    keys = ("normal stress σ", BLUE, LIGHT_BLUE), ("shear stress τ", ORANGE, LIGHT_ORANGE)
+    keys = ("normal stress σ", canvas.BLUE, canvas.LIGHT_BLUE), ("shear stress τ", canvas.ORANGE, canvas.LIGHT_ORANGE)
     for row, (name, edge, fill) in enumerate(keys):
         peaks = (1e-3 * s[row + 1][np.argmax(np.abs(s[row + 1]))] for s in wheels)
         y = box[1] + 16 + 18 * row
@@ -80,6 +144,8 @@ def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
 def draw_cause(c: Canvas, cause: Cause, halted: bool) -> None:
     """The state of the episode, in a coloured field."""
     halted = halted and cause == Cause.RUNNING
-    colour = AMBER if halted else {Cause.RUNNING: GREY, Cause.FINISHED: GREEN}.get(cause, ORANGE)
+    colour = (
+        canvas.AMBER if halted else {Cause.RUNNING: canvas.GREY, Cause.FINISHED: canvas.GREEN}.get(cause, canvas.ORANGE)
+    )
     c.box((474, 8, 88, 22), colour)
-    c.text(518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, WHITE, 0.5)
+    c.text(518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, canvas.WHITE, 0.5)

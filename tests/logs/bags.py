@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from soil_env.logs.mapping import QUANTITIES
+from soil_env.logs.mapping import UNITS
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "record_bag.py"
 MAP = {
@@ -29,7 +29,7 @@ def write_map(folder, changes=None, name="map.yaml", base=MAP):
     """A map.yaml: `base` with whole channels and top-level keys replaced; None takes one out."""
     content = json.loads(json.dumps(base))
     for key, value in (changes or {}).items():
-        place = content["channels"] if key in QUANTITIES else content
+        place = content["channels"] if key in UNITS else content
         place[key] = value
         if value is None:
             del place[key]
@@ -38,27 +38,36 @@ def write_map(folder, changes=None, name="map.yaml", base=MAP):
     return path
 
 
-def write_json_mcap(path, steps=200, period=0.1, chunk=2000, payload=0, start=1_000_000_000):
-    """An MCAP file with JSON messages on /drive and /odom, and, with `payload`, as many bytes a step on /camera."""
-    from mcap.writer import CompressionType, Writer
+def write_mcap(path, messages, **options):
+    """An MCAP file of messages (topic, time [ns], content for JSON or bytes)."""
+    from mcap.writer import Writer
 
     with open(path, "wb") as stream:
-        writer = Writer(stream, chunk_size=chunk, compression=CompressionType.NONE if payload else CompressionType.ZSTD)
+        writer, channels = Writer(stream, **options), {}
         writer.start()
-        channels = {t: writer.register_channel(t, "json", writer.register_schema(t[1:], "jsonschema", b"{}"))
-                    for t in ("/drive", "/odom", "/camera")}  # fmt: skip
-        image = bytes(range(256)) * (payload // 256)
-
-        def put(topic, time, content):
+        for topic, time, content in messages:
+            if topic not in channels:
+                schema = writer.register_schema("any", "jsonschema", b"{}")
+                channels[topic] = writer.register_channel(topic, "json", schema)
             data = content if isinstance(content, bytes) else json.dumps(content).encode()
             writer.add_message(channels[topic], time, data, time)
-
-        for k in range(steps):
-            time = start + round(k * period * 1e9)
-            speed = 2.0 + 0.5 * (k // 20 % 3)
-            put("/drive", time, {"speed": speed, "motor": {"current": 1.0 + 0.1 * (k // 20 % 3)}})
-            put("/odom", time, {"twist": {"x": 0.15 * speed * (0.85, 0.8, 0.7)[k // 20 % 3]}, "depth": 22.0})
-            if payload:
-                put("/camera", time, image)
         writer.finish()
     return path
+
+
+def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000):
+    """A drive in steps of 0.1 s on /drive and /odom, and, with `payload`, as many bytes a step on /camera."""
+    from mcap.writer import CompressionType
+
+    def messages():
+        for k in range(steps):
+            time, stage = start + k * 100_000_000, k // 20 % 3
+            speed = 2.0 + 0.5 * stage
+            yield "/drive", time, {"speed": speed, "motor": {"current": 1.0 + 0.1 * stage}}
+            yield "/odom", time, {"twist": {"x": 0.15 * speed * (0.85, 0.8, 0.7)[stage]}, "depth": 22.0}
+            if payload:
+                yield "/camera", time, image
+
+    image = bytes(range(256)) * (payload // 256)
+    compression = CompressionType.NONE if payload else CompressionType.ZSTD
+    return write_mcap(path, messages(), chunk_size=chunk, compression=compression)

@@ -7,10 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from soil_env.logs import read_map, read_recording
-from soil_env.logs.doubts import doubts
+from soil_env.logs.doubts import doubts, time_doubts
+from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
-from tests.logs.bags import write_map
 
 
 @pytest.fixture(scope="module")
@@ -78,19 +77,12 @@ def test_what_was_driven_is_not_doubted(logs, name):
 
 
 @pytest.mark.parametrize(
-    ("rows", "unit", "proposed"),
-    [(0.1, "s", ""), (1e-4, "ms", "unit s"), (100.0, "s", "unit ms"), (1e-3, "s", ""), (0.0015, "ms", "unit s"),
-     (1e5, "s", "unit us"), (1e-4, "s", "another")],
+    ("interval", "rows", "unit", "proposed"),
+    [(0.1, 400, "s", ""), (1e-4, 400, "ms", "unit s"), (100.0, 400, "s", "unit ms"), (1e-3, 12000, "s", ""),
+     (1.5e-3, 400, "ms", "unit s"), (1e5, 400, "s", "unit us"), (1e-4, 400, "s", "another")],
 )  # fmt: skip
-def test_stamps_in_another_unit_are_doubted(tmp_path, rows, unit, proposed):
-    """`rows` [s] apart as declared; a table with a drive in the morning and one in the evening is not doubted."""
-    factor = {"s": 1.0, "ms": 1e3}[unit]
-    stamps = rows * factor * np.arange(12000 if rows == 1e-3 else 400)
-    if rows == 0.1:
-        stamps[300:] += 36e3
-    lines = "".join(f"{t:.9g},2,0.25,0.02,5\n" for t in stamps)
-    (tmp_path / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\n" + lines)
-    changes = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")}
-    log_map = read_map(write_map(tmp_path, changes | {"time": {"column": "t", "unit": unit}}))
-    found = [line for line in read_recording(tmp_path / "a.csv", log_map).doubts if line.startswith("time: column t")]
+def test_stamps_in_another_unit_are_doubted(logs, interval, rows, unit, proposed):
+    """`interval` [s] between the rows, as declared."""
+    log_map = dataclasses.replace(logs["mixed"][0][1], time=TimeColumn("t", unit))
+    found = time_doubts(interval, interval * rows, log_map)
     assert len(found) == bool(proposed) and (not found or proposed in found[0]), found

@@ -18,6 +18,10 @@ from unittest import mock
 import gymnasium
 import numpy as np
 import pytest
+from click.testing import CliRunner
+
+from soil_env.cli import soil_env
+from soil_env.simulation.task import Cause
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -45,16 +49,10 @@ def tables(page: Path) -> dict[str, list[dict[str, str]]]:
     """Rows of the first table below each heading, each by the names of its columns."""
     found = {}
     for section in re.split(r"^#+ ", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
-        lines = re.findall(r"^\| .*$|^$", section, re.MULTILINE)  # without the line below the header
-        first = next((k for k, line in enumerate(lines) if line), None)
-        if first is not None:
-            rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in _run(lines[first:])]
-            found[section.splitlines()[0]] = [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
+        if table := re.search(r"^\| .*\n\|-.*\n((\| .*\n)+)", section + "\n", re.MULTILINE):
+            rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table[0].splitlines()]
+            found[section.splitlines()[0]] = [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
     return found
-
-
-def _run(lines: list[str]) -> list[str]:
-    return lines[: lines.index("")] if "" in lines else lines
 
 
 # --- Python -----------------------------------------------------------------------------------------------------------
@@ -127,6 +125,7 @@ def check_options(words: list[str], text: str) -> None:
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
 def test_the_commands_of_a_page_exist(page):
+    """Programs and modules exist; subcommands and options are in the help."""
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     for words in commands(page):
         while "=" in words[0]:
@@ -136,19 +135,8 @@ def test_the_commands_of_a_page_exist(page):
         elif words[:2] == ["python", "-m"] and words[2].split(".")[0] in ("soil_env", "agents", "benchmarks", "tests"):
             assert importlib.util.find_spec(words[2]) is not None, words
         elif words[0] == "python" and words[1].startswith(("examples/", "train.py", "benchmarks/")):
-            assert (ROOT / words[1]).is_file(), words
             check_options(words[2:], help_of(words[1]))
-
-
-@pytest.mark.parametrize("page", [p for p in PAGES if any(w[0] == "soil-env" for w in commands(p))], ids=name_of)
-def test_the_soil_env_commands_of_a_page_parse(page):
-    """Subcommands and options are those of the parser, as its help lists them."""
-    from click.testing import CliRunner
-
-    from soil_env.cli import soil_env
-
-    for words in commands(page):
-        if words[0] == "soil-env" and not words[1].startswith("-"):
+        elif words[0] == "soil-env" and not words[1].startswith("-"):
             shown = CliRunner().invoke(soil_env, [words[1], "--help"])
             assert shown.exit_code == 0, words
             check_options(words[2:], shown.output)
@@ -176,27 +164,22 @@ def agree(rows: list[dict[str, str]], expected: list[tuple]) -> None:
         assert [float(row[key]) for key in ("min", "max", "centre", "scale")] == pytest.approx(numbers, abs=1e-4), name
 
 
-def test_the_observation_tables_of_the_environment():
-    found = tables(DOCS / "guide" / "environment.md")
-    identified = entries("soil_env:SoilWheel-v0", observation="identified")
-    true_soil = entries("soil_env:SoilWheel-v0", observation="true_soil")
-    agree(
-        found["Sensors"] + found["Identified soil"] + found["Camera"] + found["Camera and identified soil"], identified
-    )
-    agree(found["True soil"] + found["Camera and true soil"], true_soil)
-    beside = len(found["Camera and identified soil"])  # the same entries again, of the line beside
-    assert int(found["Camera and identified soil"][-1]["#"]) + beside + 1 == len(identified)
-    assert int(found["Camera and true soil"][-1]["#"]) + len(found["Camera and true soil"]) + 1 == len(true_soil)
-
-
-def test_the_observation_tables_of_the_rover():
-    found = tables(DOCS / "guide" / "rover.md")
-    identified = entries("soil_env:SoilRover-v0", observation="identified")
-    true_soil = entries("soil_env:SoilRover-v0", observation="true_soil")
-    agree(found["Body"] + found["Axles"] + found["Identified soil"], identified)
-    agree(found["True soil"], true_soil)
-    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["Identified soil"]) == len(identified)
-    assert len(found["Body"]) + 2 * len(found["Axles"]) + 2 * len(found["True soil"]) == len(true_soil)
+@pytest.mark.parametrize(
+    ("page", "env_id", "variant", "once", "twice"),
+    [
+        ("environment.md", "SoilWheel-v0", "identified", ["Sensors", "Identified soil", "Camera"],
+         ["Camera and identified soil"]),
+        ("environment.md", "SoilWheel-v0", "true_soil", ["Sensors", "True soil", "Camera"], ["Camera and true soil"]),
+        ("rover.md", "SoilRover-v0", "identified", ["Body"], ["Axles", "Identified soil"]),
+        ("rover.md", "SoilRover-v0", "true_soil", ["Body"], ["Axles", "True soil"]),
+    ],
+)  # fmt: skip
+def test_the_observation_tables(page, env_id, variant, once, twice):
+    """Entries of the tables `twice` come again, for the line beside or the other axle."""
+    found, expected = tables(DOCS / "guide" / page), entries(f"soil_env:{env_id}", observation=variant)
+    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(variant, ())  # numbered as with "identified"
+    agree([row for name in (*once, *twice) if name not in sensors for row in found[name]], expected)
+    assert sum(len(found[name]) for name in once) + 2 * sum(len(found[name]) for name in twice) == len(expected)
 
 
 def test_actions_rewards_causes_and_info_of_the_environment():
@@ -212,17 +195,9 @@ def test_actions_rewards_causes_and_info_of_the_environment():
     for row in found["Action space"]:
         control = gymnasium.make("soil_env:SoilWheel-v0", action=row["action"].split()[0]).unwrapped.scenario.control
         assert control.held == int(row["repeat"])
-    kind = type(_cause(env))
-    assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {c.name: c.value for c in kind}
+    assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {c.name: c.value for c in Cause}
     keys = {row["key"].strip("`") for row in tables(DOCS / "guide" / "traversability.md")["Traversability and warning"]}
     assert keys == set(info["traversability"])
-
-
-def _cause(env):
-    """Cause of the end as the enumeration of the task."""
-    from soil_env.simulation.task import Cause
-
-    return Cause[env.unwrapped.reset(seed=0)[1]["cause"]]
 
 
 # --- names ------------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 import gymnasium, numpy as np
 from soil_env._numba import cache
-from soil_env.warmup import warm_up
+from soil_env.cli.warmup import warm_up
 
 warm_up()
 late, compiled = [], cache._Once.__call__

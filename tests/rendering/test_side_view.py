@@ -120,7 +120,7 @@ def test_history_starts_anew_with_the_episode():
     renderer.draw(simulation, 0)
     simulation.restart(0)
     renderer.record(simulation, 0)
-    assert len(renderer._history) == 1 and renderer._angle == 0.0
+    assert len(renderer._history) == 1 and renderer._angles == 0.0
     fresh = Renderer(simulation.scenario, "rgb_array")
     fresh.record(simulation, 0)
     assert np.array_equal(renderer.draw(simulation, 0), fresh.draw(simulation, 0))
@@ -184,7 +184,7 @@ def test_windows_live_and_close_one_by_one(dummy_display):
         drive(sim_b, b, 1)
         assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
-    off_screen._history, off_screen._angle = a._history, a._angle
+    off_screen._history, off_screen._angles = a._history, a._angles
     assert np.array_equal(shown, off_screen.draw(sim_a, 0))
 
     pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
