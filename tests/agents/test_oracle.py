@@ -15,23 +15,16 @@ from soil_env.simulation.task import Cause
 from tests.simulation.test_cloning import memory
 
 SEED = 2_000_029
-SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 12.0}}
-
-
-def started(scenario, wheels=3):
-    sim = Simulation(wheels, scenario, "blind", threads=1)
-    for k in range(wheels):
-        sim.seed(k, driving.course_rng(SEED, k))
-    sim.restart_where(np.ones(wheels, dtype=bool))
-    return sim
-
-
-# --- planning ---------------------------------------------------------------------------------------------------------
 
 
 def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
-    scenario = load_scenario("mixed", SHORT)
-    sim, oracle = started(scenario), Oracle(scenario, horizon=2.0)
+    scenario = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
+    sim, oracle = Simulation(3, scenario, "blind", threads=1), Oracle(scenario, horizon=2.0)
+    for k in range(3):
+        sim.seed(k, driving.course_rng(SEED, k))
+    sim.restart_where(np.ones(3, dtype=bool))
+    with pytest.raises(ParameterError, match="before attach"):
+        oracle.predict(sim.worlds.observation)
     oracle.attach(sim, 1, None)
     before = [memory(sim.worlds, k, 3) for k in range(3)]
     action, _ = oracle.predict(sim.worlds.observation)
@@ -54,13 +47,6 @@ def test_what_a_wheel_does_follows_from_its_own_plan():
     assert plans.at(np.array([1, 1])).back.tolist() == [2.0, 2.0]
 
 
-def test_the_oracle_has_to_be_shown_the_simulation_that_it_drives_in():
-    scenario = load_scenario("mixed", SHORT)
-    oracle = Oracle(scenario)
-    with pytest.raises(ParameterError, match="before attach"):
-        oracle.predict(started(scenario).worlds.observation)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("action", ["torque", "rim_acceleration"])
 def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
@@ -74,20 +60,12 @@ def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, mo
     assert runs.metric("finished").sum() >= 5
 
 
-# --- in comparisons ---------------------------------------------------------------------------------------------------
-
-
-def runs_of(finished):
-    cause = np.where(finished, Cause.FINISHED.value, Cause.BOGGED.value)
-    return Runs(cause, *np.ones((6, cause.size)))
-
-
 def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
-    oracle = runs_of(np.array([True, True, False, True]))
-    one, two = runs_of(np.array([True, False, False, True, False])), runs_of(np.array([False, True, True, True, True]))
-    found = avoidable(oracle, [one, two])  # the fifth course is not among the oracle's
+    def runs_of(*finished):
+        return Runs(np.where(finished, Cause.FINISHED.value, Cause.BOGGED.value), *np.ones((6, len(finished))))
+
+    oracle = runs_of(1, 1, 0, 1)
+    found = avoidable(oracle, [runs_of(1, 0, 0, 1, 0), runs_of(0, 1, 1, 1, 1)])  # the fifth course is not the oracle's
     assert found["failures"] == 3 and found["value"] == pytest.approx(2 / 3)
     assert (found["low"], found["high"]) == wilson(2, 3)
-    assert avoidable(oracle, [runs_of(np.ones(4, dtype=bool))]) == {
-        "failures": 0, "value": None, "low": None, "high": None,
-    }  # fmt: skip
+    assert avoidable(oracle, [runs_of(1, 1, 1, 1)]) == {"failures": 0, "value": None, "low": None, "high": None}

@@ -1,22 +1,23 @@
 """PPO agents: a loaded agent acts as the saved one, training goes on after a stop, bad files are refused."""
 
+import json
+import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.agent import INFO, load_agent, read_info
 from agents.config import NAMES, PPOConfig
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.ppo import build, resume, save
-from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import VARIANTS, layout
-from tests.agents.saved import edit
+from soil_env.vehicle import load_rover
+from tests.agents.drivers import observations
 
 TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0)
 ROLLOUT = TINY.num_envs * TINY.n_steps
@@ -44,15 +45,6 @@ def saved(model, tmp_path):
     return tmp_path / "model.zip"
 
 
-def raw_observations(scenario, variant, n=20):
-    env = SoilWheelVecEnv(n, scenario, variant, scaled=False)
-    env.seed(77)
-    env.reset()
-    for _ in range(8):
-        out = env.step(np.full((n, 1), 0.4, dtype=np.float32))[0]
-    return out
-
-
 def refused(action, *parts):
     """Check that `action` raises a ParameterError of one line that holds all `parts`."""
     with pytest.raises(ParameterError) as error:
@@ -67,21 +59,18 @@ def refused(action, *parts):
 
 
 def test_build_takes_the_config(scenario):
-    config = PPOConfig(num_envs=4, n_steps=24, batch_size=12, n_epochs=3, learning_rate=2e-3, gamma=0.9, gae_lambda=0.8,
-                       clip_range=0.13, ent_coef=0.01, layer=5, log_std_init=-1.1)  # fmt: skip
+    own = {"n_steps": 24, "batch_size": 12, "n_epochs": 3, "gamma": 0.9, "gae_lambda": 0.8, "ent_coef": 0.01}
+    config = PPOConfig(num_envs=4, learning_rate=2e-3, clip_range=0.13, layer=5, log_std_init=-1.1, **own)
     model = build(scenario, "blind", config, seed=5)
-    assert (model.n_envs, model.n_steps, model.batch_size, model.n_epochs) == (4, 24, 12, 3)
-    assert (model.gamma, model.gae_lambda, model.ent_coef, model.seed) == (0.9, 0.8, 0.01, 5)
-    assert model.clip_range(0.5) == 0.13
+    assert {name: getattr(model, name) for name in own} == own
+    assert (model.n_envs, model.seed, model.clip_range(0.5), model.get_env().gamma) == (4, 5, 0.13, 0.9)
     assert model.policy.log_std.detach().numpy() == pytest.approx(-1.1)
-    widths = {p.shape[0] for name, p in model.policy.named_parameters() if "mlp_extractor" in name}
-    assert widths == {5}
-    assert isinstance(model.get_env(), VecNormalize) and model.get_env().gamma == 0.9
+    assert {p.shape[0] for name, p in model.policy.named_parameters() if "mlp_extractor" in name} == {5}
 
 
 def test_training_is_reproducible(scenario):
     a, b, other = (trained(scenario, "blind", rollouts=2, seed=s) for s in (3, 3, 4))
-    x = raw_observations(scenario, "blind")
+    x = observations(scenario, "blind")
     np.testing.assert_array_equal(a.predict(x, deterministic=True)[0], b.predict(x, deterministic=True)[0])
     assert (a.predict(x, deterministic=True)[0] != other.predict(x, deterministic=True)[0]).any()
 
@@ -94,7 +83,7 @@ def test_a_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, 
     model = trained(scenario, variant)
     save(model, tmp_path / "model.zip")
     agent = load_agent(tmp_path)
-    raw = raw_observations(scenario, variant)
+    raw = observations(scenario, variant)
     env = model.get_vec_normalize_env()
     expected, _ = model.predict(env.normalize_obs(agent.scaling(raw)), deterministic=True)
     actions, _ = agent.predict(raw, deterministic=True)
@@ -106,7 +95,7 @@ def test_a_loaded_agent_acts_on_raw_observations_as_the_trained_model(scenario, 
 
 
 def test_the_zip_is_one_of_sb3_too(saved, model, scenario):
-    raw = raw_observations(scenario, "identified").astype(np.float32)
+    raw = observations(scenario, "identified").astype(np.float32)
     plain = PPO.load(saved, device="cpu")
     np.testing.assert_array_equal(plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0])
 
@@ -186,11 +175,21 @@ def test_resume_refuses_another_network_or_observation(saved, scenario, key, ask
 # --- files that cannot be used ----------------------------------------------------------------------------------------
 
 
+def edit(path, **changes):
+    """Change keys of the description in the zip of an agent."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    members[INFO] = json.dumps(json.loads(members[INFO]) | changes)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
 def test_another_layout_is_refused_and_the_difference_named(saved):
     names = [e.name for e in layout("identified")]
     edit(saved, observation_names=[*names[:4], "wheel_torque", *names[5:]])
     refused(lambda: load_agent(saved), "wheel_torque", "torque", "layout")
-    edit(saved, observation_names=[names[1], names[0], *names[2:]], mean=[0.0] * len(names), var=[1.0] * len(names))
+    edit(saved, observation_names=[names[1], names[0], *names[2:]])
     refused(lambda: load_agent(saved), "order")
 
 
@@ -204,41 +203,42 @@ def test_a_description_with_a_wrong_entry(saved, key, value):
     refused(lambda: read_info(saved), "model.zip", INFO, "lenght" if key == "scenario" else key)
 
 
+def test_an_agent_of_a_rover_does_not_drive_a_wheel(tmp_path, scenario):
+    model = build(load_rover("mars_rover"), "blind", TINY, 0)
+    save(model, tmp_path / "model.zip")
+    refused(
+        lambda: load_model(tmp_path / "model.zip", scenario), "an agent of a rover, for scenario 'mixed' of a wheel"
+    )
+
+
 # --- arguments of predict ---------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def agents(scenario, tmp_path_factory):
-    """{name: agent} that read "blind": without a memory, with a history, with an LSTM and a history."""
-    folder, made = tmp_path_factory.mktemp("agents"), {}
-    for name, steps, algorithm in (("none", 0, "ppo"), ("history", 3, "ppo"), ("lstm", 2, "recurrent_ppo")):
-        if algorithm == "recurrent_ppo":
-            pytest.importorskip("sb3_contrib")
-        config = replace(TINY, history=steps)
-        save(build(scenario, "blind", config, 0, algorithm=algorithm), folder / "model.zip")
-        made[name] = load_model(folder / "model.zip", scenario)
-    return made
-
-
-@pytest.mark.parametrize("which", ["none", "history", "lstm"])
-def test_an_argument_that_predict_cannot_take_is_named(agents, which):
-    agent = agents[which]
+@pytest.mark.parametrize("steps, algorithm", [(0, "ppo"), (3, "ppo"), (2, "recurrent_ppo")])
+def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps, algorithm):
+    """Without a memory, with a history, with an LSTM and a history."""
+    if algorithm == "recurrent_ppo":
+        pytest.importorskip("sb3_contrib")
+    save(build(scenario, "blind", replace(TINY, history=steps), 0, algorithm=algorithm), tmp_path / "model.zip")
+    agent = load_model(tmp_path / "model.zip", scenario)
     rows = np.zeros((3, 14))
     rows[:, 3] = 1.0
-    rows[1, 3] = np.nan
-    refused(lambda: agent.predict(rows), "observation[1]: load = nan: expected -10 to 10 (of weight)")
-    rows[1, 3], rows[2, 10] = 1.0, 1.5
-    refused(lambda: agent.predict(rows), "observation[2]: halted = 1.5: expected 0 to 1")
+    for row, column, value, said in (
+        (1, 3, np.nan, "load = nan: expected -10 to 10 (of weight)"),
+        (2, 10, 1.5, "halted = 1.5: expected 0 to 1"),
+    ):
+        wrong = rows.copy()
+        wrong[row, column] = value
+        refused(lambda wrong=wrong: agent.predict(wrong), f"observation[{row}]: {said}")
     refused(lambda: agent.predict("xyz"), "observation = 'xyz': expected numbers")
     refused(lambda: agent.predict(np.zeros((3, 24))), "expected 14 numbers, those of observation 'blind'")
-    rows[2, 10] = 0.0
     refused(lambda: agent.predict(rows, None, [True]), "episode_start: 1 values: expected 3")
     _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
     assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
-    if which != "none":
+    if steps:
+        kept, memory = state
         refused(lambda: agent.predict(rows[:2], state), "state: arrays of shape", "expected what the last predict")
         refused(lambda: agent.predict(rows, 3.0), "state = 3.0: expected")
-        kept, memory = state
         refused(lambda: agent.predict(rows, (np.full_like(kept, np.nan), memory)), "state: a number that is not finite")
-    if which == "lstm":
+    if algorithm == "recurrent_ppo":
         refused(lambda: agent.predict(rows, (kept, (memory[0],))), "arrays of shape [(1, 3, 8)]: expected")
