@@ -38,7 +38,7 @@ def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12
 
 
 def drive(controller, scenario, steps, seed=0):
-    """Rim speed [m/s], slip, distance and commanded halts over time [steps], the cause of the end and the last state."""
+    """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the last state."""
     sim = Simulation(1, scenario, controller.variant, threads=1)
     sim.seed(0, np.random.default_rng(seed))
     sim.restart(0)
@@ -58,9 +58,6 @@ def drive(controller, scenario, steps, seed=0):
 def blind(**values):
     """A blind observation [1, D] of 0 but for `values`."""
     return np.array([[values.get(name, 0.0) for name in BLIND]])
-
-
-# --- SB3's predict ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -96,9 +93,6 @@ def test_episode_start_resets_only_its_row(name):
     assert reset[1, 0] != kept[1, 0]
 
 
-# --- what each reads --------------------------------------------------------------------------------------------------
-
-
 def test_best_slip_identified_does_not_see_the_true_soil():
     """Its belief fills what the identifier does not estimate."""
     scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
@@ -109,9 +103,6 @@ def test_best_slip_identified_does_not_see_the_true_soil():
     names = [e.name for e in layout("identified")]
     np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, names.index("cohesion")])
     np.testing.assert_allclose(soil[:, 5], seen[:, names.index("dig_gain")])
-
-
-# --- what they do to a wheel ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("action", ACTIONS)

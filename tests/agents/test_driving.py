@@ -1,7 +1,5 @@
 """Drives of wheels over the same courses against plain loops, and the metrics of a course."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -21,23 +19,6 @@ SHORT = {"control": {"time_limit": 25.0, "action": "torque"}}
 @pytest.fixture(scope="module")
 def scenario():
     return load_scenario("mixed", SHORT)
-
-
-@pytest.fixture(scope="module")
-def detailed(scenario):
-    return run_courses(make_controller("full_throttle", scenario), scenario, SEED, 10, detailed=True)
-
-
-def test_results_depend_neither_on_batch_nor_on_the_first(scenario):
-    for name in ("fixed_slip", "best_slip_identified"):
-        controller = make_controller(name, scenario)
-        whole = run_courses(controller, scenario, SEED, 8)
-        for other, part in (
-            (run_courses(controller, scenario, SEED, 8, batch=3), slice(0, 8)),
-            (run_courses(controller, scenario, SEED, 3, first=3), slice(3, 6)),
-        ):
-            for field in FIELDS:
-                np.testing.assert_array_equal(getattr(whole, field)[part], getattr(other, field), err_msg=field)
 
 
 @pytest.mark.parametrize("name", ["full_throttle", "fixed_slip", "best_slip_identified", "best_slip_true"])
@@ -63,6 +44,8 @@ def test_runs_equal_a_loop_over_one_wheel(scenario, name):
             "time": 0.1 * len(rows), "distance": max(x.max(), 0.0), "energy": np.maximum(work, 0.0).sum(),
             "return": returns, "sinkage": 1000.0 * sinkage.mean(), "slip": slip[under_way].mean(),
         }  # fmt: skip
+        expected["speed"] = expected["distance"] / expected["time"]
+        expected["energy_per_metre"] = expected["energy"] / max(expected["distance"], 0.1)
         for metric, series in (("slip", slip), ("sinkage", 1000.0 * sinkage)):
             expected |= {f"{metric}_p{q}": np.quantile(series[under_way], q / 100) for q in (50, 95)}
         assert {key: one[key] for key in expected} == pytest.approx(expected, rel=1e-9)
@@ -81,35 +64,12 @@ def test_return_is_compared_without_the_information_that_an_agent_was_paid_for(s
     np.testing.assert_array_equal(got.returns, plain.returns)
 
 
-def test_units_of_the_derived_metrics():
-    got = Runs(
-        cause=np.array([1, 5]), distance=np.array([10.0, 0.02]), time=np.array([20.0, 90.0]),
-        energy=np.array([500.0, 3.0]), slip=np.array([0.2, 0.1]), sinkage=np.array([0.03, 0.01]),
-        returns=np.array([9.0, 0.0]),
-    )  # fmt: skip
-    assert got.metric("speed").tolist() == pytest.approx([0.5, 0.02 / 90.0])
-    assert got.metric("energy_per_metre").tolist() == pytest.approx([50.0, 30.0])  # at least 0.1 m
-    assert got.metric("sinkage").tolist() == pytest.approx([30.0, 10.0])
-    assert got.metric("finished").tolist() == [1.0, 0.0] and got.metric("time_limit").tolist() == [0.0, 1.0]
-    with pytest.raises(KeyError):
-        got.metric("speeed")
-
-
-def test_a_detailed_drive_is_the_same_drive(scenario, detailed):
-    plain = run_courses(make_controller("full_throttle", scenario), scenario, SEED, 10)
+def test_a_detailed_drive_is_the_same_drive(scenario):
+    controller = make_controller("full_throttle", scenario)
+    plain, detailed = (run_courses(controller, scenario, SEED, 10, detailed=flag) for flag in (False, True))
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(plain, field), getattr(detailed, field), err_msg=field)
     assert plain.names == list(METRICS) and set(detailed.names) < set(MEANINGS)
-
-
-def test_columns_go_through_json_and_back(detailed):
-    text = json.dumps(detailed.columns(), allow_nan=False)
-    back = Runs.from_columns(json.loads(text))
-    assert back.columns() == detailed.columns() and back.cause.dtype == detailed.cause.dtype
-    columns = json.loads(text)
-    columns["slip"].pop()
-    with pytest.raises(ValueError, match="slip: 9 values, expected 10"):
-        Runs.from_columns(columns)
 
 
 def test_nan_for_a_course_that_has_ended_is_allowed(scenario):

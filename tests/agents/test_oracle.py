@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import make_controller
-from agents.controllers.oracle import COUNT, Oracle, Plans
+from agents.controllers.oracle import COUNT, Oracle
 from agents.evaluate import Runs, driving, run_courses
 from agents.evaluate.limit import avoidable
 from agents.evaluate.statistics import wilson
@@ -36,15 +36,6 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     assert (clones.state["x"] != 0.0).any()  # they have driven
     own = np.repeat(sim.worlds.streams, COUNT)
     assert not np.isin(clones.streams, own).any()
-
-
-def test_what_a_wheel_does_follows_from_its_own_plan():
-    """Plans of rows do not mix: what is left of a plan is that of its row."""
-    plans = Plans(*(np.array([[0.0, 2.0, 0.0], [1.0, 0.3, 0.2], *[[1.0, 2.0, 3.0]] * 5])))
-    later = plans.after(0.5)
-    np.testing.assert_allclose(later.back, [0.0, 1.5, 0.0])
-    np.testing.assert_allclose(later.left, [0.5, 0.3, 0.0])  # the ramps begin when the wheel has backed away
-    assert plans.at(np.array([1, 1])).back.tolist() == [2.0, 2.0]
 
 
 @pytest.mark.slow
