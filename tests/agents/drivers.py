@@ -80,7 +80,6 @@ def answering(answer):
 
 
 WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
-NoState = answering(lambda obs: np.zeros((len(obs), 1)))
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
 
 

@@ -200,16 +200,6 @@ def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
     same(tmp_path, done)
 
 
-@pytest.mark.parametrize(
-    "options, differs", [([FIXED, "--courses=8"], "courses"), (["--settings.fixed_slip.slip=0.3"], "controllers")]
-)
-def test_a_folder_of_another_evaluation_is_refused(capsys, tmp_path, done, everyone, options, differs):
-    out = shutil.copytree(done, tmp_path / "copy")
-    assert evaluate(out, everyone, *options) == 2
-    assert f"it differs in {differs})" in capsys.readouterr().err
-    same(out, done)
-
-
 def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
     mine, out = tmp_path / "model.zip", tmp_path / "out"
     shutil.copy(models / "seed_0" / "model.zip", mine)
@@ -235,7 +225,6 @@ def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
         ([f"--controllers={DRIVERS}:NoPredict"], ("no method predict",)),
         ([f"--controllers={DRIVERS}:WrongShape"], (f"{DRIVERS}:WrongShape", "(3,)", "(3, 1)")),
         ([f"--controllers={DRIVERS}:OneNaN"], ("predict gave nan for wheel 1: expected finite numbers",)),
-        ([f"--controllers={DRIVERS}:NoState"], ("expected (action, state)",)),
         ([f"--controllers={DRIVERS}:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
         ([f"--controllers={DRIVERS}:Raises"], ("OSError: no such device", "drivers.py line")),
         (["--controllers=oracle"], ("--oracle-courses N",)),

@@ -161,21 +161,15 @@ def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monk
 
 
 def test_files_that_are_not_known_are_named(tmp_path, scenario):
-    file = tmp_path / "policy.onnx"
-
-    def refused(said):
-        with pytest.raises(ParameterError, match=said):
-            ExportedAgent(file)
-
     assert export(saved(tmp_path / "run", scenario), tmp_path) == 0
-    model = onnx.load(file)
+    model, file = onnx.load(tmp_path / "policy.onnx"), tmp_path / "other.onnx"
     content = json.loads(model.metadata_props[0].value)
     content["inputs"][0]["high"] = 2.0
-    model.metadata_props[0].value = json.dumps(content)
-    onnx.save(model, file)
-    refused("another observation layout")
-    del model.metadata_props[:]
-    onnx.save(model, file)
-    refused("not written by agents.export")
+    for description, said in ((content, "another observation layout"), ({}, "not written by agents.export")):
+        model.metadata_props[0].value = json.dumps(description)
+        onnx.save(model, file)
+        with pytest.raises(ParameterError, match=said):
+            ExportedAgent(file)
     file.write_bytes(b"no")
-    refused("cannot be loaded as an ONNX policy")
+    with pytest.raises(ParameterError, match="cannot be loaded as an ONNX policy"):
+        ExportedAgent(file)

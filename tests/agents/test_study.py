@@ -77,9 +77,6 @@ def copied(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "out")
 
 
-# --- what it finds ----------------------------------------------------------------------------------------------------
-
-
 def test_every_arm_is_compared_on_every_scenario(finished):
     result = read(finished)
     assert list(result["scenarios"]) == ["mixed", "elsewhere"] and result["baseline"] == "mine"
@@ -114,9 +111,6 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
 
 
-# --- going on ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("unrendered", "importable")
 def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished, copied):
     for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
@@ -133,6 +127,9 @@ def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished
 def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
     assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied)
     assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100")
+    assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
+    assert "study" in refused(capsys, "--config", config(tmp_path), "--out", tmp_path)  # not empty, and no study
+    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
     assert main(["--out", copied, "--seeds", "3"]) == 0
     old, new = (read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied))
     assert len(new) == 3 and new[:2] == old
@@ -144,9 +141,6 @@ def test_results_of_an_unfinished_study(copied, capsys):
     assert read(copied)["scenarios"]["mixed"]["members"]["true_soil"] == 1
     shutil.rmtree(copied / "cells")
     assert "no cell is done" in refused(capsys, "--out", copied, "--report")
-
-
-# --- worlds -----------------------------------------------------------------------------------------------------------
 
 
 def test_an_arm_is_made_in_its_world(tmp_path):
@@ -182,9 +176,6 @@ def test_from_the_log_of_a_hidden_world_to_a_corrected_agent(tmp_path):
     assert result["worlds"]["found"]["bulldozing"]["hegedus"] == pytest.approx(1.0, rel=0.1)
     trained = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
     assert trained["agent"] is None and trained["corrected"].effects == result["worlds"]["found"]
-    times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
-    assert main(["--out", str(tmp_path / "out")]) == 0  # nothing is done twice
-    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")} == times
 
 
 def test_a_study_of_a_rover(tmp_path):
@@ -198,26 +189,16 @@ def test_a_study_of_a_rover(tmp_path):
     assert "wheel_force" in entry["paired"]["blind"]["torque_by_load"]
 
 
-# --- the config -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", sorted(p.name for p in config_dir().glob("study*.yaml")))
 def test_the_shipped_configs_can_be_read(name):
     study = read_config(config_dir() / name)
     assert study.compared_with in study.arms and len(study.cells()) > 3
     if name == "study.yaml":
-        assert study.seeds >= 3 and study.courses >= 1000 and set(CONTROLLERS) < set(study.arms)
-        assert study.targets["unseen"].world is not None and study.fed_by("mixed") == ["mixed", "unseen"]
-        soils = [set(study.targets[name].scenario.soils) for name in ("mixed", "unseen")]
-        assert not soils[0] & soils[1]
+        assert set(CONTROLLERS) < set(study.arms) and study.fed_by("mixed") == ["mixed", "unseen"]
+        mixed, unseen = (study.targets[name] for name in ("mixed", "unseen"))
+        assert unseen.world is not None and not set(mixed.scenario.soils) & set(unseen.scenario.soils)
     if name == "study_rover.yaml":
         assert set(ROVER_CONTROLLERS) < set(study.arms)
-
-
-def test_shipped_worlds_can_be_played(tmp_path):
-    for path in WORLDS.glob("*.yaml"):
-        study = read_config(config(tmp_path, scenarios={"mixed": {"model": str(path)}}))
-        assert study.targets["mixed"].world is not None
 
 
 @pytest.mark.parametrize(
@@ -229,10 +210,8 @@ def test_shipped_worlds_can_be_played(tmp_path):
         ({"arms": {}, "controllers": []}, "one arm"),
         ({"arms": {"a-b": {}}}, "a-b"),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
-        ({"arms": {"a": {"controller": "soft_strat"}}}, "did you mean 'soft_start'"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
         ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown key 'nowhere'"),
-        ({"baseline": "nobody"}, "baseline: unknown key 'nobody'"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
     ],
 )
@@ -253,10 +232,3 @@ def test_bad_worlds_are_refused_in_one_line(changes, expected, tmp_path, capsys)
     (tmp_path / "world.yaml").write_text(yaml.safe_dump(world))
     assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
-    path = config(tmp_path)
-    assert "only with --config" in refused(capsys, "--out", finished, "--train.timesteps", "3")
-    assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
-    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")

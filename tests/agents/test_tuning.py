@@ -15,12 +15,7 @@ from soil_env.vehicle import load_rover
 
 pytest.importorskip("optuna")
 NOTHING = lambda count, name: None  # noqa: E731
-SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 12.0}}
-
-
-@pytest.fixture(scope="module")
-def short():
-    return load_scenario("mixed", SHORT)
+SHORT = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
 
 
 @pytest.fixture
@@ -57,21 +52,21 @@ def test_a_wrong_space_is_refused_with_one_line(tmp_path, change, said):
         load_spaces(path)
 
 
-def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few):
-    chosen, tried = tuned_settings(short, 8, ("constant_torque",), NOTHING)
+def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
+    chosen, tried = tuned_settings(SHORT, 8, ("constant_torque",), NOTHING)
     trials = tried["constant_torque"]
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
     assert chosen == {"constant_torque": {"share": best["share"]}} and len({t["finished"] for t in trials}) > 1
-    runs = run_courses(make_controller("constant_torque", short, share=best["share"]), short, TUNING_SET, 8)
+    runs = run_courses(make_controller("constant_torque", SHORT, share=best["share"]), SHORT, TUNING_SET, 8)
     assert runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
-    defaults = make_controller("constant_torque", short).settings
+    defaults = make_controller("constant_torque", SHORT).settings
     assert trials[0]["share"] == defaults["share"]  # tried first
 
 
-def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path, monkeypatch):
+def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkeypatch):
     """Interrupted in the middle of a drive, in which a trial is left running, and killed between two trials."""
     names, log, drive = ("soft_start", "constant_speed"), tmp_path / "tuning.log", tuning.run_courses
-    whole, driven = tuned_settings(short, 6, names, NOTHING, anew=True), []
+    whole, driven = tuned_settings(SHORT, 6, names, NOTHING, anew=True), []
 
     def until_the_ninth(*args, **options):
         if len(driven) in (0, 4, 8):
@@ -83,10 +78,10 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path,
     monkeypatch.setattr(tuning, "run_courses", until_the_ninth)
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
-            tuned_settings(short, 6, names, NOTHING, log=log, anew=True)
-    assert tuned_settings(short, 6, names, NOTHING, log=log, anew=True) == whole
+            tuned_settings(SHORT, 6, names, NOTHING, log=log, anew=True)
+    assert tuned_settings(SHORT, 6, names, NOTHING, log=log, anew=True) == whole
     assert driven.count("driven") == 12  # every trial once
-    assert tuned_settings(short, 6, names, NOTHING, log=log, anew=True) == whole and len(driven) == 15
+    assert tuned_settings(SHORT, 6, names, NOTHING, log=log, anew=True) == whole and len(driven) == 15
 
 
 def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
@@ -107,11 +102,9 @@ def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatc
     monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
     monkeypatch.setattr(tuning, "run_courses", lambda *a, **k: drives.append(1) or drive(*a, **k))
     out = tmp_path / "tuned"
+    asked = ["--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]
     for _ in range(2):
-        assert (
-            soil_env(["tune", "--scenario=mixed", "--courses=2", "--actions=torque,wheel_speed", f"--out={out}"]) == 0
-        )
-        assert len(drives) == 8
+        assert run(tune.command, asked, "soil-env tune") == 0 and len(drives) == 8
     content = yaml.safe_load((out / "mixed.yaml").read_text())
     assert (content["courses"], content["trials"]) == (2, 2)
     monkeypatch.setattr(tuning, "config_dir", lambda: tmp_path)
@@ -122,12 +115,13 @@ def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in (config_dir() / tuning.TUNED).glob("*.yaml")))
 def test_shipped_settings_serve_an_unchanged_scenario_only(name):
-    act = {"control": {"action": "rim_acceleration"}}
-    scenario = load_scenario(name, act)
-    shipped = shipped_settings(scenario, 200)
+    def of(changes):
+        return load_scenario(name, {"control": {"action": "rim_acceleration"}, **changes})
+
+    shipped = shipped_settings(of({}), 200)
     assert set(shipped) == {name for name, c in CONTROLLERS.items() if c.bounds}
-    assert tuned_settings(scenario, 200, ("soft_start",)) == ({"soft_start": shipped["soft_start"]}, {})
-    assert shipped_settings(scenario, 10**6) == {}  # more courses than they were tuned on
-    assert shipped_settings(load_scenario(name, act | {"course": {"length": 9.0}}), 2) == {}
-    assert shipped_settings(load_scenario(name, {"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}
-    assert shipped_settings(load_scenario(name, act | {"reward": {"energy": 3.0}}), 2) == shipped
+    assert tuned_settings(of({}), 200, ("soft_start",)) == ({"soft_start": shipped["soft_start"]}, {})
+    assert shipped_settings(of({}), 10**6) == {}  # more courses than they were tuned on
+    assert shipped_settings(of({"course": {"length": 9.0}}), 2) == {}
+    assert shipped_settings(of({"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}
+    assert shipped_settings(of({"reward": {"energy": 3.0}}), 2) == shipped

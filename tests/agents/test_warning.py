@@ -50,16 +50,6 @@ def test_alarms_stay_on_above_half_of_the_threshold_and_count_on_finished_course
     assert made.false(score, 0.9) == (0.0, pytest.approx(10.0))
 
 
-def test_the_threshold_is_the_lowest_with_few_false_alarms():
-    passed = script(*[(FINISHED, [0.1] * 200, "d" * 200)] * 8)
-    score = np.random.default_rng(5).random(passed.alive.shape).cumsum(axis=0) / 120.0
-    at = warning.threshold([score], [passed])
-    under, driven = passed.false(score, at)
-    assert 0.02 < under / driven <= warning.FALSE
-    under, driven = passed.false(score, at - 0.003)
-    assert under / driven > warning.FALSE
-
-
 def test_the_fit_learns_both_hazards():
     """Stops at a rate that one input sets: probabilities of both horizons are those of the rate."""
     pytest.importorskip("torch")

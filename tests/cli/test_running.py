@@ -15,7 +15,6 @@ from soil_env.cli.running import TERMINATED, WholeNumber, run
 
 ROOT = Path(__file__).resolve().parents[2]
 WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
-STOPS = pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
 MINE = "import os, signal, sys, time\nimport click\nfrom soil_env.cli.running import leave, run\n"
 
 
@@ -82,21 +81,6 @@ def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
         signal.signal(signal.SIGTERM, before)
 
 
-@WITH_SIGNALS
-@STOPS
-def test_a_command_that_is_stopped_writes_nothing(tmp_path, name, status):
-    folder = tmp_path / "out"
-    command = [sys.executable, "-m", "soil_env.cli", "paper", "--draws", "20000", "--out", str(folder)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not folder.exists() and process.poll() is None:  # made when the work begins
-        time.sleep(0.02)
-    time.sleep(0.5)
-    process.send_signal(getattr(signal, name))
-    _, error = process.communicate(timeout=120)
-    assert (process.returncode, error.strip()) == (status, "soil-env paper: interrupted")
-    assert not list(folder.rglob("*.md"))
-
-
 IN_LLVM = """
 import llvmlite.binding as llvm
 
@@ -118,7 +102,7 @@ leave(run(click.Command("mine", callback=main), [], "mine"))
 
 
 @WITH_SIGNALS
-@STOPS
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
 def test_a_signal_inside_a_callback_of_llvm_is_not_lost(name, status):
     assert ended("-c", MINE + IN_LLVM, name) == (status, "ended\n", "\nmine: interrupted\n")
 
