@@ -105,10 +105,11 @@ def test_the_verdict_follows_from_the_intervals(value, words):
     assert ("overlap" in text) == (value == 0.90) and not (value == 0.90 and re.search("more|fewer", text))
 
 
-def test_overrides_are_read_as_yaml():
+def test_overrides_are_read_as_yaml_and_names_as_text():
     arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--h", "{"]
-    read = cli.overrides(arguments)
-    assert read == {"a": 1, "b": {"c": "x=y", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+    assert cli.overrides(arguments) == {"a": 1, "b": {"c": "x=y", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+    for value in ("7", "2026-11-20", "on", "null", "[a", ""):
+        assert load_config(cli.overrides(["--name", value]), "command line").name == value
 
 
 REFUSED = [  # (options, parts of the message)
@@ -140,12 +141,6 @@ def test_bad_input_is_refused_in_one_line(capsys, tmp_path, monkeypatch, argumen
     err = refused(capsys, *([] if arguments[0] == "--resume" else ["--runs=runs"]), *arguments)
     assert all(part in err for part in parts), err
     assert not list(tmp_path.glob("runs/*")), "a refused run left a folder behind"
-
-
-def test_any_text_is_a_name():
-    """A number, a date or a switch of YAML is text where text is expected."""
-    for value in ("7", "2026-11-20", "on", "null", "[a", ""):
-        assert load_config(cli.overrides(["--name", value]), "command line").name == value
 
 
 def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
