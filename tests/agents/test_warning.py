@@ -11,25 +11,17 @@ from agents.warning import DRIVERS, FAMILIES, Drives, drives, probabilities
 from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, score_inputs, shipped, shipped_network
 from soil_env.simulation.task import Cause
 
-ENTRAPPED, FINISHED, LATE = Cause.ENTRAPPED.value, Cause.FINISHED.value, Cause.TIME_LIMIT.value
-
-
-def script(*courses, period=0.1):
-    """Drives of columns (cause, way in each period, "d" driving or "h" halted in each): at the least speed 0.01 m/s."""
-    longest = max(len(way) for _, way, _ in courses)
-    pad = lambda values, fill: np.array([[*v, *[fill] * (longest - len(v))] for v in values]).T  # noqa: E731
-    alive = pad([[True] * len(way) for _, way, _ in courses], False)
-    driving = pad([[c == "d" for c in flags] for _, _, flags in courses], False)
-    best = np.maximum.accumulate(np.cumsum(pad([way for _, way, _ in courses], 0.0), axis=0), axis=0)
-    nothing = np.zeros((longest, len(courses), 0))
-    return Drives(period, nothing, alive, driving, best, np.array([c for c, _, _ in courses]), 0.001 - 1e-12, 0.1)
-
 
 @pytest.fixture(scope="module")
 def made():
     """5 s of progress, 1 s halt in it, then 10 s stuck; 10 s to the end; out of time, the last 2 s without progress."""
-    stuck = (ENTRAPPED, [0.02] * 30 + [0.0] * 10 + [0.02] * 20 + [0.0] * 100, "d" * 30 + "h" * 10 + "d" * 120)
-    return script(stuck, (FINISHED, [0.1] * 100, "d" * 100), (LATE, [0.02] * 80 + [0.0] * 20, "d" * 100))
+    alive, way = np.zeros((160, 3), dtype=bool), np.zeros((160, 3))
+    alive[:, 0] = alive[:100, 1:] = True
+    way[:30, 0] = way[40:60, 0] = way[:80, 2] = 0.02
+    way[:100, 1] = 0.1
+    driving, cause = alive.copy(), np.array([c.value for c in (Cause.ENTRAPPED, Cause.FINISHED, Cause.TIME_LIMIT)])
+    driving[30:40, 0] = False
+    return Drives(0.1, np.zeros((160, 3, 0)), alive, driving, way.cumsum(axis=0), cause, 0.001 - 1e-12, 0.1)
 
 
 def test_seconds_until_the_stop_count_driving_only_and_the_end_of_a_cut_course_is_not_known(made):
