@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as hs
+from hypothesis import given, settings, strategies as hs
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
@@ -27,6 +27,7 @@ def test_probability_of_improvement_is_the_mann_whitney_statistic(a, members, ra
     assert got + st.probability_of_improvement(b, a) == pytest.approx(1.0)
 
 
+@settings(deadline=None)
 @given(SCORES)
 def test_statistics_of_draws_are_those_of_the_scores_written_out(a):
     """With every member and every course repeated as often as it was drawn."""
