@@ -194,6 +194,8 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
         for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
             with pytest.raises(ParameterError, match=rf"^here.{key} = "):
                 checked_settings(name, scenario, {key: wrong}, "here")
+    with pytest.raises(ParameterError, match="unknown key"):
+        make_controller(name, scenario, speeed=0.2)
 
 
 @pytest.mark.parametrize(

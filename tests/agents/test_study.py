@@ -128,7 +128,7 @@ def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, 
     assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied)
     assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100")
     assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
-    assert "study" in refused(capsys, "--config", config(tmp_path), "--out", tmp_path)  # not empty, and no study
+    assert "holds no study" in refused(capsys, "--config", config(tmp_path), "--out", copied / "cells")
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
     assert main(["--out", copied, "--seeds", "3"]) == 0
     old, new = (read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied))

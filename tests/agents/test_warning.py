@@ -7,9 +7,10 @@ import pytest
 from scipy import stats
 
 from agents import warning
-from agents.warning import DRIVERS, FAMILIES, Drives, drives, probabilities
+from agents.warning import DRIVERS, FAMILIES, Drives, drives, make_driver, probabilities
 from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, score_inputs, shipped, shipped_network
-from soil_env.simulation.task import Cause
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import Cause, layout
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,28 @@ def test_alarms_stay_on_above_half_of_the_threshold_and_count_on_finished_course
     under, driven = made.false(score, 0.8)
     assert under == pytest.approx(2.9) and driven == pytest.approx(10.0)
     assert made.false(score, 0.9) == (0.0, pytest.approx(10.0))
+
+
+def test_the_threshold_is_the_lowest_with_few_false_alarms(made):
+    score = np.zeros(made.alive.shape)
+    score[:, 1] = np.linspace(0.0, 0.9, 160)
+    at = warning.threshold([score], [made])
+    shares = [np.divide(*made.false(score, level)) for level in (at, at - 0.02)]
+    assert shares[0] <= warning.FALSE < shares[1]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_random_drivers_take_either_line_and_other_blind_ones_the_less_steep(family):
+    task = load_scenario("two_lines", {"control": {"action": "torque"}})
+    driver, column = (
+        make_driver(family, task, [1, 0], 400),
+        {e.name: i for i, e in enumerate(layout("blind", task.course))},
+    )
+    if driver.variant == "blind" and family != "full_throttle":
+        observed = np.zeros((400, len(column)))
+        observed[:, column["choice"]], observed[:, column["ahead_grade"]] = 1.0, 0.1
+        beside = (driver.predict(observed)[0][:, 0] < 0.0).mean()
+        assert beside == pytest.approx(0.5 if family.startswith("random") else 1.0, abs=0.1)
 
 
 def test_the_fit_learns_both_hazards():
