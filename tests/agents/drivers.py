@@ -1,12 +1,27 @@
-"""Controllers of a user, as `soil-env evaluate` takes them by module:Thing."""
+"""Controllers of a user, work for the engines, and observations of wheels that drive."""
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
 
-from soil_env.simulation.task import layout
+from soil_env._io.loading import ParameterError
+from soil_env.driving.wheels import Simulation
+from soil_env.simulation.task import Cause
+
+
+def observations(scenario, variant, n=6, seed=5):
+    """Raw observations [n, D] of wheels four actions into their courses."""
+    sim = Simulation(n, scenario, variant, threads=1)
+    for k in range(n):
+        sim.seed(k, np.random.default_rng([seed, k]))
+        sim.restart(k)
+        for _ in range(4):
+            sim.step(k, 0.3)
+    assert (sim.worlds.cause == Cause.RUNNING.value).all()
+    return sim.worlds.observation.copy()
 
 
 class Half:
@@ -18,65 +33,20 @@ class Half:
         return np.full((len(obs), 1), 0.5, dtype=np.float32), state
 
 
-class WithScenario:
-    """A command that depends on the scenario, and no `variant`: reads the default observation."""
-
-    def __init__(self, scenario):
-        self.course = scenario.course
-        self.share = 0.2 + 0.001 * scenario.control.time_limit
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        assert obs.shape[1] == len(layout("identified", self.course))
-        return np.full((len(obs), 1), self.share), None
-
-
 class Counting(Half):
     """Keeps in itself how often it was asked: gives other actions if an object serves two blocks."""
 
-    def __init__(self):
-        self.calls = 0
+    calls = 0
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
         self.calls += 1
         return np.full((len(obs), 1), 0.3 + 0.5 * np.sin(0.01 * self.calls)), state
 
 
-def make(scenario):
-    """A function that makes one."""
-    return Half()
-
-
-half = Half()  # an object
-
-
-class NoPredict:
-    """Has no predict."""
-
-
-class WrongShape(Half):
-    def predict(self, obs, **kw):
-        return np.zeros(len(obs)), None
-
-
-class NoState(Half):
-    def predict(self, obs, **kw):
-        return np.zeros((len(obs), 1))
-
-
-class OtherVariant(Half):
-    variant = "blnd"
-
-
-class Raises:
-    def __init__(self):
-        raise OSError("no such device\nand more")
-
-
 class LateNaN(Half):
     """Fails after a while: its last action is no number."""
 
-    def __init__(self):
-        self.calls = 0
+    calls = 0
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
         self.calls += 1
@@ -86,21 +56,66 @@ class LateNaN(Half):
         return action, state
 
 
-class OneNaN(Half):
-    """The second action is no number from the first step on."""
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        action = np.full((len(obs), 1), 0.4)
-        action[1] = np.nan
-        return action, state
-
-
 class Killer(Half):
     """Kills its process, once, in step 40: SOIL_ENV_TEST_KILL names a file that says it has."""
 
     def predict(self, obs, state=None, episode_start=None, deterministic=True):
         mark = Path(os.environ["SOIL_ENV_TEST_KILL"])
-        if state == 40 and not mark.exists():
-            mark.write_text("killed")
-            os.kill(os.getpid(), signal.SIGKILL)
+        if state == 40:
+            kill_once(mark)
         return np.full((len(obs), 1), 0.5), (state or 0) + 1
+
+
+class NoPredict:
+    """Has no predict."""
+
+
+class OtherVariant(Half):
+    variant = "blnd"
+
+
+def answering(answer):
+    """A class of controllers whose predict gives `answer(obs)`."""
+    return type("Answering", (Half,), {"predict": lambda self, obs, **kw: answer(obs)})
+
+
+WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
+OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
+
+
+class Raises:
+    def __init__(self):
+        raise OSError("no such device\nand more")
+
+
+def kill_once(mark):
+    """Kill this process unless the file `mark` is there, and leave that."""
+    if not mark.exists():
+        mark.write_text("killed")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def double(x):
+    """Work that dies once: (number, file that it leaves before, empty: never)."""
+    number, mark = x
+    if mark:
+        kill_once(Path(mark))
+    return 2 * number
+
+
+def refuse(x):
+    raise ParameterError(f"no {x[0]}")
+
+
+def waiting(name):
+    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
+    if name == "short":
+        while not Path("begun").exists():
+            time.sleep(0.01)
+        return
+    try:
+        Path("begun").touch()
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        Path("interrupted").touch()
+        raise

@@ -27,8 +27,7 @@ NAMES = [entry.name for entry in layout("blind")]
 
 
 def play(scenario, script):
-    """Warnings of one wheel over a script of (estimate, slip, halted, clock) a control period, driving at 0.1 m/s."""
-    period = scenario.control.period
+    """Warnings of one wheel after a script of (estimate, slip, halted, clock) a control period, driving at 0.1 m/s."""
     warnings = Warnings(scenario, 1)
     worlds = SimpleNamespace(
         state=WheelState(1),
@@ -41,45 +40,37 @@ def play(scenario, script):
         worlds.observation[0, NAMES.index("slip")] = slip
         worlds.state["halt_left"] = 1.0 if halted else 0.0
         if not halted and clock == 0.0:  # no further while its clock runs
-            worlds.state["best_x"] += 0.1 * period
+            worlds.state["best_x"] += 0.1 * scenario.control.period
         warnings.step(worlds, np.array([True]))
-    return warnings, warnings.lead(worlds, np.array([False]))[0], warnings.lead(worlds, np.array([True]))[0]
+    return warnings, worlds
 
 
 def drive(estimate=FIRM, seconds=1.0, slip=0.1, halted=False, clock=0.0):
     return [(estimate, slip, halted, clock)] * round(10 * seconds)
 
 
-def test_a_warning_comes_on_after_the_ground_has_looked_impassable_for_a_while(scenario):
+END = drive(WEAK) + drive(WEAK, clock=1.0)
+LEADS = {  # name: (script, distance [m] and time [s] from the warning to the last mobile moment)
+    "on after 0.5 s": (drive(seconds=3) + drive(WEAK, 2) + drive(WEAK, 4, slip=0.9, clock=1.0), (0.15, 1.5)),
+    "on when the wheel is stuck": (drive(seconds=2) + drive(WEAK, 4, clock=1.0), (np.nan, np.nan)),
+    "kept over 0.9 s": (drive(WEAK) + drive(seconds=0.9) + END, (0.24, 2.4)),
+    "off after 1 s": (drive(WEAK) + drive() + END, (0.05, 0.5)),
+    "no sign in a halt": (drive() + drive(WEAK, 0.3) + drive(WEAK, 3, halted=True) + drive(WEAK, 0.2) + END[10:],
+                          (0.0, 0.0)),
+    "no end in a halt": (drive(WEAK) + drive(seconds=3, halted=True) + drive(WEAK) + drive(clock=1.0), (0.15, 4.5)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LEADS)
+def test_a_warning_comes_on_and_goes_off_after_a_while_of_driving(scenario, name):
     assert (HOLD, RELEASE, scenario.control.period) == (0.5, 1.0, 0.1)
-    warnings, lead, _ = play(scenario, drive(seconds=3) + drive(WEAK, 2) + drive(WEAK, 4, slip=0.9, clock=1.0))
-    # impassable from 3.1 s, warning from 3.5 s, last mobile at 5.0 s
-    assert lead == pytest.approx([0.15, 1.5])
-    assert warnings.under[0] == pytest.approx(5.6) and warnings.driven[0] == pytest.approx(9.0)
-
-
-def test_a_warning_after_the_wheel_is_stuck_is_none(scenario):
-    script = drive(seconds=2) + drive(WEAK, 4, clock=1.0)
-    warnings, lead, bogged = play(scenario, script)
-    assert np.isnan(lead).all() and warnings.under[0] > 3.0
-    assert bogged == pytest.approx([0.0, 3.5])  # a bogged wheel was mobile to the end
-
-
-def test_a_warning_goes_off_and_the_last_one_counts(scenario):
-    short, long = drive(seconds=0.9), drive(seconds=1.0)
-    end = drive(WEAK, 1) + drive(WEAK, 1, clock=1.0)
-    _, kept, _ = play(scenario, drive(WEAK, 1) + short + end)
-    assert kept[1] == pytest.approx(1.0 + 0.9 + 1.0 - 0.5)
-    _, anew, _ = play(scenario, drive(WEAK, 1) + long + end)
-    assert anew[1] == pytest.approx(1.0 - 0.5)
-
-
-def test_nothing_is_judged_during_halts(scenario):
-    halt = drive(WEAK, 3, halted=True)
-    _, lead, _ = play(scenario, drive(seconds=1) + drive(WEAK, 0.3) + halt + drive(WEAK, 0.2) + drive(WEAK, 1, clock=1))
-    assert lead == pytest.approx([0.0, 0.0])  # 0.5 s of driving: at the last mobile moment
-    _, lead, _ = play(scenario, drive(WEAK, 1) + drive(seconds=3, halted=True) + drive(WEAK, 1) + drive(clock=1.0))
-    assert lead == pytest.approx([0.15, 4.5])  # a halt ends no warning
+    script, lead = LEADS[name]
+    warnings, worlds = play(scenario, script)
+    assert warnings.lead(worlds, np.array([False]))[0] == pytest.approx(lead, nan_ok=True)
+    if name == "on after 0.5 s":
+        assert warnings.under[0] == pytest.approx(5.6) and warnings.driven[0] == pytest.approx(9.0)
+    if name == "on when the wheel is stuck":  # a bogged wheel was mobile to the end
+        assert warnings.lead(worlds, np.array([True]))[0] == pytest.approx([0.0, 3.5])
 
 
 def test_foresight_stays_on_over_half_of_its_threshold(scenario, monkeypatch):
@@ -97,24 +88,22 @@ def test_foresight_stays_on_over_half_of_its_threshold(scenario, monkeypatch):
 
 def test_impassable_is_what_the_environment_calls_impassable(scenario):
     """`info["traversability"]["passable"]`, computed by the environment from the same sensors and estimate."""
-    env = SoilWheelEnv(scenario)
-    controller = make_controller("fixed_slip", scenario)
-    warnings, alive, same, states = Warnings(scenario, 1), np.array([True]), [], set()
+    env, controller = SoilWheelEnv(scenario), make_controller("fixed_slip", scenario)
+    worlds, warnings, alive, looks, expected = env.simulation.worlds, Warnings(scenario, 1), np.array([True]), [], []
     for course in range(3):
         env.reset(seed=1)
         env.simulation.seed(0, course_rng(SEED, course))
         env.simulation.restart(0)
         over, memory = False, None
         while not over:
-            action, memory = controller.predict(env.simulation.worlds.observation, memory)
-            *_, over, truncated, info = env.step(action[0])
-            over = over or truncated
+            action, memory = controller.predict(worlds.observation, memory)
+            *_, terminated, truncated, _ = env.step(action[0])
+            over = terminated or truncated
             env.infos.renew(alive)  # every step here
-            warning = env.infos.one(0)["traversability"]
-            looks = bool(warnings.signs(env.simulation.worlds, alive)[0])
-            slip, best = env.simulation.worlds.observation[0, 0], warning["best_slip"]
-            expected = warning["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best)
-            same.append(looks == expected)
-            states.add(looks)
-    assert len(same) > 300 and states == {True, False}
-    assert np.mean(same) > 0.97  # the best slip is not computed anew for changes of the load below 10 %
+            given = env.infos.one(0)["traversability"]
+            looks.append(bool(warnings.signs(worlds, alive)[0]))
+            slip, best = worlds.observation[0, NAMES.index("slip")], given["best_slip"]
+            expected.append(given["drawbar_margin"] <= 0.0 or slip > best + 0.5 * (1.0 - best))
+    assert len(looks) > 300 and set(looks) == {True, False}
+    # The best slip is not computed anew for changes of the load below 10 %.
+    assert np.mean(np.array(looks) == expected) > 0.97

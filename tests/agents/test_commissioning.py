@@ -19,6 +19,7 @@ SCENARIO = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_
 PLAN = Commissioning(
     grades_deg=(-12.0, -9.0, -6.0, -4.0, -2.0, 0.0, 3.0, 6.0), payloads=(0.0, 8.0), rim_speeds=(0.08, 0.2), hold=10.0
 )
+ROWS = np.arange(40)
 
 
 @pytest.fixture(scope="module")
@@ -54,27 +55,18 @@ def test_points_are_steady_values_of_the_world_on_its_bed(drives):
         assert abs(e.mean()) < 0.6, name
 
 
-def _readings(n=40, **drift):
-    t = SCENARIO.control.period * np.arange(n)
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [("speed", 0.002 * ROWS), ("sinkage", 0.0003 * ROWS), ("slip", 0.002 * ROWS), ("slip", 0.1 * (ROWS % 2)),
+     ("speed", -0.1)],
+)  # fmt: skip
+def test_a_window_that_drifts_scatters_or_stands_is_not_steady(name, change):
     flat = {"slip": 0.1, "sinkage": 0.03, "drawbar_pull": 10.0, "load": 150.0, "torque": 5.0, "speed": 0.1}
-    readings = {name: value + drift.get(name, 0.0) * t for name, value in flat.items()}
-    zero = np.zeros(n, dtype=int)
-    return Log(zero, zero, t, np.ones(n, dtype=bool), readings)
-
-
-@pytest.mark.parametrize("drift", [{"speed": 0.02}, {"sinkage": 0.003}, {"slip": 0.02}])
-def test_a_window_that_drifts_is_not_steady(drift):
-    rows = np.arange(40)
-    assert steady(_readings(), rows, SCENARIO, PLAN)
-    assert not steady(_readings(**drift), rows, SCENARIO, PLAN)
-
-
-def test_a_window_that_scatters_or_stands_is_not_steady():
-    rows, shaken, standing = np.arange(40), _readings(), _readings()
-    shaken.readings["slip"][::2] += 0.1
-    standing.readings["speed"][:] = 0.0
-    assert not steady(shaken, rows, SCENARIO, PLAN)
-    assert not steady(standing, rows, SCENARIO, PLAN)
+    readings, zero = {key: np.full(40, value) for key, value in flat.items()}, np.zeros(40, dtype=int)
+    log = Log(zero, zero, SCENARIO.control.period * ROWS, np.ones(40, dtype=bool), readings)
+    assert steady(log, ROWS, SCENARIO, PLAN)
+    readings[name] += change
+    assert not steady(log, ROWS, SCENARIO, PLAN)
 
 
 def test_repeat_noise_is_that_of_the_readings_and_of_slip():

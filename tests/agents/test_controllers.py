@@ -1,4 +1,4 @@
-"""The classical controllers: SB3's `predict`, the layouts they read, and what they do to a wheel."""
+"""The classical controllers and the oracle: SB3's `predict`, the layouts they read, the drive of a wheel."""
 
 import math
 
@@ -6,78 +6,63 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from agents.evaluate import drive as evaluation_drive, run_courses
-from agents.sb3 import SoilWheelVecEnv
+from agents.controllers.oracle import COUNT, Oracle
+from agents.evaluate import Runs, drive as evaluation_drive, driving, run_courses
+from agents.evaluate.limit import avoidable
+from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
+from tests.agents.drivers import observations
+from tests.simulation.test_cloning import memory
 
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
-QUIET = {
-    name: 0.0
-    for name in ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
-}  # fmt: skip
+QUIET = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch"), 0.0)
+EVEN = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
-EVEN = {
-    name: 0.0 for name in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")
-}  # fmt: skip
+BLIND = [entry.name for entry in layout("blind")]
 
 
 def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):
     """One soil everywhere, one grade [deg], no halts."""
-    return load_scenario(
-        "mixed",
-        {
-            "soils": {soil: 1.0},
-            "spread": EVEN,
-            "noise": noise,
-            "control": {"action": action},
-            "course": {
-                "length": length,
-                "halt_time": 0.0,
-                "grade_deg": [grade, grade],
-                "margin": [0.0, 0.0],
-                "payload": [payload, payload],
-            },
-        },
-    )
+    course = {
+        "length": length,
+        "halt_time": 0.0,
+        "grade_deg": [grade] * 2,
+        "margin": [0.0] * 2,
+        "payload": [payload] * 2,
+    }
+    changes = {"soils": {soil: 1.0}, "spread": EVEN, "noise": noise, "control": {"action": action}, "course": course}
+    return load_scenario("mixed", changes)
 
 
 def drive(controller, scenario, steps, seed=0):
-    """True speed, rim speed [m/s], slip, action and observation over time, [steps, ...]."""
+    """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the last state."""
     sim = Simulation(1, scenario, controller.variant, threads=1)
     sim.seed(0, np.random.default_rng(seed))
     sim.restart(0)
-    rows, state, fresh = {"speed": [], "rim": [], "slip": [], "x": [], "action": [], "observation": []}, None, [True]
+    rows, state, fresh = [], None, np.array([True])
     for _ in range(steps):
-        action, state = controller.predict(sim.worlds.observation, state, np.array(fresh))
-        fresh = [False]
+        action, state = controller.predict(sim.worlds.observation, state, fresh)
+        fresh = np.array([False])
         sim.step(0, float(action[0, 0]))
         w = sim.worlds.state[0]
-        values = (w["speed"], w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], action[0, 0])
-        for key, value in zip(rows, (*values, sim.worlds.observation[0].copy()), strict=True):
-            rows[key].append(float(value) if np.ndim(value) == 0 else value)
+        rows.append((w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], w["halt_left"] > 0.0))
         if sim.worlds.cause[0] != Cause.RUNNING.value:
             break
-    return {key: np.array(value) for key, value in rows.items()}, Cause(sim.worlds.cause[0]), state
+    rim, slip, x, halted = np.array(rows).T
+    return {"rim": rim, "slip": slip, "x": x, "halted": halted > 0.0}, Cause(sim.worlds.cause[0]), state
 
 
-def observations(variant, n=6, seed=0, scenario="mixed"):
-    """Observations as they come: `n` wheels some steps into their courses."""
-    env = SoilWheelVecEnv(n, scenario, variant, scaled=False)
-    env.seed(seed)
-    env.reset()
-    for _ in range(15):
-        out = env.step(np.full((n, 1), 0.3, dtype=np.float32))[0]
-    return out
-
-
-# --- SB3's predict ----------------------------------------------------------------------------------------------------
+def blind(**values):
+    """A blind observation [1, D] of 0 but for `values`."""
+    return np.array([[values.get(name, 0.0) for name in BLIND]])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -98,7 +83,7 @@ def test_extreme_observations_give_finite_actions_in_range(name):
 def test_episode_start_resets_only_its_row(name):
     """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
     controller = make_controller(name, load_scenario("mixed", TORQUE))
-    early, late = observations(controller.variant, 3, seed=0), observations(controller.variant, 3, seed=50)
+    early, late = (observations(load_scenario("mixed"), controller.variant, 3, seed) for seed in (0, 50))
 
     def after(starts):
         state = None
@@ -113,32 +98,17 @@ def test_episode_start_resets_only_its_row(name):
     assert reset[1, 0] != kept[1, 0]
 
 
-# --- what each reads --------------------------------------------------------------------------------------------------
-
-
 def test_best_slip_identified_does_not_see_the_true_soil():
     """Its belief fills what the identifier does not estimate."""
     scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
-    controller = make_controller("best_slip_identified", scenario)
-    seen = observations("identified").astype(float)
+    controller, seen = (
+        make_controller("best_slip_identified", scenario),
+        observations(scenario, "identified").astype(float),
+    )
     soil = controller.soils(seen)
     assert (soil[:, 4] == 0.9).all() and (soil[:, 6] == 0.4).all()
-    names = [e.name for e in layout("identified")]
-    np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, names.index("cohesion")])
-    np.testing.assert_allclose(soil[:, 5], seen[:, names.index("dig_gain")])
-
-
-# --- what they do to a wheel ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("action", ACTIONS)
-@pytest.mark.parametrize("speed", [0.12, 0.3])
-def test_constant_speed_holds_its_rim_speed(action, speed):
-    scenario = uniform(action=action, grade=4.0)
-    out, _, _ = drive(make_controller("constant_speed", scenario, speed=speed), scenario, 150)
-    held = out["rim"][50:]
-    assert len(held) > 30 and out["x"][-1] > 1.0
-    assert np.abs(held / speed - 1.0).max() < (0.03 if action == "torque" else 0.12)
+    np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, controller.column["cohesion"]])
+    np.testing.assert_allclose(soil[:, 5], seen[:, controller.column["dig_gain"]])
 
 
 @pytest.mark.parametrize("slip", [0.15, 0.3])
@@ -156,37 +126,19 @@ def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     assert np.abs(out["slip"][-50:] - slip + 0.05).max() < 0.02  # at the top the slope decides
 
 
-def seen(controller, speed, slip=0.0, halted=0.0):
-    """A blind observation [1, D] of a wheel that travels at `speed` [m/s] with a slip >= 0."""
-    batch = np.zeros((1, len(layout("blind"))))
-    for name, value in (("slip", slip), ("rim_speed", speed / (1.0 - slip) / controller.top_speed), ("halted", halted)):
-        batch[0, controller.column[name]] = value
-    return batch
-
-
 @pytest.mark.parametrize("action", ACTIONS)
 def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
     scenario = load_scenario("mixed", {"control": {"action": action}, "noise": QUIET})
-    controller = make_controller("soft_start", scenario, acceleration=0.1, speed=0.3)
-    sim = Simulation(1, scenario, "blind", threads=1)
-    sim.seed(0, np.random.default_rng(3))
-    sim.restart(0)
-    state, fresh, left, worst, starts = None, np.ones(1, dtype=bool), 0, [], 0
-    for _ in range(300):
-        halted = sim.worlds.state["halt_left"][0] > 0.0
-        starts += halted and left > 0
-        left = 0 if halted else left + 1  # actions since rest
-        action_, state = controller.predict(sim.worlds.observation, state, fresh)
-        fresh = np.zeros(1, dtype=bool)
-        sim.step(0, float(action_[0, 0]))
-        rim = sim.worlds.state["wheel_speed"][0] * scenario.wheel.radius
-        if sim.worlds.state["halt_left"][0] == 0.0 and not halted:
-            worst.append(abs(rim - min(0.1 * scenario.control.duration * left, 0.3)))
-        if sim.worlds.cause[0] != Cause.RUNNING.value:
-            break
+    out, _, _ = drive(make_controller("soft_start", scenario, acceleration=0.1, speed=0.3), scenario, 300, seed=3)
+    off, left, starts = [], 0, 0
+    for rim, halted, rest in zip(out["rim"], out["halted"], [False, *out["halted"]], strict=False):
+        starts += rest and left > 0
+        left = 0 if rest else left + 1  # actions since rest
+        if not (halted or rest):
+            off.append(abs(rim - min(0.1 * scenario.control.duration * left, 0.3)))
     assert starts >= 3  # the loop on the torque has to build up what turns the wheel first
-    assert max(worst) < {"torque": 0.1, "wheel_speed": 0.04, "rim_acceleration": 0.08}[action]
-    assert np.median(worst) < 0.04
+    assert max(off) < {"torque": 0.1, "wheel_speed": 0.04, "rim_acceleration": 0.08}[action]
+    assert np.median(off) < 0.04
 
 
 def test_slip_limiter_waits_where_a_soft_start_digs():
@@ -207,12 +159,11 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
     """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with their noise."""
     scenario = load_scenario("mixed", TORQUE)
     controller = make_controller("extremum_seeking", scenario, gain=0.5, swing=0.06)
-    rng, state = np.random.default_rng(0), None
-    batch, slip = seen(controller, 0.2), 0.3
+    rng, state, slip = np.random.default_rng(0), None, 0.3
     for step in range(600):
-        batch[0, controller.column["slip"]] = slip + 0.01 * rng.standard_normal()
-        pull = 0.3 - 1.5 * (slip - best) ** 2
-        batch[0, controller.column["drawbar_pull"]] = pull + 0.01 * rng.standard_normal()
+        found = slip + 0.01 * rng.standard_normal()
+        pull = 0.3 - 1.5 * (slip - best) ** 2 + 0.01 * rng.standard_normal()
+        batch = blind(slip=found, drawbar_pull=pull, rim_speed=0.2 / controller.top_speed)
         state = controller.begin(batch, state, np.array([step == 0]))
         slip = float(controller.target_slip(batch, state)[0])
     assert state["best"][0] == pytest.approx(best, abs=0.06)
@@ -236,15 +187,13 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
 @pytest.mark.parametrize("name", [n for n in NAMES if CONTROLLERS[n].bounds])
 def test_settings_are_kept_and_wrong_ones_refused(name):
     scenario = load_scenario("mixed", TORQUE)
-    top = scenario.wheel.radius * scenario.wheel.no_load_speed
     for key, setting in CONTROLLERS[name].bounds.items():
-        high = top if setting.rim_speed else setting.high
+        high = scenario.wheel.radius * scenario.wheel.no_load_speed if setting.rim_speed else setting.high
         assert 0.0 < make_controller(name, scenario).settings[key] <= high
         assert make_controller(name, scenario, **{key: 0.5 * high}).settings[key] == 0.5 * high
         for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
-            with pytest.raises(ParameterError) as error:
+            with pytest.raises(ParameterError, match=rf"^here.{key} = "):
                 checked_settings(name, scenario, {key: wrong}, "here")
-            assert str(error.value).startswith(f"here.{key} = ")
     with pytest.raises(ParameterError, match="unknown key"):
         make_controller(name, scenario, speeed=0.2)
 
@@ -255,13 +204,11 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
 @pytest.mark.parametrize("payload", [0.0, 4.0])
 def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):
     scenario = uniform(name, grade=-2.0, payload=payload)
-    wheel = scenario.wheel
+    wheel, soil = scenario.wheel, soils()[name].state(scenario.wheel.width)
     _, _, state = drive(make_controller("best_slip_true", scenario), scenario, 30)
     load = (wheel.body_mass + payload) * scenario.gravity
-    soil = soils()[name].state(wheel.width)
     best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).slip
-    assert state["slip"][0] in SLIPS
-    assert state["slip"][0] == best
+    assert state["slip"][0] == best and best in SLIPS
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -272,30 +219,65 @@ def test_every_controller_crosses_easy_ground(name, action):
     assert (runs.cause == Cause.FINISHED.value).all()
 
 
-def test_a_halt_does_not_wind_up_the_integral():
-    """During a halt the wheel stands and the error stays: without care the wheel would jump afterwards."""
+def test_the_integral_neither_winds_up_in_a_halt_nor_on_a_wheel_that_does_not_turn():
     controller = make_controller("constant_speed", load_scenario("mixed", TORQUE))
-    names = [e.name for e in layout("blind")]
-    batch = np.zeros((1, len(names)))
-    first, state = controller.predict(batch, None, np.array([True]))
-    halted = batch.copy()
-    halted[0, names.index("halted")] = 1.0
-    for _ in range(50):
-        _, state = controller.predict(halted, state, np.array([False]))
-    after, _ = controller.predict(batch, state, np.array([False]))
-    assert after[0, 0] == pytest.approx(first[0, 0], abs=1e-6)
+
+    def after(steps, state, **seen):
+        for _ in range(steps):
+            action, state = controller.predict(blind(**seen), state, np.array([state is None]))
+        return action[0, 0], state
+
+    first, state = after(1, None)
+    _, state = after(50, state, halted=1.0)
+    assert after(1, state)[0] == pytest.approx(first, abs=1e-6)
+    full, state = after(3000, None)
+    assert full == 1.0
+    assert after(20, state, rim_speed=1.0)[0] < 0.0  # 2 s later it has let go
 
 
-def test_the_integral_stays_bounded_on_a_wheel_that_does_not_turn():
-    scenario = load_scenario("mixed", TORQUE)
-    controller = make_controller("constant_speed", scenario)
-    batch = np.zeros((1, len(layout("blind"))))
-    state = None
-    for t in range(3000):
-        action, state = controller.predict(batch, state, np.array([t == 0]))
-    assert action[0, 0] == 1.0
-    spinning = batch.copy()
-    spinning[0, [e.name for e in layout("blind")].index("rim_speed")] = 1.0
-    for _ in range(20):  # 2 s later it has let go
-        action, state = controller.predict(spinning, state, np.array([False]))
-    assert action[0, 0] < 0.0
+# --- the oracle -------------------------------------------------------------------------------------------------------
+
+
+def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
+    scenario = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
+    sim, oracle = Simulation(3, scenario, "blind", threads=1), Oracle(scenario, horizon=2.0)
+    for k in range(3):
+        sim.seed(k, driving.course_rng(SEED, k))
+    sim.restart_where(np.ones(3, dtype=bool))
+    with pytest.raises(ParameterError, match="before attach"):
+        oracle.predict(sim.worlds.observation)
+    oracle.attach(sim, 1, None)
+    before = [memory(sim.worlds, k, 3) for k in range(3)]
+    action, _ = oracle.predict(sim.worlds.observation)
+    assert action.shape == (3, 1) and np.isfinite(action).all()
+    for k in range(3):
+        after = memory(sim.worlds, k, 3)
+        assert all(np.array_equal(before[k][n], after[n], equal_nan=True) for n in after)
+    clones = oracle.clones.worlds
+    assert (clones.state["x"] != 0.0).any()  # they have driven
+    own = np.repeat(sim.worlds.streams, COUNT)
+    assert not np.isin(clones.streams, own).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("action", ["torque", "rim_acceleration"])
+def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
+    scenario = load_scenario("mixed", {"control": {"action": action}})
+    blind = run_courses(make_controller("soft_start", scenario, acceleration=0.08, speed=0.57), scenario, SEED, 120)
+    failed = np.flatnonzero(blind.metric("finished") < 0.5)[:8]
+    assert failed.size == 8
+    rng = driving.course_rng
+    monkeypatch.setattr(driving, "course_rng", lambda seed, k: rng(seed, int(failed[k])))
+    runs = run_courses(Oracle(scenario), scenario, SEED, 8)
+    assert runs.metric("finished").sum() >= 5
+
+
+def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
+    def runs_of(*finished):
+        return Runs(np.where(finished, Cause.FINISHED.value, Cause.BOGGED.value), *np.ones((6, len(finished))))
+
+    oracle = runs_of(1, 1, 0, 1)
+    found = avoidable(oracle, [runs_of(1, 0, 0, 1, 0), runs_of(0, 1, 1, 1, 1)])  # the fifth course is not the oracle's
+    assert found["failures"] == 3 and found["value"] == pytest.approx(2 / 3)
+    assert (found["low"], found["high"]) == wilson(2, 3)
+    assert avoidable(oracle, [runs_of(1, 1, 1, 1)]) == {"failures": 0, "value": None, "low": None, "high": None}

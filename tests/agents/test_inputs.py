@@ -14,6 +14,7 @@ from agents.sb3 import SoilWheelVecEnv, privileged
 from agents.worlds import HIDDEN, SeveralWorlds, hidden_worlds
 from soil_env.parameters import CourseSpec, load_scenario
 from soil_env.simulation.task import layout, truth
+from tests.agents.drivers import Half
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}
 NAMES = [e.name for e in layout("blind")]
@@ -33,9 +34,6 @@ def driven(env, steps, seed=5):
     return first, [env.step(rng.uniform(0.0, 1.0, (env.num_envs, 1)).astype(np.float32)) for _ in range(steps)]
 
 
-# --- history ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("critic", ["", "true_soil"])
 def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
     """Against a list of all past observations of each course; the last one of a course is of that course still."""
@@ -51,45 +49,45 @@ def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
         padded = [*past[::-1], *[past[0] if past else now] * steps][:steps]
         return np.concatenate([now[:BLIND], *[one[columns] for one in padded], now[BLIND:]])
 
-    past, ends = [[] for _ in range(4)], 0
     for k in range(4):
-        np.testing.assert_array_equal(first[k], expected(plain_first[k], []))
-        past[k].append(plain_first[k])
-    for (seen, _, done, infos), (own, _, own_done, own_infos) in zip(results, plain_results, strict=True):
-        np.testing.assert_array_equal(done, own_done)
-        for k in range(4):
+        past, fresh = [], plain_first[k]
+        np.testing.assert_array_equal(first[k], expected(fresh, []))
+        for (seen, _, done, infos), (own, _, _, own_infos) in zip(results, plain_results, strict=True):
+            past.append(fresh)
             if done[k]:
-                ends += 1
                 last = own_infos[k]["terminal_observation"]
-                np.testing.assert_array_equal(infos[k]["terminal_observation"], expected(last, past[k]))
-                past[k] = []
-            np.testing.assert_array_equal(seen[k], expected(own[k], past[k]))
-            past[k].append(own[k])
-    assert ends >= 4
+                np.testing.assert_array_equal(infos[k]["terminal_observation"], expected(last, past))
+                past = []
+            fresh = own[k]
+            np.testing.assert_array_equal(seen[k], expected(fresh, past))
+    assert sum(done.sum() for _, _, done, _ in results) >= 4
 
 
-@pytest.mark.parametrize("critic", ["", "true_soil"])
-def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, critic):
-    """With the history of its own calls, and without the true soil that its value network had."""
-    model = ppo.build(scenario, "blind", PPOConfig(**TINY, history=3, critic=critic), 0)
+@pytest.mark.parametrize(
+    "variant, critic, steps",
+    [("identified", "", 0), ("true_soil", "", 0), ("blind", "", 3), ("blind", "true_soil", 3)],
+)
+def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, variant, critic, steps):
+    """On raw observations, with the history of its own calls, without the true soil that its value network had."""
+    model = ppo.build(scenario, variant, PPOConfig(**TINY, history=steps, critic=critic), 0)
     model.learn(256)
     ppo.save(model, tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
-    env, plain = model.get_vec_normalize_env(), SoilWheelVecEnv(8, scenario, "blind", scaled=False)
+    assert (agent.variant, agent.timesteps) == (variant, model.num_timesteps)
+    env, plain = model.get_vec_normalize_env(), SoilWheelVecEnv(8, scenario, variant, scaled=False)
     env.training = False  # the normalisation stays as it was saved
     env.seed(7)
     plain.seed(7)
     seen, raw = env.reset(), plain.reset()
     memory, fresh = None, np.ones(8, dtype=bool)
     for _ in range(50):
-        action, _ = model.predict(env.normalize_obs(env.get_original_obs()), deterministic=True)
+        action, _ = model.predict(seen, deterministic=True)
         own, memory = agent.predict(raw, memory, fresh)
         np.testing.assert_allclose(own, action, atol=1e-5)
         seen = env.step(action)[0]
         raw, _, fresh, _ = plain.step(action)
-    assert seen.shape == (8, BLIND + 3 * len(READINGS) + len(privileged(critic, scenario.course)))
-    alone, state = agent.predict(raw[0])
-    assert alone.shape == (1,) and state[0].shape == (1, 4 * len(READINGS))
+    assert seen.shape == (8, raw.shape[1] + steps * len(READINGS) + len(privileged(critic, scenario.course)))
+    assert agent.predict(raw[0])[0].shape == (1,)
 
 
 def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
@@ -120,9 +118,6 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     assert low.shape == high.shape == (len(names) + history.size,)
 
 
-# --- asymmetric critic ------------------------------------------------------------------------------------------------
-
-
 def test_the_critic_sees_the_lines_ahead_too():
     """Entries as `true_soil` observes them, but for the error of the camera in where the patch begins."""
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
@@ -130,37 +125,21 @@ def test_the_critic_sees_the_lines_ahead_too():
     names, blind = plain.observation_names, {e.name for e in layout("blind", scenario.course)}
     columns = [k for k, name in enumerate(names) if name not in blind]
     assert seeing.privileged == len(columns) > TRUE
-    first, results = driven(seeing, 150)
-    expected, others = driven(plain, 150)
-    rows = np.concatenate([first, *(result[0] for result in results)])[:, -seeing.privileged :]
-    np.testing.assert_array_equal(rows, np.concatenate([expected, *(result[0] for result in others)])[:, columns])
+    rows, expected = (
+        [first, *(result[0] for result in results)] for first, results in (driven(e, 150) for e in (seeing, plain))
+    )
+    rows = np.concatenate(rows)[:, -seeing.privileged :]
+    np.testing.assert_array_equal(rows, np.concatenate(expected)[:, columns])
     assert (rows[:, -1] != 0.0).any()  # a second line has been in sight
-    ends = [(mine[k], theirs[k]) for (_, _, done, mine), (*_, theirs) in zip(results, others, strict=True)
-            for k in np.flatnonzero(done)]  # fmt: skip
-    assert len(ends) >= 4
-    for mine, theirs in ends:
-        last = mine["terminal_observation"][-seeing.privileged :]
-        np.testing.assert_array_equal(last, theirs["terminal_observation"][columns])
 
 
-def test_the_action_does_not_depend_on_what_the_value_network_sees(scenario):
+def test_only_the_value_network_sees_the_soil(scenario):
     model = ppo.build(scenario, "blind", PPOConfig(**TINY, history=0, critic="true_soil"), 0)
-    model.learn(256)
     rng = np.random.default_rng(0)
     x = rng.normal(size=(20, BLIND + TRUE)).astype(np.float32)
-    y = x.copy()
-    y[:, BLIND:] = rng.normal(size=(20, TRUE))
-    mean, value, log_prob = (t.detach().numpy() for t in model.policy(torch.from_numpy(x), deterministic=True))
-    other, other_value, other_prob = (t.detach().numpy() for t in model.policy(torch.from_numpy(y), deterministic=True))
-    np.testing.assert_array_equal(mean, other)
-    np.testing.assert_array_equal(log_prob, other_prob)
-    assert np.abs(value - other_value).min() > 1e-6
-    z = x.copy()
-    z[:, 0] += 1.0
-    assert np.abs(model.policy(torch.from_numpy(z), deterministic=True)[0].detach().numpy() - mean).max() > 1e-6
-
-
-# --- worlds with hidden effects ---------------------------------------------------------------------------------------
+    y = np.column_stack([x[:, :BLIND], rng.normal(size=(20, TRUE))]).astype(np.float32)
+    own, other = (model.policy(torch.from_numpy(z), deterministic=True) for z in (x, y))
+    assert torch.equal(own[0], other[0]) and torch.equal(own[2], other[2]) and (own[1] != other[1]).all()
 
 
 def test_several_worlds_are_the_single_ones_side_by_side(scenario):
@@ -184,16 +163,8 @@ def test_several_worlds_are_the_single_ones_side_by_side(scenario):
 def test_hidden_worlds_have_one_effect_each_and_follow_from_the_seed(scenario):
     worlds = hidden_worlds(scenario, 2 * len(HIDDEN), seed=3)
     assert [next(iter(w.effects)) for w in worlds] == [*HIDDEN, *HIDDEN]
-    assert [w.content() for w in worlds] == [w.content() for w in hidden_worlds(scenario, 2 * len(HIDDEN), seed=3)]
-    assert [w.content() for w in worlds] != [w.content() for w in hidden_worlds(scenario, 2 * len(HIDDEN), seed=4)]
-    half = run_courses(_Half(), scenario, 3, 6)
-    changed = [name for name, world in zip(HIDDEN, worlds, strict=False)
-               if (run_courses(_Half(), scenario, 3, 6, model=world).returns != half.returns).any()]  # fmt: skip
-    assert changed == list(HIDDEN)  # each acts on a course driven once
-
-
-class _Half:
-    variant = "blind"
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), 0.5), None
+    again, other = (hidden_worlds(scenario, 2 * len(HIDDEN), seed=seed) for seed in (3, 4))
+    assert worlds == again and worlds != other
+    half = run_courses(Half(), scenario, 3, 6)
+    for name, world in zip(HIDDEN, worlds, strict=False):  # each acts on a course driven once
+        assert (run_courses(Half(), scenario, 3, 6, model=world).returns != half.returns).any(), name

@@ -71,7 +71,10 @@ def read(folder):
     return json.loads((folder / "study.json").read_text())
 
 
-# --- what it finds ----------------------------------------------------------------------------------------------------
+@pytest.fixture()
+def copied(finished, tmp_path):
+    """A copy of the finished study."""
+    return shutil.copytree(finished, tmp_path / "out")
 
 
 def test_every_arm_is_compared_on_every_scenario(finished):
@@ -85,73 +88,59 @@ def test_every_arm_is_compared_on_every_scenario(finished):
     assert result["settings"]["mixed-given-0"] == {"speed": 0.2}
 
 
-def test_arms_are_judged_as_they_drive(finished):
+def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     """The numbers are those of the saved models and settings on the held-out courses, in the world of the scenario."""
     asked, result = cells.load_study(Study, finished), read(finished)
-    settings = result["settings"]["mixed-soft_start-0"]
+    settings, seeds = result["settings"]["mixed-soft_start-0"], []
     for name, target in asked.targets.items():
 
         def drive(controller, target=target):
             return run_courses(controller, target.scenario, asked.held_out, 6, model=target.world).returns.mean()
 
         by_seed = {arm: own["return"] for arm, own in result["scenarios"][name]["by_seed"].items()}
-        for seed in (0, 1):
-            model = load_model(finished / "trained" / f"mixed-identified-{seed}" / "model.zip", target.scenario)
-            assert by_seed["identified"][seed] == pytest.approx(drive(model), rel=1e-9)
+        for k in (0, 1):
+            folder = finished / "trained" / f"mixed-identified-{k}"
+            trained, scenario = open_run(folder)
+            assert trained.hidden_worlds == 1 and trained.ppo.history == 2 and scenario.control.time_limit == 6.0
+            seeds.append(trained.seed)
+            assert by_seed["identified"][k] == pytest.approx(drive(load_model(folder / "model.zip", target.scenario)))
         soft = make_controller("soft_start", target.scenario, **settings)
-        assert by_seed["soft_start"] == [pytest.approx(drive(soft), rel=1e-9)]
+        assert by_seed["soft_start"] == [pytest.approx(drive(soft))]
+        assert by_seed["true_soil"][0] != by_seed["true_soil"][1]
+    assert abs(seeds[0] - seeds[1]) > 65536  # wheel k of a training has seed + k
     assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
 
 
-def test_trainings_are_those_of_the_config(finished):
-    seeds = []
-    for k in (0, 1):
-        trained, scenario = open_run(finished / "trained" / f"mixed-identified-{k}")
-        assert trained.hidden_worlds == 1 and trained.ppo.history == 2 and scenario.control.time_limit == 6.0
-        seeds.append(trained.seed)
-    assert abs(seeds[0] - seeds[1]) > 65536  # wheel k of a training has seed + k
-    by_seed = read(finished)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
-    assert by_seed[0] != by_seed[1]
-
-
-# --- going on ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("unrendered")
-def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished, tmp_path, importable):
-    again = tmp_path / "out"
-    shutil.copytree(finished, again)
+@pytest.mark.usefixtures("unrendered", "importable")
+def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished, copied):
     for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
-        (again / "cells" / f"{name}.json").unlink()
-    shutil.rmtree(again / "trained" / "mixed-identified-0")
-    kept = (again / "trained" / "mixed-true_soil-1" / "model.zip").stat().st_mtime_ns
-    assert main(["--out", str(again), "--workers", "2"]) == 0
-    assert (again / "trained" / "mixed-true_soil-1" / "model.zip").stat().st_mtime_ns == kept
-    assert (again / "study.json").read_bytes() == (finished / "study.json").read_bytes()
+        (copied / "cells" / f"{name}.json").unlink()
+    shutil.rmtree(copied / "trained" / "mixed-identified-0")
+    kept = copied / "trained" / "mixed-true_soil-1" / "model.zip"
+    before = kept.stat().st_mtime_ns
+    assert main(["--out", copied, "--workers", "2"]) == 0
+    assert kept.stat().st_mtime_ns == before
+    assert (copied / "study.json").read_bytes() == (finished / "study.json").read_bytes()
 
 
 @pytest.mark.usefixtures("unrendered")
-def test_a_study_grows_by_seeds_and_by_nothing_else(finished, tmp_path, capsys):
-    again = tmp_path / "out"
-    shutil.copytree(finished, again)
-    assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", again)
-    assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", again, "--train.timesteps", "100")
-    assert main(["--out", str(again), "--seeds", "3"]) == 0
-    members = read(again)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
-    assert len(members) == 3 and members[:2] == read(finished)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"]
+def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
+    assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied)
+    assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100")
+    assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
+    assert "holds no study" in refused(capsys, "--config", config(tmp_path), "--out", copied / "cells")
+    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
+    assert main(["--out", copied, "--seeds", "3"]) == 0
+    old, new = (read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied))
+    assert len(new) == 3 and new[:2] == old
 
 
-def test_results_of_an_unfinished_study(finished, tmp_path, capsys):
-    again = tmp_path / "out"
-    shutil.copytree(finished, again)
-    (again / "cells" / "mixed-true_soil-1.json").unlink()
-    assert main(["--out", str(again), "--report"]) == 0
-    assert read(again)["scenarios"]["mixed"]["members"]["true_soil"] == 1
-    shutil.rmtree(again / "cells")
-    assert "no cell is done" in refused(capsys, "--out", again, "--report")
-
-
-# --- worlds -----------------------------------------------------------------------------------------------------------
+def test_results_of_an_unfinished_study(copied, capsys):
+    (copied / "cells" / "mixed-true_soil-1.json").unlink()
+    assert main(["--out", copied, "--report"]) == 0
+    assert read(copied)["scenarios"]["mixed"]["members"]["true_soil"] == 1
+    shutil.rmtree(copied / "cells")
+    assert "no cell is done" in refused(capsys, "--out", copied, "--report")
 
 
 def test_an_arm_is_made_in_its_world(tmp_path):
@@ -187,25 +176,17 @@ def test_from_the_log_of_a_hidden_world_to_a_corrected_agent(tmp_path):
     assert result["worlds"]["found"]["bulldozing"]["hegedus"] == pytest.approx(1.0, rel=0.1)
     trained = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
     assert trained["agent"] is None and trained["corrected"].effects == result["worlds"]["found"]
-    times = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")}
-    assert main(["--out", str(tmp_path / "out")]) == 0  # nothing is done twice
-    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*.zip")} == times
 
 
 def test_a_study_of_a_rover(tmp_path):
     changes = {"course": {"length": 2.0}, "control": {"time_limit": 8.0}}
     train = {"timesteps": 128, "ppo": {**PPO, "history": 0}}
     moon, arms = {"moon": {"rover": "lunar_micro_rover"}}, {"blind": {"train": {"observation": "blind"}}}
-    path = config(
-        tmp_path, scenarios=moon, changes=changes, train=train, controllers=["torque_by_load"], arms=arms, seeds=1
-    )  # fmt: skip
-    assert main(["--config", str(path), "--out", str(tmp_path / "out")]) == 0
+    own = {"scenarios": moon, "changes": changes, "train": train, "arms": arms, "controllers": ["torque_by_load"]}
+    assert main(["--config", config(tmp_path, seeds=1, **own), "--out", tmp_path / "out"]) == 0
     entry = read(tmp_path / "out")["scenarios"]["moon"]
     assert list(entry["controllers"]) == ["torque_by_load", "blind"] and "fighting" in entry["metrics"]
     assert "wheel_force" in entry["paired"]["blind"]["torque_by_load"]
-
-
-# --- the config -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", sorted(p.name for p in config_dir().glob("study*.yaml")))
@@ -213,17 +194,11 @@ def test_the_shipped_configs_can_be_read(name):
     study = read_config(config_dir() / name)
     assert study.compared_with in study.arms and len(study.cells()) > 3
     if name == "study.yaml":
-        assert study.seeds >= 3 and study.courses >= 1000 and set(CONTROLLERS) < set(study.arms)
-        assert study.targets["unseen"].world is not None and study.fed_by("mixed") == ["mixed", "unseen"]
-        soils = [set(study.targets[name].scenario.soils) for name in ("mixed", "unseen")]
-        assert not soils[0] & soils[1]
+        assert set(CONTROLLERS) < set(study.arms) and study.fed_by("mixed") == ["mixed", "unseen"]
+        mixed, unseen = (study.targets[name] for name in ("mixed", "unseen"))
+        assert unseen.world is not None and not set(mixed.scenario.soils) & set(unseen.scenario.soils)
     if name == "study_rover.yaml":
         assert set(ROVER_CONTROLLERS) < set(study.arms)
-
-
-@pytest.mark.parametrize("path", sorted(WORLDS.glob("*.yaml")), ids=lambda p: p.stem)
-def test_shipped_worlds_can_be_played(path, tmp_path):
-    assert read_config(config(tmp_path, scenarios={"mixed": {"model": str(path)}})).targets["mixed"].world is not None
 
 
 @pytest.mark.parametrize(
@@ -232,15 +207,11 @@ def test_shipped_worlds_can_be_played(path, tmp_path):
         ({"scenarios": {"mixd": {}}}, "study.yaml: scenarios.mixd: scenario: unknown value"),
         ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
         ({"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}}, "study.yaml: scenarios.mixed.changes"),
-        ({"scenarios": {"mixed": {"model": "none.yaml"}}}, "none.yaml"),
         ({"arms": {}, "controllers": []}, "one arm"),
         ({"arms": {"a-b": {}}}, "a-b"),
-        ({"arms": {"a": {"train": {"ppo": {"critic": "soil"}}}}}, "critic = 'soil'"),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
-        ({"arms": {"a": {"controller": "soft_strat"}}}, "did you mean 'soft_start'"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
         ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown key 'nowhere'"),
-        ({"baseline": "nobody"}, "baseline: unknown key 'nobody'"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
     ],
 )
@@ -261,10 +232,3 @@ def test_bad_worlds_are_refused_in_one_line(changes, expected, tmp_path, capsys)
     (tmp_path / "world.yaml").write_text(yaml.safe_dump(world))
     assert expected in refused(capsys, "--config", path, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_bad_options_are_refused_in_one_line(finished, tmp_path, capsys):
-    path = config(tmp_path)
-    assert "only with --config" in refused(capsys, "--out", finished, "--train.timesteps", "3")
-    assert "study" in refused(capsys, "--config", path, "--out", tmp_path)  # not empty, and no study
-    assert "no such folder" in refused(capsys, "--out", tmp_path / "none")

@@ -8,41 +8,28 @@ from scipy import stats
 
 from agents import warning
 from agents.warning import DRIVERS, FAMILIES, Drives, drives, make_driver, probabilities
-from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, shipped, shipped_network
+from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, score_inputs, shipped, shipped_network
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause, layout
-
-ENTRAPPED, FINISHED, LATE = Cause.ENTRAPPED.value, Cause.FINISHED.value, Cause.TIME_LIMIT.value
-
-
-def script(*courses, period=0.1):
-    """Drives of columns (cause, way in each period, "d" driving or "h" halted in each): at the least speed 0.01 m/s."""
-    longest = max(len(way) for _, way, _ in courses)
-    pad = lambda values, fill: np.array([[*v, *[fill] * (longest - len(v))] for v in values]).T  # noqa: E731
-    alive = pad([[True] * len(way) for _, way, _ in courses], False)
-    driving = pad([[c == "d" for c in flags] for _, _, flags in courses], False)
-    best = np.maximum.accumulate(np.cumsum(pad([way for _, way, _ in courses], 0.0), axis=0), axis=0)
-    nothing = np.zeros((longest, len(courses), 0))
-    return Drives(period, nothing, alive, driving, best, np.array([c for c, _, _ in courses]), 0.001 - 1e-12, 0.1)
 
 
 @pytest.fixture(scope="module")
 def made():
     """5 s of progress, 1 s halt in it, then 10 s stuck; 10 s to the end; out of time, the last 2 s without progress."""
-    stuck = (ENTRAPPED, [0.02] * 30 + [0.0] * 10 + [0.02] * 20 + [0.0] * 100, "d" * 30 + "h" * 10 + "d" * 120)
-    return script(stuck, (FINISHED, [0.1] * 100, "d" * 100), (LATE, [0.02] * 80 + [0.0] * 20, "d" * 100))
+    alive, way = np.zeros((160, 3), dtype=bool), np.zeros((160, 3))
+    alive[:, 0] = alive[:100, 1:] = True
+    way[:30, 0] = way[40:60, 0] = way[:80, 2] = 0.02
+    way[:100, 1] = 0.1
+    driving, cause = alive.copy(), np.array([c.value for c in (Cause.ENTRAPPED, Cause.FINISHED, Cause.TIME_LIMIT)])
+    driving[30:40, 0] = False
+    return Drives(0.1, np.zeros((160, 3, 0)), alive, driving, way.cumsum(axis=0), cause, 0.001 - 1e-12, 0.1)
 
 
-def test_seconds_until_the_stop_count_driving_only(made):
-    ahead = made.ahead
-    assert ahead[59, 0] == pytest.approx(0.0) and ahead[40, 0] == pytest.approx(1.9)
-    assert ahead[30, 0] == ahead[39, 0] == pytest.approx(2.0)  # during the halt
-    assert ahead[0, 0] == pytest.approx(4.9) and ahead[100, 0] < 0.0
+def test_seconds_until_the_stop_count_driving_only_and_the_end_of_a_cut_course_is_not_known(made):
+    ahead, known = made.ahead, made.known
+    assert ahead[[0, 40, 59], 0] == pytest.approx([4.9, 1.9, 0.0], abs=1e-12) and ahead[100, 0] < 0.0
+    assert ahead[[30, 39], 0] == pytest.approx(2.0)  # during the halt
     assert np.isinf(ahead[:, 1:]).all()
-
-
-def test_the_end_of_a_course_that_was_cut_is_not_known(made):
-    known = made.known
     assert known[:160, 0].all() and known[:100, 1].all() and not known[100:, 1].any()
     assert known[:25, 2].all() and not known[30:, 2].any()  # 5 s before the last 0.1 m, which begin at 7.5 s
 
@@ -56,14 +43,26 @@ def test_alarms_stay_on_above_half_of_the_threshold_and_count_on_finished_course
     assert made.false(score, 0.9) == (0.0, pytest.approx(10.0))
 
 
-def test_the_threshold_is_the_lowest_with_few_false_alarms():
-    passed = script(*[(FINISHED, [0.1] * 200, "d" * 200)] * 8)
-    score = np.random.default_rng(5).random(passed.alive.shape).cumsum(axis=0) / 120.0
-    at = warning.threshold([score], [passed])
-    under, driven = passed.false(score, at)
-    assert 0.02 < under / driven <= warning.FALSE
-    under, driven = passed.false(score, at - 0.003)
-    assert under / driven > warning.FALSE
+def test_the_threshold_is_the_lowest_with_few_false_alarms(made):
+    score = np.zeros(made.alive.shape)
+    score[:, 1] = np.linspace(0.0, 0.9, 160)
+    at = warning.threshold([score], [made])
+    shares = [np.divide(*made.false(score, level)) for level in (at, at - 0.02)]
+    assert shares[0] <= warning.FALSE < shares[1]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_random_drivers_take_either_line_and_other_blind_ones_the_less_steep(family):
+    task = load_scenario("two_lines", {"control": {"action": "torque"}})
+    driver, column = (
+        make_driver(family, task, [1, 0], 400),
+        {e.name: i for i, e in enumerate(layout("blind", task.course))},
+    )
+    if driver.variant == "blind" and family != "full_throttle":
+        observed = np.zeros((400, len(column)))
+        observed[:, column["choice"]], observed[:, column["ahead_grade"]] = 1.0, 0.1
+        beside = (driver.predict(observed)[0][:, 0] < 0.0).mean()
+        assert beside == pytest.approx(0.5 if family.startswith("random") else 1.0, abs=0.1)
 
 
 def test_the_fit_learns_both_hazards():
@@ -73,28 +72,9 @@ def test_the_fit_learns_both_hazards():
     x = rng.normal(size=(60_000, 3)).astype(np.float32)
     rate = np.exp(x[:, 0] - 2.0)
     net = warning.fit(x, rng.exponential(1.0 / rate).astype(np.float32), epochs=4)
-    from soil_env.identification.online.immobilisation import score_inputs
-
     found = score_inputs(x[:2000], net)
     for column, horizon in enumerate(HORIZONS):
         assert np.abs(found[:, column] - (1.0 - np.exp(-rate[:2000] * horizon))).mean() < 0.04, horizon
-
-
-# --- drives -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_random_drivers_take_either_line_and_blind_ones_the_less_steep():
-    task = load_scenario("two_lines", {"control": {"action": "torque"}})
-    column = {e.name: i for i, e in enumerate(layout("blind", task.course))}
-    observed = np.zeros((400, len(column)))
-    observed[:, column["choice"]], observed[:, column["ahead_grade"]] = 1.0, 0.1
-    for family in FAMILIES:
-        driver = make_driver(family, task, [1, 0], 400)
-        if driver.variant == "blind":
-            beside = driver.predict(observed)[0][:, 0] < 0.0
-            assert beside.mean() == pytest.approx(0.5 if family.startswith("random") else 1.0, abs=0.1) or (
-                family == "full_throttle" and not beside.any()
-            )
 
 
 def test_the_shipped_weights_tell_stops_ahead_on_a_sample():

@@ -5,7 +5,8 @@ import os
 import subprocess
 import sys
 
-COMMANDS = {"train": ["--timesteps", "64"], "export": ["runs/x", "--out", "o"]}
+REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
+HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
 BARE = """
 import contextlib, io, json, sys
 class Absent:
@@ -14,35 +15,29 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 from soil_env.cli import main
-said = {}
+said = []
 for arguments in json.loads(sys.argv[1]):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main(arguments)
-    said[" ".join(arguments[:2])] = (status, out.getvalue(), err.getvalue())
+    said.append((status, out.getvalue(), err.getvalue()))
 import gymnasium, soil_env, agents.controllers.oracle, agents.exported
 from agents.controllers import make_controller
 env = gymnasium.make("SoilWheel-v0", observation="blind", scaled=False)
 observation, _ = env.reset(seed=0)
 action, _ = make_controller("soft_start", env.unwrapped.scenario).predict(observation)
-said["driven"] = bool(env.step(action)[1] < 1e9)
+env.step(action)
 print(json.dumps(said))
 """
 
 
 def test_without_the_extra_train():
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    helps = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
-    asked = json.dumps([[name, *more] for name, more in COMMANDS.items()] + helps)
-    ended = subprocess.run(
-        [sys.executable, "-c", BARE, asked], capture_output=True, text=True, env=environment, timeout=300
-    )
+    command = [sys.executable, "-c", BARE, json.dumps(REFUSED + HELPS)]
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
     assert ended.returncode == 0, ended.stderr
     said = json.loads(ended.stdout)
-    for name, more in COMMANDS.items():
-        line = f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n"
-        assert said[f"{name} {more[0]}"] == [2, "", line]
-    for name, _ in helps:
-        status, out, err = said[f"{name} --help"]
+    for (name, *_), found in zip(REFUSED, said, strict=False):
+        assert found == [2, "", f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n"]
+    for status, out, err in said[len(REFUSED) :]:
         assert status == 0 and out.startswith("Usage: ") and not err
-    assert said["driven"]

@@ -20,15 +20,10 @@ def refusal(capsys, *arguments):
 
 
 @pytest.mark.parametrize("name", _COMMANDS)
-def test_help_fits_a_screen(name, capsys):
+def test_help_fits_a_screen_and_an_unknown_option_is_refused(name, capsys):
     assert main([name, "--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"Usage: soil-env {name}") and len(lines) <= 50
-    assert max(map(len, lines)) <= 110
-
-
-@pytest.mark.parametrize("name", _COMMANDS)
-def test_an_unknown_option_is_refused(name, capsys):
+    assert lines[0].startswith(f"Usage: soil-env {name}") and len(lines) <= 50 and max(map(len, lines)) <= 110
     assert refusal(capsys, name, "--no-such-option").startswith(f"soil-env {name}: error: ")
 
 
@@ -37,12 +32,8 @@ def test_an_unknown_command_is_refused_with_the_nearest(capsys):
 
 
 @pytest.mark.parametrize("arguments", [["identify", *TABLE], ["discover", *TABLE], ["paper"]])
-def test_an_empty_folder_name_is_refused(arguments, capsys):
-    assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")
-
-
-@pytest.mark.parametrize("arguments", [["identify", *TABLE], ["discover", *TABLE], ["paper"]])
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, capsys, tmp_path):
+    assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")
     (tmp_path / "file").write_text("mine")
     assert str(tmp_path / "file") in refusal(capsys, *arguments, "--out", str(tmp_path / "file" / "out"))
     assert os.listdir(tmp_path) == ["file"]

@@ -14,6 +14,22 @@ from soil_env._io.loading import ParameterError
 from soil_env.cli.running import TERMINATED, WholeNumber, run
 
 ROOT = Path(__file__).resolve().parents[2]
+WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+MINE = "import os, signal, sys, time\nimport click\nfrom soil_env.cli.running import leave, run\n"
+
+
+def command_of(work):
+    """Click command without options that does `work`."""
+    return click.Command("mine", callback=work)
+
+
+def ended(*arguments, **options):
+    """Ended Python process: (status, stdout, stderr)."""
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, text=True, timeout=120, **options)
+    return done.returncode, done.stdout, done.stderr
+
+
 # Put on the path of the child: sends the process a SIGINT when the module in INTERRUPT_AT is looked for.
 HOOK = """
 import os, signal, sys
@@ -24,104 +40,62 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
 """
-WITH_SIGNALS = pytest.mark.skipif(sys.platform == "win32", reason="signals")
-
-
-def command_of(work):
-    """Click command without options that does `work`."""
-    return click.Command("mine", callback=work)
 
 
 @WITH_SIGNALS
 def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(HOOK)
     env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "INTERRUPT_AT": "soil_env.discrepancy.workflow"}
-    command = [sys.executable, "-m", "soil_env.cli", "discover", "--help"]
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nsoil-env discover: interrupted\n")
+    found = ended("-m", "soil_env.cli", "discover", "--help", env=env)
+    assert found == (130, "", "\nsoil-env discover: interrupted\n")
 
 
 @WITH_SIGNALS
 def test_importing_the_package_changes_no_signal_handler():
-    code = "import signal\nbefore = [signal.getsignal(s) for s in (2, 15)]\nimport soil_env, soil_env.env, soil_env.cli"
-    code += "\nassert before == [signal.getsignal(s) for s in (2, 15)]"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    handlers = "[signal.getsignal(s) for s in (2, 15)]"
+    code = (
+        f"import signal\nbefore = {handlers}\nimport soil_env, soil_env.env, soil_env.cli\nassert before == {handlers}"
+    )
+    assert ended("-c", code)[0] == 0
 
 
 @WITH_SIGNALS
 def test_an_interrupt_that_passed_through_exec_is_status_130():
-    code = (
-        "from soil_env.cli.running import leave\n"
-        "try:\n    exec('raise KeyboardInterrupt')\n"
-        "except KeyboardInterrupt:\n    print('caught')\n"
-        "leave(130)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 130 and done.stdout == "caught\n" and done.stderr == ""
+    code = "try:\n    exec('raise KeyboardInterrupt')\nexcept KeyboardInterrupt:\n    print('caught')\nleave(130)"
+    assert ended("-c", MINE + code) == (130, "caught\n", "")
 
 
 @WITH_SIGNALS
-def test_sigterm_is_an_interrupt(capsys):
+def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
     def work():
         os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(5.0)
+        time.sleep(0.5)
 
     before = signal.getsignal(signal.SIGTERM)
     assert run(command_of(work), [], "mine") == TERMINATED
-    assert capsys.readouterr().err == "\nmine: interrupted\n"
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
-@WITH_SIGNALS
-def test_an_ignored_sigterm_stays_ignored():
-    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    assert capsys.readouterr().err == "\nmine: interrupted\n" and signal.getsignal(signal.SIGTERM) is before
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        assert run(command_of(lambda: os.kill(os.getpid(), signal.SIGTERM)), [], "mine") == 0
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        assert run(command_of(work), [], "mine") == 0 and signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-@WITH_SIGNALS
-@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
-def test_a_command_that_is_stopped_writes_nothing(tmp_path, name, status):
-    folder = tmp_path / "out"
-    command = [sys.executable, "-m", "soil_env.cli", "paper", "--draws", "20000", "--out", str(folder)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    while not folder.exists() and process.poll() is None:  # made when the work begins
-        time.sleep(0.02)
-    time.sleep(0.5)
-    process.send_signal(getattr(signal, name))
-    _, error = process.communicate(timeout=120)
-    assert process.returncode == status, error
-    assert error.strip() == "soil-env paper: interrupted"
-    assert not list(folder.rglob("*.md"))
-
-
 IN_LLVM = """
-import os, signal, sys, time
-import click
 import llvmlite.binding as llvm
-from soil_env.cli.running import leave, run
-
-calls = []
 
 def compiled(module, buffer):
     os.kill(os.getpid(), getattr(signal, sys.argv[1]))
-    calls.append("ended")
+    print("ended")
 
 def main():
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     module = llvm.parse_assembly("define i32 @f() {\\n ret i32 7\\n}")
-    target = llvm.Target.from_default_triple().create_target_machine()
-    engine = llvm.create_mcjit_compiler(module, target)
+    engine = llvm.create_mcjit_compiler(module, llvm.Target.from_default_triple().create_target_machine())
     engine.set_object_cache(compiled)
-    try:
-        engine.finalize_object()
-        time.sleep(20.0)
-    finally:
-        print(calls)
+    engine.finalize_object()
+    time.sleep(20.0)
 
 leave(run(click.Command("mine", callback=main), [], "mine"))
 """
@@ -130,8 +104,7 @@ leave(run(click.Command("mine", callback=main), [], "mine"))
 @WITH_SIGNALS
 @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGINT", 130)])
 def test_a_signal_inside_a_callback_of_llvm_is_not_lost(name, status):
-    done = subprocess.run([sys.executable, "-c", IN_LLVM, name], cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (status, "['ended']\n", "\nmine: interrupted\n")
+    assert ended("-c", MINE + IN_LLVM, name) == (status, "ended\n", "\nmine: interrupted\n")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +113,6 @@ def test_a_signal_inside_a_callback_of_llvm_is_not_lost(name, status):
         (ParameterError("a.yaml: wrong"), 2, "mine: error: a.yaml: wrong\n"),
         (OSError(28, "No space left on device", "/a"), 2, "mine: error: /a: No space left on device\n"),
         (MemoryError("8 GB"), 2, "mine: error: not enough memory (8 GB)\n"),
-        (KeyboardInterrupt(), 130, "\nmine: interrupted\n"),
         (KeyboardInterrupt("continue with --resume"), 130, "\nmine: interrupted; continue with --resume\n"),
     ],
 )
@@ -157,41 +129,36 @@ def test_an_unexpected_error_keeps_its_traceback():
         run(command_of(lambda: 1 // 0), [], "mine")
 
 
+def saying(say):
+    """Code of a command that prints."""
+    return (
+        f"{MINE}from rich.console import Console\nleave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
+    )
+
+
 @WITH_SIGNALS
 @pytest.mark.parametrize("say", ["print('x', flush=True)", "print('x')", "Console().print('x')"])
 def test_a_reader_that_has_gone_ends_a_command_silently(say):
     """As in COMMAND | head: status 141 of `SIGPIPE` and no line, also where only the interpreter's end writes."""
-    code = (
-        "import click\nfrom rich.console import Console\nfrom soil_env.cli.running import leave, run\n"
-        f"leave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
-    )
     read, write = os.pipe()
     os.close(read)
     env = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=ROOT, env=env, stdout=write, stderr=subprocess.PIPE, text=True
-        )
+        assert ended("-c", saying(say), env=env, stdout=write) == (141, None, "")
     finally:
         os.close(write)
-    assert (done.returncode, done.stderr) == (141, "")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_print_that_fails_is_one_line():
-    code = (
-        "import click\nfrom soil_env.cli.running import leave, run\n"
-        "leave(run(click.Command('mine', callback=lambda: print('x', flush=True)), [], 'mine'))"
-    )
     with open("/dev/full", "w") as full:
-        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert done.returncode == 2
-    assert done.stderr == "mine: error: the output cannot be written (No space left on device)\n"
+        found = ended("-c", saying("print('x', flush=True)"), stdout=full)
+    assert found == (2, None, "mine: error: the output cannot be written (No space left on device)\n")
 
 
-@pytest.mark.parametrize("text", ["abc", "-1", "1.5", "nan", "1e400", ""])
-def test_a_whole_number_is_required(text, capsys):
+def test_a_whole_number_is_required(capsys):
     command = click.Command("mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None)
-    assert run(command, ["--n", text], "mine") == 2
-    assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err
+    for text in ("abc", "-1", "1.5", "nan", "1e400", ""):
+        assert run(command, ["--n", text], "mine") == 2
+        assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err
     assert run(command, ["--n", "1e6"], "mine") == 0
