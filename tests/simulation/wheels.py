@@ -1,4 +1,4 @@
-"""Wheels for tests of the dynamics: put at rest on courses, and stepped one control period at a time."""
+"""Simulations, courses and wheels for tests: put at rest on courses, and stepped one control period at a time."""
 
 import math
 from types import SimpleNamespace
@@ -7,11 +7,24 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.random_streams import seed_stream
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
+
+
+def started(scenario, variant="blind", seeds=(0,), **options):
+    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its course."""
+    kind = RoverSimulation if isinstance(scenario, RoverScenario) else Simulation
+    simulation = kind(len(seeds), scenario, variant, threads=1, **options)
+    for k, seed in enumerate(seeds):
+        simulation.seed(k, np.random.default_rng(seed))
+    simulation.restart_where(np.ones(len(seeds), dtype=bool))
+    return simulation
 
 
 class Wheels(NamedTuple):
