@@ -4,9 +4,9 @@ That it is written before it is read: `test_interpreted.py`.
 """
 
 import ast
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT
+
 SOURCES = sorted(p for p in (ROOT / "soil_env").rglob("*.py") if "_numba" not in p.parts)
 MAKERS = {"scratch", "scratch_rows"}
 
