@@ -50,10 +50,9 @@ def test_single_environment_with_effects_and_pictures_keeps_its_size():
     env.reset(seed=0)
 
     def step(number: int) -> None:
-        _, _, terminated, truncated, _ = env.step(rng.uniform(-0.1, 0.9, 1))
+        if env.step(rng.uniform(-0.1, 0.9, 1))[2]:
+            env.reset()
         if number % 500 == 0:
             env.render()
-        if terminated or truncated:
-            env.reset()
 
     assert growth(step, int(20_000 * TIMES)) <= MOST

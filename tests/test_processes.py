@@ -12,6 +12,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 from soil_env.env import SoilWheelEnv
 from soil_env.vector_env import SoilWheelVectorEnv
+from tests.conftest import ROOT
 
 SHORT = {"course": {"length": 2.0}}
 ACTION = np.array([0.45], dtype=np.float32)
@@ -80,26 +81,18 @@ def test_two_vector_envs_in_two_threads_at_once():
 
 def test_close_twice_and_use_after_it():
     """There is nothing to release but the window, so that a closed environment goes on; it opens a new picture."""
-    env = SoilWheelEnv(render_mode="rgb_array", **SHORT)
-    env.close()
-    first, _ = env.reset(seed=2)
-    env.render()
-    env.close()
-    env.close()
-    np.testing.assert_array_equal(env.step(ACTION)[0], rollout_from(2))
+    fresh = make_env()
+    fresh.reset(seed=2)
+    expected = fresh.step(ACTION)[0]
+    env, many = SoilWheelEnv(render_mode="rgb_array", **SHORT), SoilWheelVectorEnv(2, **SHORT)
+    for e in (env, many):
+        e.reset(seed=2)
+        e.close()
+        e.close()
+    np.testing.assert_array_equal(env.step(ACTION)[0], expected)
+    np.testing.assert_array_equal(many.step(np.array([ACTION, ACTION]))[0][0], expected)
     assert env.render().shape == (540, 960, 3)
     env.close()
-    many = SoilWheelVectorEnv(2, **SHORT)
-    many.reset(seed=2)
-    many.close()
-    many.close()
-    np.testing.assert_array_equal(many.step(np.array([ACTION, ACTION]))[0][0], rollout_from(2))
-
-
-def rollout_from(seed):
-    env = make_env()
-    env.reset(seed=seed)
-    return env.step(ACTION)[0]
 
 
 CODE = """
@@ -113,23 +106,13 @@ print(out[0].tobytes().hex()[:64])
 """
 
 
-def poor(folder, **changes):
-    """Output of CODE in a process that has one processor, no home and no cache it could write."""
-    nowhere = "/proc/nowhere"
-    env = {**os.environ, "HOME": nowhere, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **changes}
-    before = (lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})) if sys.platform == "linux" else None
+@pytest.mark.skipif(sys.platform != "linux", reason="sets the processors of a child")
+def test_one_processor_and_no_home(tmp_path, capsys):
+    """In a process that has one processor, no home and no cache it could write."""
+    env = {**os.environ, "HOME": "/proc/nowhere", "NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-c", CODE], cwd=folder, env=env, capture_output=True, text=True, preexec_fn=before
-    )
-    assert done.returncode == 0, done.stderr[-800:]
-    return done.stdout, done.stderr
-
-
-def test_one_processor_and_no_home(tmp_path):
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-    text, error = poor(tmp_path, PYTHONPATH=root)
-    env = SoilWheelVectorEnv(40, **SHORT)
-    env.reset(seed=3)
-    for _ in range(5):
-        out = env.step(np.full((40, 1), 0.45))
-    assert text.strip() == out[0].tobytes().hex()[:64] and error == ""
+        [sys.executable, "-c", CODE], cwd=tmp_path, env=env, capture_output=True, text=True,
+        preexec_fn=lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}),
+    )  # fmt: skip
+    exec(CODE, {})
+    assert done.stdout == capsys.readouterr().out and done.stderr == ""

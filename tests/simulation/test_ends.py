@@ -7,7 +7,6 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.task.rules import judge
 from tests.simulation.test_task import simulation
 
-
 STUCK, STALLED = {"speed": 0.0, "wheel_speed": 2.0}, {"speed": 0.0, "wheel_speed": 0.0}
 
 

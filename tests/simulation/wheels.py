@@ -9,9 +9,10 @@ import numpy as np
 from soil_env._numba.random_streams import seed_stream
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import Simulation
-from soil_env.parameters import load_scenario
+from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
@@ -25,6 +26,21 @@ def started(scenario, variant="blind", seeds=(0,), **options):
         simulation.seed(k, np.random.default_rng(seed))
     simulation.restart_where(np.ones(len(seeds), dtype=bool))
     return simulation
+
+
+def course(seed, scenario, model=None, whole=True):
+    """(courses, mass, numbers) of one course, or of its start only."""
+    courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario, model)
+    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+    return courses, (drawing.draw_course if whole else drawing.start_course)(0, courses, words, numbers), numbers
+
+
+def margin(soil, grade, mass, scenario):
+    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
+    wheel, load = scenario.wheel, mass * scenario.gravity
+    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
+    assert best.torque <= wheel.stall_torque
+    return best.drawbar_pull / load - math.tan(grade)
 
 
 class Wheels(NamedTuple):
@@ -47,6 +63,10 @@ class Wheels(NamedTuple):
             dynamics.advance(
                 self.state, self.counts, first, count, what, given, self.courses, self.streams, self.world
             )  # fmt: skip
+
+    def refined(self, times: int) -> "Wheels":
+        """The same wheels with steps so many times as short."""
+        return self._replace(world=self.world._replace(substeps=self.world.substeps * times))
 
     def now(self, k: int = 0) -> SimpleNamespace:
         """State and counts of wheel k as they are now."""
