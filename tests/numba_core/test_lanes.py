@@ -81,16 +81,3 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
     out = np.empty(4000)
     law_in_lanes(x, y, out)
     np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
-
-
-@compiled_root
-def reduced(x):
-    """Total, bits of the lanes that are not 0, one lane and the smallest of x [8]."""
-    a = lanes.from_array(x, 0)
-    return lanes.total(a), lanes.bits(a), lanes.lane(a, 5), lanes.smallest(a)
-
-
-@pytest.mark.parametrize("pattern", [0, 1, 0b10010110, 255])
-def test_reductions_of_lanes(pattern):
-    x = RNG.normal(size=8) * np.array([float(pattern >> i & 1) for i in range(8)])
-    assert reduced(x) == (pytest.approx(x.sum()), pattern, x[5], x.min())

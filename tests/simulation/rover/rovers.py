@@ -28,14 +28,6 @@ class Axles(NamedTuple):
     body: dict[str, float]
 
 
-def begun(scenario: RoverScenario, seed: int = 0, model=None) -> RoverSimulation:
-    """One rover at rest at the start of its course."""
-    simulation = RoverSimulation(1, scenario, "blind", 1, model)
-    simulation.seed(0, np.random.default_rng(seed))
-    simulation.restart(0)
-    return simulation
-
-
 def now(simulation: RoverSimulation, j: int = 0) -> Axles:
     """The present state of rover j."""
     rovers, rows = simulation.worlds.rovers, simulation.wheels[j]

@@ -72,24 +72,6 @@ def test_true_soil_is_that_under_each_axle(rover):
     assert order == sorted(order) and order[0] < order[-1]
 
 
-def test_halts_hold_all_axles_and_ignore_the_action():
-    changes = {"action": "torque", "scaled": False, "course": {"grade_deg": [-1.0, 0.0]}}
-    runs = []
-    for in_halt in (0.5, -1.0):
-        env = SoilRoverEnv("field_rover", "blind", **changes)
-        observation, _ = env.reset(seed=1)
-        rows = [observation]
-        for _ in range(70):
-            rows.append(env.step(np.full(2, in_halt if rows[-1][4] else 0.5))[0])
-        runs.append(np.array(rows))
-    np.testing.assert_array_equal(*runs)
-    halted, speed = runs[0][:, 4] == 1.0, runs[0][:, 0]
-    last = np.flatnonzero(halted[:-1] & ~halted[1:])
-    assert halted.sum() >= 8 and len(last) >= 1 and np.all(np.abs(speed[last]) < 0.05)
-    actions = runs[0][:, [env.observation_names.index(f"{a}_last_action") for a in ("front", "rear")]]
-    assert np.all(actions[1:][halted[:-1]] == 0.0) and np.all(actions[1:][~halted[:-1]] == 0.5)
-
-
 def test_energy_and_progress_are_of_the_rover_as_a_whole():
     env, rows = drive("mars_rover", "blind", 4, 40, action="wheel_speed", repeat=1)
     s, length, before = env.scenario, env.scenario.course.length, 0.0
