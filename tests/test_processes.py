@@ -25,29 +25,14 @@ def make_env():
     return SoilWheelEnv(**SHORT)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_processes_step_as_this_one(method):
-    """With the threads of a vector env alive in this process, which a fork does not take along."""
-    SoilWheelVectorEnv(64, threads=3).reset(seed=0)
-    many = AsyncVectorEnv([make_env] * 2, context=method)
-    try:
-        observations, _ = many.reset(seed=[4, 5])
-        stepped = many.step(np.array([ACTION, ACTION]))[0]
-    finally:
-        many.close()
-    for k in range(2):
-        env = make_env()
-        np.testing.assert_array_equal(observations[k], env.reset(seed=4 + k)[0])
-        np.testing.assert_array_equal(stepped[k], env.step(ACTION)[0])
-
-
 def _drive(queue, env):
     env.step(np.full((64, 1), 0.4))
     queue.put(env.step(np.full((64, 1), 0.4))[0])
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_vector_env_with_threads_in_another_process(method):
+def test_processes_step_as_this_one(method):
+    """With the threads of a vector env alive in this process, which a fork does not take along."""
     env, same = SoilWheelVectorEnv(64, threads=3), SoilWheelVectorEnv(64, threads=3)
     for e in (env, same):
         e.reset(seed=1)
@@ -59,6 +44,16 @@ def test_a_vector_env_with_threads_in_another_process(method):
     child.join()
     same.step(np.full((64, 1), 0.4))
     np.testing.assert_array_equal(there, same.step(np.full((64, 1), 0.4))[0])
+    many = AsyncVectorEnv([make_env] * 2, context=method)
+    try:
+        observations, _ = many.reset(seed=[4, 5])
+        stepped = many.step(np.array([ACTION, ACTION]))[0]
+    finally:
+        many.close()
+    for k in range(2):
+        one = make_env()
+        np.testing.assert_array_equal(observations[k], one.reset(seed=4 + k)[0])
+        np.testing.assert_array_equal(stepped[k], one.step(ACTION)[0])
 
 
 def test_two_vector_envs_in_two_threads_at_once():
@@ -77,22 +72,6 @@ def test_two_vector_envs_in_two_threads_at_once():
     for k in range(3):
         drive("alone", k)
         np.testing.assert_array_equal(results["alone"], results[k])
-
-
-def test_close_twice_and_use_after_it():
-    """There is nothing to release but the window, so that a closed environment goes on; it opens a new picture."""
-    fresh = make_env()
-    fresh.reset(seed=2)
-    expected = fresh.step(ACTION)[0]
-    env, many = SoilWheelEnv(render_mode="rgb_array", **SHORT), SoilWheelVectorEnv(2, **SHORT)
-    for e in (env, many):
-        e.reset(seed=2)
-        e.close()
-        e.close()
-    np.testing.assert_array_equal(env.step(ACTION)[0], expected)
-    np.testing.assert_array_equal(many.step(np.array([ACTION, ACTION]))[0][0], expected)
-    assert env.render().shape == (540, 960, 3)
-    env.close()
 
 
 CODE = """

@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode
 from soil_env.driving.infos import flat
 from soil_env.env import SoilWheelEnv
 from soil_env.identification import Status
-from soil_env.parameters import ParameterError
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
@@ -239,19 +238,6 @@ def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, re
                 last = info.get("final_info", info)
                 assert np.all(last["cause"] == cause)
                 assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
-
-
-@pytest.mark.parametrize(("arguments", "words"), [
-    ({"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
-    ({"autoreset_mode": "Sometimes"}, "autoreset_mode = 'Sometimes': expected one of 'NextStep'"),
-    ({"render_mode": "rgb_array"}, "render_mode: the vector env does not render"),
-    ({"threads": -1}, "threads"),
-    ({"info": "nothing"}, "info = 'nothing': expected one of 'full', 'state', 'numeric', 'short', 'none'"),
-])  # fmt: skip
-def test_bad_arguments_are_named(arguments, words):
-    with pytest.raises(ParameterError) as raised:
-        SoilWheelVectorEnv(**arguments)
-    assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(("given", "words"), [

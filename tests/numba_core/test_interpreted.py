@@ -7,10 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from soil_env.parameters import load_scenario, soils
+from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
-from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import load_rover
 from tests.conftest import ROOT
 from tests.simulation.test_cloning import memory
@@ -46,15 +45,8 @@ def drive_rover(name):
     return drive(scenario, [c * np.linspace(1.0, 0.7, scenario.axles) for c in (0.9, 1.0, -0.4, 0.8)])
 
 
-def steady():
-    """Three steady points of a wheel."""
-    sand = soils()["compact_sand"].state(0.1524)
-    at = zip((0.08, 0.22, 0.45), (7e3, 9e3, 11e3), strict=True)
-    return {"points": np.array([steady_state(slip, load, sand, 0.6274, 0.1524) for slip, load in at])}
-
-
 ROVERS = {name: (drive_rover, name) for name in ("lunar_micro_rover", "mars_rover")}
-RUNS = {**{name: (drive_wheel, name) for name in MODELS}, **ROVERS, "steady": (steady,)}
+RUNS = {**{name: (drive_wheel, name) for name in MODELS}, **ROVERS}
 
 
 #: What scratch memory holds before it is written, in the interpreted runs.

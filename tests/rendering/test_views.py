@@ -136,18 +136,6 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     assert np.array_equal(with_rut[ahead], without[ahead])
 
 
-def test_history_starts_anew_with_the_episode():
-    simulation, renderer = start()
-    drive(simulation, renderer, 50)
-    assert len(renderer._history) == 51
-    simulation.restart(0)
-    renderer.record(simulation, 0)
-    assert len(renderer._history) == 1 and renderer._angle == 0.0
-    fresh = Renderer(simulation.scenario, "rgb_array")
-    fresh.record(simulation, 0)
-    assert np.array_equal(renderer.draw(simulation, 0), fresh.draw(simulation, 0))
-
-
 @pytest.mark.parametrize("variant", ["identified", "blind"])
 def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
     """Another prior then leaves the picture as it is."""
@@ -177,42 +165,33 @@ def test_off_screen_pictures_need_no_display():
     assert done.returncode == 0, done.stderr
 
 
-@pytest.fixture
-def dummy_display(monkeypatch):
+def test_windows_live_and_close_one_by_one(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     import pygame
 
     pygame.display.quit()
-    yield pygame
-    pygame.display.quit()
-
-
-def test_windows_live_and_close_one_by_one(dummy_display):
-    pygame, fast = dummy_display, {"control": {"period": 0.01, "substep": 0.01}}
+    fast = {"control": {"period": 0.01, "substep": 0.01}}
     (sim_a, a), (sim_b, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
     off_screen = Renderer(sim_a.scenario, "rgb_array")
     for _ in range(3):
         drive(sim_a, a, 1)
-        drive(sim_b, b, 1)
         assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
     off_screen._history, off_screen._angle = a._history, a._angle
     assert np.array_equal(shown, off_screen.draw(sim_a, 0))
-
     pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
     assert b.draw(sim_b, 0) is None  # b takes the event meant for a
     assert a._id not in Renderer._windows and b._id in Renderer._windows
-    drive(sim_a, a, 1)
     assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
     for renderer in (a, a, b, b, off_screen, off_screen):
         renderer.close()
     assert not Renderer._windows
+    pygame.display.quit()
 
 
 @pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])
 def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(name):
-    drawn = gymnasium.make(name, render_mode="rgb_array", action="wheel_speed")
-    plain = gymnasium.make(name, action="wheel_speed")
+    drawn, plain = (gymnasium.make(name, render_mode=mode, action="wheel_speed") for mode in ("rgb_array", None))
     for env in (drawn, plain):
         env.reset(seed=5)
     first = drawn.render()
@@ -226,6 +205,8 @@ def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(name):
             drawn.render()
     np.testing.assert_array_equal(first, kept)
     assert not np.array_equal(drawn.render(), first)
+    drawn.reset(seed=5)
+    np.testing.assert_array_equal(drawn.render(), first)  # the history begins anew
 
 
 @pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])

@@ -106,27 +106,29 @@ def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
     assert repeated > 0
 
 
-def creep(sim, chosen, steps=700):
-    """Drive at 0.2 m/s with the speed loop; `chosen`(flag [n]) gives the action at halts where a line is chosen."""
-    top, flag = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed, sim.worlds.observation.shape[1]
-    names = [e.name for e in layout("blind", sim.scenario.course)]
-    flag, what = names.index("choice"), np.zeros(sim.worlds.reward.size, dtype=np.int8)
-    for _ in range(steps):
-        asked = sim.worlds.observation[:, flag] > 0.5
-        yield asked
-        sim.step_all(np.where(asked, chosen, 0.2 / top + 0.05), what)
+def creep(chosen, seed, steps=900):
+    """Yield (simulation, wheels that are asked for a line) at each step of eight wheels at 0.2 m/s or less.
+
+    `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes now and then.
+    """
+    sim = simulation(seed=seed, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
+    names, what = [e.name for e in layout("blind", sim.scenario.course)], np.zeros(8, dtype=np.int8)
+    slowly = 0.2 / (sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed) + 0.05
+    for step in range(steps):
+        asked = sim.worlds.observation[:, names.index("choice")] > 0.5
+        yield sim, asked
+        sim.step_all(np.where(asked, chosen, -0.05 if step % 10 == 0 else slowly), what)
 
 
 def test_the_sign_of_the_action_at_the_halt_chooses():
     """Before every fork there is a halt at which it does; what lies under and behind the wheel stays as it is."""
     for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
-        sim = simulation(seed=2, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-        courses, state, passed = sim.worlds.courses, sim.worlds.state, 0
-        asked_at = [set() for _ in range(8)]
-        for asked in creep(sim, chosen):
+        passed, asked_at = 0, [set() for _ in range(8)]
+        for sim, asked in creep(chosen, 2):
             for k in np.flatnonzero(asked):
-                assert state["halt_left"][k] > 0.0
+                assert sim.worlds.state["halt_left"][k] > 0.0
                 asked_at[k].add(int(sim.worlds.counts["patch"][k]) + 1)
+        courses = sim.worlds.courses
         for k in range(8):
             here = int(sim.worlds.counts["patch"][k])
             forks = [p for p in range(here + 1) if courses.lines.count[k, p] == 2]
@@ -139,29 +141,18 @@ def test_the_sign_of_the_action_at_the_halt_chooses():
         assert passed > 8
 
 
-def test_actions_outside_halts_choose_nothing():
-    sim = simulation(seed=3, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-    what = np.zeros(8, dtype=np.int8)
-    for step in range(500):
-        halted = sim.worlds.state["halt_left"] > 0.0
-        sim.step_all(np.where(halted, 1.0, -0.05 if step % 10 == 0 else 0.4), what)
-    assert sim.worlds.counts["patch"].max() >= 3 and not sim.worlds.courses.lines.taken.any()
-
-
 def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
-    sim = simulation(seed=4, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-    spec, seen = sim.scenario.course, []
-    state, counts, courses = sim.worlds.state, sim.worlds.counts, sim.worlds.courses
-    started, known = np.zeros(8, dtype=bool), set()
-    for _ in creep(sim, 0.0):
+    started, seen = np.zeros(8, dtype=bool), {}
+    for sim, _ in creep(0.0, 4):
+        state, courses, spec = sim.worlds.state, sim.worlds.courses, sim.scenario.course
         begins = (state["halt_left"] > 0.0) & ~started
         started = state["halt_left"] > 0.0
         for k in np.flatnonzero(begins):
-            p = int(counts["patch"][k]) + 1
+            p = int(sim.worlds.counts["patch"][k]) + 1
             left = courses.edges[k, p] - state["x"][k]
-            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1] and (k, p) not in known:
-                seen.append(left)  # the first so near; there may be another, as every metre or so
-                known.add((k, p))
+            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1]:
+                seen.setdefault((k, p), left)  # the first so near; there may be another, as every metre or so
+    seen = list(seen.values())
     assert len(seen) > 15  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)

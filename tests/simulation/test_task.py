@@ -178,7 +178,8 @@ def test_the_observation_follows_from_readings_alone():
 
 def test_odometry_is_off_as_stated():
     """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
-    sim = started(load_scenario("mixed", {"noise": {"odometry_scale": 0.03}}), "blind", range(400))
+    changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
+    sim = started(load_scenario("mixed", changes), "blind", range(400))
     length, top = sim.scenario.course.length, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     assert not sim.worlds.observation[:, 9].any()
     moved = by_speed = 0.0

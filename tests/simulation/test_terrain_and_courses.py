@@ -138,13 +138,6 @@ def test_ground_is_continuous(drawn, scenario):
             assert np.abs(row(x + d) / row(x - d) - 1.0).max() < 1e-5
 
 
-def test_ground_does_not_depend_on_the_guessed_patch(drawn, scenario):
-    courses, _ = drawn[0]
-    for x in np.linspace(-0.5, 12.0, 60):
-        found = [terrain.ground_at(courses, 0, x, guess, scenario.course.border) for guess in range(courses.patches[0])]
-        assert all(f == found[0] for f in found)
-
-
 def sample(numbers, count=20_000):
     words = np.array([seed_stream(np.random.default_rng(0))], dtype=np.uint64)
     return np.array([drawing.draw_soil(words, 0, numbers) for _ in range(count)])

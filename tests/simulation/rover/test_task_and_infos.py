@@ -56,14 +56,12 @@ def test_true_soil_is_that_under_each_axle(rover):
     names, met = axle_names(env.scenario.axles), {}
     for k, (seen, _, soils) in enumerate(rows):
         for axle, soil in zip(names, soils, strict=True):
-            assert seen[f"{axle}_friction_angle"] == pytest.approx(math.atan(soil.tan_phi), rel=1e-6)
-            assert seen[f"{axle}_log10_shear_modulus"] == pytest.approx(math.log10(soil.shear_modulus), rel=1e-6)
-            assert seen[f"{axle}_log10_sinkage_coefficient"] == pytest.approx(
-                math.log10(soil.sinkage_coefficient), rel=1e-6
-            )
-            assert seen[f"{axle}_cohesion"] == pytest.approx(soil.cohesion / 1e3, rel=1e-6)
-            assert seen[f"{axle}_sinkage_exponent"] == pytest.approx(soil.sinkage_exponent, rel=1e-6)
-            assert seen[f"{axle}_dig_gain"] == pytest.approx(soil.dig_gain, rel=1e-6)
+            expected = {
+                "friction_angle": math.atan(soil.tan_phi), "log10_shear_modulus": math.log10(soil.shear_modulus),
+                "log10_sinkage_coefficient": math.log10(soil.sinkage_coefficient), "cohesion": soil.cohesion / 1e3,
+                "sinkage_exponent": soil.sinkage_exponent, "dig_gain": soil.dig_gain,
+            }  # fmt: skip
+            assert {name: seen[f"{axle}_{name}"] for name in expected} == pytest.approx(expected, rel=1e-6)
             if soil != rows[0][2][-1]:
                 met.setdefault(axle, k)
     courses = env.simulation.worlds.courses
