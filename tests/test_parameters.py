@@ -19,26 +19,17 @@ SOIL = {"friction_angle_deg": 30, "cohesion": 500, "shear_modulus": 0.02, "sinka
 SOIL_S = SOIL | {"sinkage_coefficient": 1e6}
 
 
-@pytest.mark.parametrize("name", parameters.soils())
-def test_soil_preset(name):
-    soil = parameters.soils()[name]
-    check(soil)
-    assert soil.source
-    for width in (0.1, 0.1524, 0.5):
-        pressure = soil.lumped(width) * 0.03**soil.sinkage_exponent  # at a sinkage of 3 cm
-        assert 100.0 < pressure < 3e6
-    assert soil.tan_phi == pytest.approx(math.tan(math.radians(soil.friction_angle_deg)))
-    assert all(math.isfinite(x) for x in soil.state(0.15))
-
-
-@pytest.mark.parametrize("name", parameters.wheels())
-def test_wheel_preset(name):
-    wheel = parameters.wheels()[name]
-    check(wheel)
-    assert wheel.source
-    weight = wheel.body_mass * 9.81
-    assert 0.5 < wheel.stall_torque / (weight * wheel.radius) < 5.0
-    assert 0.1 < wheel.no_load_speed * wheel.radius < 10.0  # rim speed [m/s]
+@pytest.mark.parametrize("preset", [*parameters.soils().values(), *parameters.wheels().values()])
+def test_presets_have_a_source_and_are_of_sensible_size(preset):
+    check(preset)
+    assert preset.source
+    if isinstance(preset, Soil):
+        for width in (0.1, 0.1524, 0.5):  # pressure [Pa] at a sinkage of 3 cm
+            assert 100.0 < preset.lumped(width) * 0.03**preset.sinkage_exponent < 3e6
+        assert all(math.isfinite(x) for x in preset.state(0.15))
+    else:
+        assert 0.5 < preset.stall_torque / (preset.body_mass * 9.81 * preset.radius) < 5.0
+        assert 0.1 < preset.no_load_speed * preset.radius < 10.0  # rim speed [m/s]
 
 
 def test_lumped_modulus():

@@ -116,22 +116,19 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     with_rut, worlds = view.draw(simulation, 0), simulation.worlds
     places, scale = hubs(simulation, view)
     if rover is None:
-        ruts, row, x = worlds.courses, 0, simulation.wheel(0)["x"]
-    else:
-        ruts, row = worlds.ruts, int(simulation.wheels[0][-1])
-        x, wheels, axles = worlds.rovers.wheels.x[row], worlds.rovers.wheels, worlds.rovers.axles
+        left, row, x = [worlds.courses.rut], 0, simulation.wheel(0)["x"]
+    else:  # behind the rear wheel: its own rut in that of the front wheel
+        row = int(simulation.wheels[0][-1])
+        left, x = [worlds.ruts.rut, worlds.ruts.floor], worlds.rovers.wheels.x[row]
+        depth = worlds.rovers.wheels.sinkage[row] + worlds.rovers.axles.floor[row]
         hub, ground = posture_of(simulation, 0, view._profile).hubs[-1], view._profile.at(x)
-        depth = simulation.numbers.world.wheel.radius - math.dist(hub, ground)
-        assert axles.floor[row] > 0.01  # left by the front wheel
-        assert depth == pytest.approx(wheels.sinkage[row] + axles.floor[row], rel=1e-9)
-    cell = cell_at(worlds.courses, x) - 4
-    depth = float(ruts.rut[row, cell]) + (0.0 if rover is None else float(ruts.floor[row, cell]))
-    ruts.rut[:] = 0.0
-    if rover is not None:
-        ruts.floor[:] = 0.0
+        assert math.dist(hub, ground) == pytest.approx(simulation.numbers.world.wheel.radius - depth, rel=1e-9)
+    depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
+    for array in left:
+        array[:] = 0.0
     without, radius = view.draw(simulation, 0), simulation.numbers.world.wheel.radius * scale
     sky = [near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum() for p in (with_rut, without)]
-    assert depth * scale > 3.0 and sky[0] - sky[1] == pytest.approx(depth * scale, abs=4.0)
+    assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
     ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : side_view.SCENE[2]]  # below the key of the stresses
     assert np.array_equal(with_rut[ahead], without[ahead])
 

@@ -117,7 +117,7 @@ def creep(chosen, seed, steps=900):
     for step in range(steps):
         asked = sim.worlds.observation[:, names.index("choice")] > 0.5
         yield sim, asked
-        sim.step_all(np.where(asked, chosen, -0.05 if step % 10 == 0 else slowly), what)
+        sim.step_all(np.where(asked, chosen, -0.05 if step % 20 == 0 else slowly), what)
 
 
 def test_the_sign_of_the_action_at_the_halt_chooses():

@@ -80,13 +80,6 @@ class Wheels(NamedTuple):
             rows.append([self.state[name][0] for name in ("x", "sinkage", "speed", "slip")])
         return np.array(rows)
 
-    def numbers(self) -> dict[str, np.ndarray]:
-        """All arrays that a step changes, by name."""
-        rows = {**{n: self.state[n] for n in WheelState.NAMES}, **{n: self.counts[n] for n in WheelCounts.NAMES}}
-        courses = self.courses._asdict()
-        lines = {f"lines.{name}": array for name, array in courses.pop("lines")._asdict().items()}
-        return {**rows, **courses, **lines, "streams": self.streams}
-
 
 def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
     """One wheel for each seed at rest at the start of its own random course."""
