@@ -77,7 +77,7 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", [*scenario_names(), *rover_names()])
 def test_checkers(name, mode, variant):
-    """Of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
+    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     if name in rover_names():
         make, models = SoilRoverEnv, (None,)

@@ -42,7 +42,7 @@ def returned(source, getters):
 
 
 def test_no_function_returns_its_scratch_memory():
-    """Where a function is inlined LLVM ends the life of its stack, and what still points there reads anything."""
+    """LLVM ends the life of the stack of an inlined function; memory that still points there holds anything."""
     trees = {path: path.read_text(encoding="utf-8") for path in SOURCES}
     getters = {
         name for source in trees.values() for name, value in assigned(ast.parse(source))
