@@ -42,20 +42,25 @@ def action(k: int, level: float) -> float:
 _LEFT_OUT = ("torque_available", "immobilised_within")
 
 
-def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
-    """Observations and states of a wheel every `EVERY` control periods; it starts again where an episode ends."""
-    env = make(disable_env_checker=True, info="full", **options)
+def drive(level: float, steps: int = 252, seed: int = 3, env=None, **options) -> dict:
+    """Observations and states of a vehicle every `EVERY` steps; it starts again where an episode ends.
+
+    Each axle has its own command. The vehicle is the wheel of the keyword arguments, or that of `env`.
+    """
+    rover = env is not None
+    env = env if rover else make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
     out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
     for k in range(steps):
-        observation, reward, terminated, truncated, info = env.step(np.array([action(k, level)]))
+        commands = [action(k + 3 * axle, level) for axle in range(env.action_space.shape[0])]
+        observation, reward, terminated, truncated, info = env.step(np.array(commands))
         total += reward
         over = terminated or truncated
         if k % EVERY == EVERY - 1 or over or k == steps - 1:
             out["period"].append(float(k))
             out["observation"].append(observation)
             out["return"].append(total)
-            for group in ("state", "reward_terms", "estimate", "traversability"):
+            for group in ("state",) if rover else ("state", "reward_terms", "estimate", "traversability"):
                 for name, value in info[group].items():
                     if isinstance(value, float) and not name.startswith(_LEFT_OUT):
                         out.setdefault(f"{group}.{name}", []).append(value)
@@ -63,6 +68,11 @@ def drive(level: float, steps: int = 252, seed: int = 3, **options) -> dict:
             ends.append(f"{k} {info['cause']}")
             env.reset()
     return {"ends": ", ".join(ends)} | {name: np.array(values) for name, values in out.items()}
+
+
+def drive_rover(**options) -> dict:
+    """The same of a rover."""
+    return drive(0.45, 200, env=gymnasium.make("SoilRover-v0", disable_env_checker=True, **options))
 
 
 def drive_many(count: int, steps: int = 200, **options) -> dict:
@@ -82,25 +92,6 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
         if k % 25 == 24:
             for name, value in zip(out, (float(k), observation, total, info["x"]), strict=True):
                 out[name].append(value.copy() if isinstance(value, np.ndarray) else value)
-    return {"ends": ", ".join(ends)} | {name: np.array(values) for name, values in out.items()}
-
-
-def drive_rover(steps: int = 200, seed: int = 3, **options) -> dict:
-    """Observations and states of a rover every `EVERY` steps; each axle has its own command."""
-    env = gymnasium.make("SoilRover-v0", disable_env_checker=True, **options)
-    env.reset(seed=seed)
-    axles, ends = env.action_space.shape[0], []
-    out: dict[str, list] = {"period": [], "observation": []}
-    for k in range(steps):
-        observation, _, over, _, info = env.step(np.array([action(k + 3 * axle, 0.45) for axle in range(axles)]))
-        if k % EVERY == EVERY - 1 or over:
-            out["period"].append(float(k))
-            out["observation"].append(observation)
-            for name, value in info["state"].items():
-                out.setdefault(f"state.{name}", []).append(value)
-        if over:
-            ends.append(f"{k} {info['cause']}")
-            env.reset()
     return {"ends": ", ".join(ends)} | {name: np.array(values) for name, values in out.items()}
 
 

@@ -1,23 +1,27 @@
-"""Single environments of a wheel and of a rover: checkers, determinism, actions, arguments, info."""
+"""Environments of a wheel and of a rover: checkers, determinism, copies, actions, arguments, ends, info."""
 
 import copy
 import math
 import pickle
+import warnings
 from functools import partial
 
 import gymnasium
 import numpy as np
 import pytest
 import yaml
+from gymnasium.utils.env_checker import check_env
 
-import soil_env
+from soil_env._io.loading import config_dir
 from soil_env.env import SoilWheelEnv
-from soil_env.parameters import ParameterError
+from soil_env.parameters import ParameterError, load_scenario, scenario_names
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.rover_vector_env import SoilRoverVectorEnv
-from soil_env.simulation.task import Cause
+from soil_env.simulation.task import VARIANTS, Cause
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vector_env import SoilWheelVectorEnv
+from soil_env.vehicle import load_rover, rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 BOTH = pytest.mark.parametrize("make", [SoilWheelEnv, SoilRoverEnv], ids=["wheel", "rover"])
@@ -26,26 +30,22 @@ ALL = pytest.mark.parametrize("make", [
 ], ids=["wheel", "rover", "wheels", "rovers"])  # fmt: skip
 
 
-def act(value):
-    return np.array([value], dtype=np.float32)
-
-
-def run(env, seed, steps, actions=None):
-    """(observations, rewards, infos, ended) of one episode under random, held actions."""
-    rng, motors = np.random.default_rng(0), env.action_space.shape[0]
+def run(env, seed, steps, command=None):
+    """(observations, rewards, infos) of steps until the end under random, held actions, or always the same one."""
+    rng, motors = np.random.default_rng(0), env.action_space.shape
     observation, info = env.reset(seed=seed)
     rows, rewards, infos = [observation], [], [info]
     for k in range(steps):
         if k % 5 == 0:
-            action = rng.uniform(0.1, 0.6, motors)
-        given = action if actions is None else np.broadcast_to(actions[k], motors)
-        observation, reward, terminated, truncated, info = env.step(given.astype(np.float32))
+            action = rng.uniform(0.1, 0.6, motors) if command is None else np.broadcast_to(command, motors)
+        observation, reward, over, truncated, info = env.step(action)
+        assert not truncated
         rows.append(observation)
         rewards.append(reward)
         infos.append(info)
-        if terminated or truncated:
-            return np.array(rows), np.array(rewards), infos, True
-    return np.array(rows), np.array(rewards), infos, False
+        if over:
+            break
+    return np.array(rows), np.array(rewards), infos
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -70,50 +70,117 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
     assert not np.array_equal(make().reset()[0], make().reset()[0])
 
 
+# --- checkers and registration ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", MODES[:2])
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("name", [*scenario_names(), *rover_names()])
+def test_checkers(name, mode, variant):
+    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
+    sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
+    if name in rover_names():
+        make, models = SoilRoverEnv, (None,)
+    else:
+        make, wheel, worlds = SoilWheelEnv, load_scenario(name).wheel, sorted((config_dir() / "worlds").glob("*.yaml"))
+        number = (VARIANTS.index(variant) + 3 * MODES.index(mode)) % len(worlds)
+        effects = WheelSoilModel.load(worlds[number]).effects
+        models = (None, WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.05 * wheel.radius), None, effects))
+    for model in models:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warnings.filterwarnings("ignore", message=".*(not have a spec|render|spec).*")
+            drawn = mode == "torque" and variant == "identified"
+            env = make(name, variant, mode, model=model, render_mode="rgb_array" if drawn else None)
+            check_env(env, skip_render_check=not drawn)
+        sb3.check_env(make(name, variant, mode, model=model), warn=True)
+
+
+def test_registration_of_the_rover():
+    env = gymnasium.make("soil_env:SoilRover-v0", rover="mars_rover", course={"length": 30.0}, vehicle={"mass": 600.0})
+    assert type(env.unwrapped) is SoilRoverEnv and env.action_space.shape == (3,)
+    assert env.unwrapped.scenario.course.length == 30.0 and env.unwrapped.scenario.wheel.body_mass == 100.0
+    assert env.spec.max_episode_steps == 480  # 240 s in steps of 0.5 s
+    assert load_rover("mars_rover").course.length == 25.0  # a changed env does not change the next
+    many = gymnasium.make_vec("SoilRover-v0", num_envs=3, vectorization_mode="vector_entry_point")
+    assert isinstance(many.unwrapped, SoilRoverVectorEnv) and many.action_space.shape == (3, 2)
+
+
+def test_the_length_of_an_episode_is_that_of_the_scenario():
+    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
+    env = gymnasium.wrappers.TimeAwareObservation(
+        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}), normalize_time=True
+    )
+    env.reset(seed=0)
+    steps, over = 0, False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(np.float32([0.35]))
+        steps, over = steps + 1, terminated or truncated
+        assert observation[-1] == pytest.approx(steps / 200)
+    again = gymnasium.make(env.unwrapped.spec)
+    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
+    assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
+
+
+# --- copies and returned data -----------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("make", [SoilWheelVectorEnv, SoilRoverVectorEnv], ids=["wheel", "rover"])
-def test_a_copy_of_a_vector_env_goes_on_as_the_original(make, copied):
-    env = make(40, threads=2, info="none", course={"length": 2.0})
+@pytest.mark.parametrize("drawn", [False, True])
+@ALL
+def test_a_copy_goes_on_as_the_original(make, drawn, copied):
+    if drawn and make not in (SoilWheelEnv, SoilRoverEnv):
+        return
+    env = make(course={"length": 2.0}, **({"render_mode": "rgb_array"} if drawn else {}))
     env.reset(seed=3)
-    other = copied(env)
-    for _ in range(40):
-        x, y = (e.step(np.full(e.action_space.shape, 0.45))[0] for e in (env, other))
-        np.testing.assert_array_equal(x, y)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("render_mode", [None, "rgb_array"])
-@BOTH
-def test_a_copy_goes_on_as_the_original(make, render_mode, copied):
-    env = make(render_mode=render_mode, course={"length": 2.0})
-    run(env, 3, 5)
-    if render_mode is not None:
+    env.step(np.full(env.action_space.shape, 0.3))
+    if drawn:
         env.render()
     other, untouched = copied(env), copied(env)
     for _ in range(30):
         a, b = (e.step(np.full(e.action_space.shape, 0.45)) for e in (env, other))
-        np.testing.assert_array_equal(a[0], b[0])
-        assert a[4] == b[4]
-        if a[2]:
+        np.testing.assert_equal(a, b)
+        if np.any(a[2]):
             break
     np.testing.assert_array_equal(env.reset()[0], other.reset()[0])
-    if render_mode is not None:
+    if drawn:
         assert untouched.render().dtype == np.uint8  # before it was stepped
     for e in (env, other, untouched):
         e.close()
 
 
-@BOTH
-def test_returned_arrays_are_not_overwritten(make):
+@ALL
+def test_returned_data_have_their_types_and_are_not_overwritten(make):
     env = make()
-    first, info = env.reset(seed=0)
-    kept, kept_info = first.copy(), repr(info)
-    second = env.step(np.full(env.action_space.shape, 0.5))[0]
-    kept_second = second.copy()
-    env.step(np.full(env.action_space.shape, 0.9))
-    np.testing.assert_array_equal(first, kept)
-    np.testing.assert_array_equal(second, kept_second)
-    assert repr(info) == kept_info
+    returned = [env.reset(seed=0)]
+    kept = copy.deepcopy(returned)
+    for level in (0.5, 0.9, 0.1):
+        returned.append(env.step(np.full(env.action_space.shape, level)))
+        kept.append(copy.deepcopy(returned[-1]))
+        observation, reward, terminated, truncated, _ = returned[-1]
+        assert env.observation_space.contains(observation)
+        if make not in (SoilWheelEnv, SoilRoverEnv):
+            assert reward.dtype == np.float64 and terminated.dtype == truncated.dtype == np.bool_
+            assert reward.shape == terminated.shape == truncated.shape == (2,)
+    for a, b in zip(returned, kept, strict=True):
+        np.testing.assert_equal(a, b)
+
+
+@pytest.mark.parametrize("make", [SoilWheelVectorEnv, SoilRoverVectorEnv], ids=["wheel", "rover"])
+def test_the_info_of_an_end_is_not_overwritten_by_the_next_step(make):
+    env = make(2, info="full", autoreset_mode="SameStep", max_episode_steps=2)
+    env.reset(seed=0)
+    actions = np.full(env.action_space.shape, 0.5)
+    env.step(actions)
+    info = env.step(actions)[4]
+    kept = pickle.dumps(info)
+    for _ in range(3):  # through the next end
+        env.step(0.5 * actions)
+    assert pickle.dumps(info) == kept
+    assert np.all(info["final_info"]["state"]["x"] > 0.0)
+
+
+# --- actions ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [
@@ -132,21 +199,6 @@ def test_bad_actions_are_named_and_change_nothing(make, bad):
     np.testing.assert_array_equal(env.step(np.full(shape, 0.4))[0], untouched.step(np.full(shape, 0.4))[0])
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_actions_matter_and_mean_what_they_say(mode):
-    env = SoilWheelEnv(action=mode, course={"halt_interval": [1e5, 1e5], "grade_deg": [-1, 0]})
-    env.reset(seed=0)
-    for _ in range(5 if mode == "rim_acceleration" else 20):  # half of 0.3 m/s2 over 2.5 s is 0.375 m/s
-        info = env.step(act(0.5))[4]
-    wheel = env.scenario.wheel
-    if mode == "torque":
-        assert info["state"]["motor_torque"] == pytest.approx(
-            min(0.5, 1.0 - info["state"]["wheel_speed"] / wheel.no_load_speed) * wheel.stall_torque
-        )
-    else:
-        assert info["state"]["wheel_speed"] == pytest.approx(0.5 * wheel.no_load_speed, rel=0.1)
-
-
 @BOTH
 def test_order_is_enforced(make):
     env = make(control={"time_limit": 1.0})
@@ -162,42 +214,49 @@ def test_order_is_enforced(make):
     env.step(action)
 
 
-def test_halts_happen_and_ignore_the_action():
-    halts = []
-    for action_in_halt in (0.5, -1.0):
-        env = SoilWheelEnv(action="torque", scaled=False, course={"grade_deg": [-1.0, 0.0]})
-        observation, _ = env.reset(seed=1)
-        rows = [observation]
+@BOTH
+def test_halts_happen_and_ignore_the_action(make):
+    changes = {"observation": "blind", "action": "torque", "scaled": False, "repeat": 1}
+    env, halts = make(**changes, course={"grade_deg": [-1.0, 0.0]}), []
+    halted, speed, *actions = (
+        [k for k, name in enumerate(env.observation_names) if name == end or name.endswith(f"_{end}")]
+        for end in ("halted", "speed", "last_action")
+    )
+    for in_halt in (0.5, -1.0):
+        rows = [env.reset(seed=1)[0]]
         for _ in range(80):
-            rows.append(env.step(act(action_in_halt if rows[-1][10] else 0.5))[0])
+            rows.append(env.step(np.full(env.action_space.shape, in_halt if rows[-1][halted[0]] else 0.5))[0])
         halts.append(np.array(rows))
-    np.testing.assert_array_equal(halts[0], halts[1])
-    halted = halts[0][:, 10] == 1.0
-    starts = np.flatnonzero(np.diff(halted.astype(int)) == 1)
-    assert len(starts) >= 2
-    first = np.flatnonzero(halted)[: round(env.scenario.course.halt_time / env.scenario.control.period)]
-    assert np.all(np.diff(first) == 1)
-    assert np.all(halts[0][first[1:], 8] == 0.0)  # the command that was in force
-    assert abs(halts[0][first[-1], 5]) < 0.02  # it stands
-    assert halts[0][first[0] - 1, 5] > 0.1  # it did not before
-    with_no_halts = run(
-        SoilWheelEnv(action="torque", course={"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}), 1, 80
-    )[0]
-    assert not with_no_halts[:, 10].any()
+    np.testing.assert_array_equal(*halts)
+    rows, here = halts[0], halts[0][:, halted[0]] == 1.0
+    last = np.flatnonzero(here[:-1] & ~here[1:])
+    starts = np.flatnonzero(~here[:-1] & here[1:])[: len(last)]
+    assert len(last) >= 1 and np.all(rows[starts, speed[0]] > 0.1)
+    assert np.all(np.abs(rows[last, speed[0]]) < 0.05)  # it stands
+    lasted = env.scenario.course.halt_time / env.scenario.control.period
+    assert np.all(np.abs(last - starts - lasted) < 1.01)
+    assert np.all(rows[1:, actions[0]][here[:-1]] == 0.0) and np.all(rows[1:, actions[0]][~here[:-1]] == 0.5)
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"cours": {}}, "unexpected keyword argument 'cours'; did you mean 'course'?"),
-    ({"observation": "identifed"}, "observation: unknown value 'identifed'; did you mean 'identified'?"),
-    ({"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
-    ({"action": "torqe"}, "'torqe'"),
-    ({"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
-    ({"scenario": ""}, "scenario = '': expected a name or the path of a YAML file"),
-    ({"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
+# --- arguments --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("make", "arguments", "message"), [
+    (SoilWheelEnv, {"cours": {}}, "unexpected keyword argument 'cours'; did you mean 'course'?"),
+    (SoilWheelEnv, {"observation": "x"}, "observation: unknown value 'x'"),
+    (SoilWheelEnv, {"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
+    (SoilWheelEnv, {"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
+    (SoilWheelEnv, {"scenario": ""}, "scenario = '': expected a name or the path of a YAML file"),
+    (SoilWheelEnv, {"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
+    (SoilWheelVectorEnv, {"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
+    (SoilWheelVectorEnv, {"autoreset_mode": "x"}, "autoreset_mode = 'x': expected one of 'NextStep'"),
+    (SoilWheelVectorEnv, {"render_mode": "rgb_array"}, "render_mode: the vector env does not render"),
+    (SoilRoverVectorEnv, {"threads": -1}, "threads"),
+    (SoilRoverVectorEnv, {"info": "x"}, "info = 'x': expected one of 'full', 'state', 'numeric', 'short', 'none'"),
 ])  # fmt: skip
-def test_bad_arguments_are_named(arguments, message):
-    with pytest.raises(soil_env.ParameterError) as raised:
-        SoilWheelEnv(**arguments)
+def test_bad_arguments_are_named(make, arguments, message):
+    with pytest.raises(ParameterError) as raised:
+        make(**arguments)
     assert message in str(raised.value) and "\n" not in str(raised.value)
 
 
@@ -206,26 +265,9 @@ def test_an_unknown_keyword_is_the_error_of_python_too(make):
     """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes back."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
         make(frameskip=1)
-    assert isinstance(raised.value, soil_env.ParameterError)
+    assert isinstance(raised.value, ParameterError)
     again = pickle.loads(pickle.dumps(raised.value))
     assert type(again) is type(raised.value) and str(again) == str(raised.value)
-
-
-def test_the_length_of_an_episode_is_that_of_the_scenario():
-    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
-    env = gymnasium.wrappers.TimeAwareObservation(
-        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}), normalize_time=True
-    )
-    observation, _ = env.reset(seed=0)
-    assert env.spec.max_episode_steps == 200 and observation[-1] == 0.0
-    steps, over = 0, False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(act(0.35))
-        steps, over = steps + 1, terminated or truncated
-        assert observation[-1] == pytest.approx(steps / 200)
-    again = gymnasium.make(env.unwrapped.spec)
-    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
-    assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
 
 
 def test_yaml_file_as_scenario(tmp_path):
@@ -237,52 +279,12 @@ def test_yaml_file_as_scenario(tmp_path):
         env = gymnasium.make("SoilWheel-v0", scenario=which, gravity=1.6).unwrapped
         assert (env.scenario.name, env.scenario.wheel.body_mass, env.scenario.gravity) == ("mine", 20.0, 1.6)
         assert env.scenario.course.length == 5.0 and env.scenario.wheel.radius == 0.15
-        assert env.observation_space.contains(env.reset(seed=0)[0])
     path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
     with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
         SoilWheelEnv(path)
 
 
-def check_info(info, observation, env):
-    assert set(info) == {"cause", "immobilised", "reward_terms", "estimate", "traversability", "state"}
-    assert info["cause"] in Cause.__members__
-    assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
-    assert set(info["reward_terms"]) == {"progress", "energy", "immobilisation", "information"}
-    assert set(info["traversability"]) == {
-        "best_slip", "drawbar_margin", "drawbar_margin_sd", "torque_required", "torque_available", "passable",
-        "immobilised_within_3_s", "immobilised_within_5_s"}  # fmt: skip
-    soon, later = (info["traversability"][f"immobilised_within_{s}_s"] for s in (3, 5))
-    assert 0.0 <= soon <= later <= 1.0
-    assert info["traversability"]["passable"] == (info["traversability"]["drawbar_margin"] > 0.0)
-    values = env.physical(observation)
-    e, names = info["estimate"], dict(zip(env.observation_names, values, strict=True))
-    assert math.radians(e["friction_angle_deg"]) == pytest.approx(names["friction_angle"], rel=1e-5)
-    assert math.log10(e["shear_modulus"]) == pytest.approx(names["log10_shear_modulus"], rel=1e-5)
-    assert math.log10(e["sinkage_coefficient"]) == pytest.approx(names["log10_sinkage_coefficient"], rel=1e-5)
-    assert math.radians(e["friction_angle_sd_deg"]) == pytest.approx(names["friction_angle_sd"], rel=1e-5)
-    assert e["shear_modulus_relative_sd"] == pytest.approx(names["shear_modulus_sd"], rel=1e-5)
-    assert e["sinkage_coefficient_relative_sd"] == pytest.approx(names["sinkage_coefficient_sd"], rel=1e-5)
-    for name in ("best_pull", "best_pull_sd"):
-        assert e[name] == pytest.approx(names[name], rel=1e-5)
-    assert (e["status"] == "CONVERGED") == (names["estimate_valid"] == 1.0)
-    s, noise = info["state"], env.scenario.noise
-    assert abs(s["sinkage"] / env.scenario.wheel.radius - names["sinkage"]) < 6.0 * noise.sinkage / 0.15 + 1e-6
-    assert abs(s["grade"] - names["pitch"]) < 6.0 * noise.pitch
-    assert abs(s["x"] / env.scenario.course.length - names["odometry"]) < 0.1 * abs(names["odometry"]) + 0.05
-
-
-def test_info_is_as_documented():
-    env = SoilWheelEnv(course={"length": 3.0}, action="torque")
-    causes = set()
-    for seed in range(6):
-        rows, rewards, infos, ended = run(env, seed, 900, [0.3 if seed % 2 else 1.0] * 900)
-        assert ended
-        for observation, reward, info in zip(rows, [0.0, *rewards], infos, strict=True):
-            check_info(info, observation, env)
-            assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)
-        assert [i["cause"] == "RUNNING" for i in infos] == [True] * (len(infos) - 1) + [False]
-        causes.add(infos[-1]["cause"])
-    assert "FINISHED" in causes and causes & {"ENTRAPPED", "STALLED", "BOGGED"}
+# --- ends -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("changes", "expected"), [
@@ -297,20 +299,74 @@ def test_only_a_wrapper_truncates(changes, expected):
     terminated = truncated = False
     steps = 0
     while not (terminated or truncated):
-        _, _, terminated, truncated, info = env.step(act(0.4))
+        _, _, terminated, truncated, info = env.step(np.float32([0.4]))
         steps += 1
     assert (terminated, truncated, info["cause"], info["reward_terms"]["immobilisation"]) == expected
     assert not info["immobilised"] and (info["cause"] == "FINISHED" or steps == 10)
 
 
+def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
+    """One axle locked is dragged downhill by the others; all of them locked are stalled."""
+    downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}
+    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    infos = run(env, 0, 160, (0.5, 0.5, 0.0))[2]
+    assert infos[-1]["cause"] == "RUNNING" and infos[-1]["state"]["x"] == infos[-1]["rear"]["state"]["x"] > 2.0
+    assert infos[-1]["rear"]["state"]["slip"] < -0.9 < infos[-1]["front"]["state"]["slip"]
+    _, rewards, infos = run(env, 0, 160, 0.0)
+    assert infos[-1]["cause"] == "STALLED" and infos[-1]["immobilised"] is True
+    assert infos[-1]["reward_terms"]["immobilisation"] == -10.0 and len(rewards) == 100
+
+
+def test_the_deepest_wheel_is_bogged():
+    """Its depth is that below the undisturbed ground, in a rut or not, whatever the others do."""
+    downhill = {"grade_deg": [-12.0, -11.0], "halt_time": 0.0}
+    env = SoilRoverEnv("field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    infos = run(env, 0, 160, (0.0, 0.5))[2]  # the rear wheels spin behind locked ones
+    depth, limit = [i["state"]["sinkage"] for i in infos], 0.8 * env.scenario.wheel.radius
+    assert infos[-1]["cause"] == "BOGGED" and max(depth[:-1]) <= limit < depth[-1]
+    assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
+    rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
+    assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
+
+
+# --- info -------------------------------------------------------------------------------------------------------------
+
+
+def test_info_is_as_documented():
+    """Estimates as in the observation, the state as the sensors read it, and rewards the sum of their terms."""
+    env, causes = SoilWheelEnv(course={"length": 3.0}, action="torque"), set()
+    noise, radius, length = env.scenario.noise, env.scenario.wheel.radius, env.scenario.course.length
+    for seed in range(6):
+        rows, rewards, infos = run(env, seed, 900, 0.3 if seed % 2 else 1.0)
+        for observation, reward, info in zip(rows, [0.0, *rewards], infos, strict=True):
+            assert set(info) == {"cause", "immobilised", "reward_terms", "estimate", "traversability", "state"}
+            assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
+            assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)
+            way, e, s = info["traversability"], info["estimate"], info["state"]
+            assert 0.0 <= way["immobilised_within_3_s"] <= way["immobilised_within_5_s"] <= 1.0
+            assert way["passable"] == (way["drawbar_margin"] > 0.0)
+            seen = dict(zip(env.observation_names, env.physical(observation), strict=True))
+            assert math.degrees(seen["friction_angle"]) == pytest.approx(e["friction_angle_deg"], rel=1e-5)
+            assert 10.0 ** seen["log10_shear_modulus"] == pytest.approx(e["shear_modulus"], rel=1e-5)
+            assert 10.0 ** seen["log10_sinkage_coefficient"] == pytest.approx(e["sinkage_coefficient"], rel=1e-4)
+            assert math.degrees(seen["friction_angle_sd"]) == pytest.approx(e["friction_angle_sd_deg"], rel=1e-5)
+            assert (e["status"] == "CONVERGED") == (seen["estimate_valid"] == 1.0)
+            assert abs(s["sinkage"] / radius - seen["sinkage"]) < 6.0 * noise.sinkage / radius + 1e-6
+            assert abs(s["grade"] - seen["pitch"]) < 6.0 * noise.pitch
+            assert abs(s["x"] / length - seen["odometry"]) < 0.1 * abs(seen["odometry"]) + 0.05
+        assert [i["cause"] == "RUNNING" for i in infos] == [True] * (len(infos) - 1) + [False]
+        causes.add(infos[-1]["cause"])
+    assert "FINISHED" in causes and causes & {"ENTRAPPED", "STALLED", "BOGGED"} and causes <= set(Cause.__members__)
+
+
 def test_traversability_is_that_of_the_estimate():
     """Recomputed from observation and estimate alone at every renewal."""
     env = SoilWheelEnv(scaled=False)
-    observation, info = env.reset(seed=2)
+    info = env.reset(seed=2)[1]
     wheel, renewed = env.scenario.wheel, 0
     for k in range(120):
         before = info["traversability"]
-        observation, _, ended, _, info = env.step(act(0.3 + 0.2 * math.sin(0.5 * k)))
+        observation, _, ended, _, info = env.step(np.float32([0.3 + 0.2 * math.sin(0.5 * k)]))
         found = info["traversability"]
         if found["best_slip"] != before["best_slip"] or found["drawbar_margin"] != before["drawbar_margin"]:
             renewed += 1
@@ -325,26 +381,3 @@ def test_traversability_is_that_of_the_estimate():
         if ended:
             break
     assert renewed > 5
-
-
-def test_traversability_never_uses_the_true_soil(monkeypatch):
-    """With the readings held, other ground, state or truth changes nothing of it; a worse estimate does."""
-    env = SoilWheelEnv()
-    run(env, 2, 40)
-
-    def warning():
-        env.infos.renew(np.ones(1, dtype=bool))
-        return env.infos.one(0)["traversability"]
-
-    before = warning()
-    env.simulation.worlds.courses.soils[:] *= 0.5
-    env.simulation.worlds.courses.grades[:] += 0.1
-    for name in ("sinkage", "load", "mass", "grade", "x", "slip"):
-        env.simulation.worlds.state[name] *= 1.5
-    assert warning() == before
-    env.simulation.worlds.ids.best_pull[0] += [-0.1, 0.02]
-    worse = warning()
-    assert worse["drawbar_margin"] == pytest.approx(before["drawbar_margin"] - 0.1)
-    assert worse["drawbar_margin_sd"] == pytest.approx(before["drawbar_margin_sd"] + 0.02)
-    env.simulation.worlds.ids.estimate[0, 0] -= 0.2
-    assert warning()["torque_required"] < worse["torque_required"]

@@ -3,18 +3,17 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import Simulation
-from soil_env.parameters import load_scenario, soils
+from soil_env.parameters import load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
-from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import load_rover
+from tests.conftest import ROOT
+from tests.simulation.test_cloning import memory
+from tests.simulation.wheels import started
 
 EFFECTS = {
     "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
@@ -25,57 +24,29 @@ LAW = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0
 MODELS = {"no effects": None, "effects": WheelSoilModel(ModelWheel(0.15, 0.15, 0.012), None, EFFECTS, LAW)}
 
 
-#: Rim speeds of the control periods: with effects the last makes steps so short that the wheel is taken alone.
-COMMANDS = {
-    "no effects": (0.3, 0.8, 1.0, -0.4, 1.0), "effects": (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3),
-}  # fmt: skip
-
-
-def drive(name):
-    """Arrays by name: what is simulated, observed and identified in a few control periods on the way."""
-    simulation = Simulation(1, load_scenario("mixed"), "identified", threads=1, model=MODELS[name])
-    simulation.seed(0, np.random.default_rng(0))
-    simulation.restart(0)
-    rows = []
-    for command in COMMANDS[name]:
+def drive(scenario, commands, model=None):
+    """Everything that is kept of a vehicle, by name, after each of a few control periods on the way."""
+    simulation, out = started(scenario, "identified", model=model), {}
+    for k, command in enumerate(commands):
         simulation.step(0, command)
-        rows.append(list(simulation.wheel(0).values()))
-    worlds = simulation.worlds
-    courses = {field: getattr(worlds.courses, field) for field in ("soils", "grades", "edges", "rut_factors", "rut")}
-    return {
-        "state": np.array(rows), "observation": worlds.observation, "terms": worlds.terms,
-        "estimate": worlds.ids.estimate, "sd": worlds.ids.sd, "covariance": worlds.ids.covariance, **courses,
-    }  # fmt: skip
+        out |= {f"{k} {name}": value for name, value in memory(simulation.worlds, 0, 1).items()}
+    return out
+
+
+def drive_wheel(name):
+    """Rim speeds of the control periods: with effects the last makes steps so short that the wheel is taken alone."""
+    many = (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3)
+    return drive(load_scenario("mixed"), (0.3, 0.8, 1.0, -0.4, 1.0) if name == "no effects" else many, MODELS[name])
 
 
 def drive_rover(name):
-    """Arrays by name: what is simulated, observed and identified in a few control periods of a rover."""
-    simulation = RoverSimulation(1, load_rover(name, {"control": {"repeat": 1}}), "identified", threads=1)
-    simulation.seed(0, np.random.default_rng(0))
-    simulation.restart(0)
-    rows, rovers = [], simulation.worlds.rovers
-    for command in (0.9, 1.0, -0.4, 0.8):
-        simulation.step(0, command * np.linspace(1.0, 0.7, simulation.scenario.axles))
-        wheels = [v for k in simulation.wheels[0] for v in (rovers.wheels[int(k)] | rovers.axles[int(k)]).values()]
-        rows.append([*rovers.body[0].values(), *wheels])
-    worlds, rows_of = simulation.worlds, simulation.wheels[0]
-    left = {f"ruts.{field}": getattr(worlds.ruts, field)[rows_of] for field in worlds.ruts._fields}
-    return {
-        "state": np.array(rows), "observation": worlds.observation, "terms": worlds.terms,
-        "estimate": worlds.known.estimate[rows_of], "sd": worlds.known.sd[rows_of],
-        "soils": worlds.courses.soils, **left,
-    }  # fmt: skip
-
-
-def steady():
-    """Three steady points of a wheel."""
-    sand = soils()["compact_sand"].state(0.1524)
-    at = zip((0.08, 0.22, 0.45), (7e3, 9e3, 11e3), strict=True)
-    return {"points": np.array([steady_state(slip, load, sand, 0.6274, 0.1524) for slip, load in at])}
+    """Another speed of each axle."""
+    scenario = load_rover(name, {"control": {"repeat": 1}})
+    return drive(scenario, [c * np.linspace(1.0, 0.7, scenario.axles) for c in (0.9, 1.0, -0.4, 0.8)])
 
 
 ROVERS = {name: (drive_rover, name) for name in ("lunar_micro_rover", "mars_rover")}
-RUNS = {**{name: (drive, name) for name in MODELS}, **ROVERS, "steady": (steady,)}
+RUNS = {**{name: (drive_wheel, name) for name in MODELS}, **ROVERS}
 
 
 #: What scratch memory holds before it is written, in the interpreted runs.
@@ -97,10 +68,9 @@ def interpreted(tmp_path_factory):
         "    for name, (run, *given) in RUNS.items():\n"
         "        np.savez(f'{sys.argv[1]}/{unset} {name}.npz', **run(*given))\n"
     )
-    root = Path(__file__).resolve().parents[2]
-    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(root)}
+    env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(folder)], env=env, cwd=root,
+        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(folder)], env=env, cwd=ROOT,
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
@@ -114,7 +84,7 @@ def test_python_gives_what_the_compiled_code_gives(interpreted, name):
     assert compiled.keys() == interpreted["0.0"][name].keys()
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
-        scale = 1e-12 * np.abs(value[np.isfinite(value)]).max()
+        scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
         np.testing.assert_allclose(interpreted["0.0"][name][key], value, rtol=tolerance, atol=scale, err_msg=key)
 
 

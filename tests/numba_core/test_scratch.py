@@ -4,26 +4,20 @@ That it is written before it is read: `test_interpreted.py`.
 """
 
 import ast
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT
+
 SOURCES = sorted(p for p in (ROOT / "soil_env").rglob("*.py") if "_numba" not in p.parts)
 MAKERS = {"scratch", "scratch_rows"}
 
 
-def assigned(node):
-    """Pairs (name, value) of an assignment."""
-    values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
-    targets = node.targets[0].elts if isinstance(node.targets[0], ast.Tuple) else node.targets
-    return [(t, v) for t, v in zip(targets, values, strict=False) if isinstance(t, ast.Name)]
-
-
-def bound(tree):
-    """Names of a module that are bound to results of `scratch` and `scratch_rows`."""
-    for node in tree.body:
-        for target, value in assigned(node) if isinstance(node, ast.Assign) else ():
-            if isinstance(value, ast.Call) and getattr(value.func, "id", "") in MAKERS:
-                yield target.id
+def assigned(tree):
+    """Pairs (name, value) of all assignments in a tree."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign):
+            both = node.targets[0], node.value
+            values = [x.elts if isinstance(both[0], ast.Tuple) and isinstance(x, ast.Tuple) else [x] for x in both]
+            yield from ((t.id, v) for t, v in zip(*values, strict=False) if isinstance(t, ast.Name))
 
 
 def returned(source, getters):
@@ -36,22 +30,24 @@ def returned(source, getters):
                 return value.id in memory
             if isinstance(value, ast.Tuple):
                 return any(map(handed_out, value.elts))
-            if not (isinstance(value, ast.Call) and isinstance(value.func, ast.Name)):
-                return False
-            makes_record = value.func.id.lstrip("_")[:1].isupper()
-            return value.func.id in getters or (makes_record and any(map(handed_out, value.args)))
+            name = getattr(getattr(value, "func", None), "id", "")
+            makes_record = name.lstrip("_")[:1].isupper()
+            return name in getters or (makes_record and any(map(handed_out, value.args)))
 
-        for node in ast.walk(function):
-            if isinstance(node, ast.Assign):
-                memory |= {target.id for target, value in assigned(node) if handed_out(value)}
+        for name, value in assigned(function):
+            if handed_out(value):
+                memory.add(name)
         if any(isinstance(node, ast.Return) and handed_out(node.value) for node in ast.walk(function)):
             yield function.name
 
 
 def test_no_function_returns_its_scratch_memory():
-    """Where a function is inlined LLVM ends the life of its stack, and what still points there reads anything."""
+    """LLVM ends the life of the stack of an inlined function; memory that still points there holds anything."""
     trees = {path: path.read_text(encoding="utf-8") for path in SOURCES}
-    getters = {name for source in trees.values() for name in bound(ast.parse(source))}
+    getters = {
+        name for source in trees.values() for name, value in assigned(ast.parse(source))
+        if isinstance(value, ast.Call) and getattr(value.func, "id", "") in MAKERS
+    }  # fmt: skip
     assert len(getters) > 10
     assert not [(path.name, name) for path, source in trees.items() for name in returned(source, getters)]
     bad = "def f():\n    return Substep(new_footing(), 1)\ndef g():\n    a = new_footing()\n    return a, 2\n"

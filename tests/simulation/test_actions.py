@@ -3,27 +3,22 @@
 import numpy as np
 import pytest
 
-from soil_env.driving.wheels import Simulation
 from soil_env.parameters import HELD, load_scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
+from tests.simulation.wheels import started
 
 COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
 FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}
-MODES = tuple(HELD)
 
 
-def simulation(action, repeat=None, seed=0, wheels=1, **changes):
-    """A `Simulation` after a reset."""
+def simulation(action, repeat=1, seeds=(0,), **changes):
+    """Identified wheels after a reset."""
     scenario = load_scenario("mixed", {**changes, "control": {"action": action, "repeat": repeat}})
-    sim = Simulation(wheels, scenario, "identified", threads=1)
-    for k in range(wheels):
-        sim.seed(k, np.random.default_rng([seed, k]))
-    sim.restart_where(np.ones(wheels, dtype=bool))
-    return sim
+    return started(scenario, "identified", seeds)
 
 
 def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
-    sim = simulation("rim_acceleration", 1, **FLAT)
+    sim = simulation("rim_acceleration", **FLAT)
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     expected = 0.0
     for action in [1.0] * 12 + [-0.5] * 10 + [0.0] * 10 + [0.3] * 5:
@@ -37,30 +32,27 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
 
 
 def test_halts_take_the_commanded_speed_back_to_zero():
-    sim = simulation("rim_acceleration", 1, course={"grade_deg": [-1.0, 0.0]})
-    rows = []
+    sim, starts = simulation("rim_acceleration", course={"grade_deg": [-1.0, 0.0]}), 0
+    state, halted = sim.worlds.state, False
     for _ in range(200):
-        halted = sim.worlds.state["halt_left"][0] > 0.0
+        before, halted = halted, state["halt_left"][0] > 0.0
         sim.step(0, 0.4)
-        s = sim.wheel(0)
-        rows.append((halted, s["rim_command"], s["last_action"]))
+        if halted:
+            assert state["rim_command"][0] == state["last_action"][0] == 0.0
+        elif before:
+            starts += 1
+            assert state["rim_command"][0] == pytest.approx(0.4 * 0.03 / 0.75) and state["last_action"][0] == 0.4
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
-    step = 0.4 * 0.03 / 0.75
-    starts = [k for k in range(1, len(rows)) if rows[k - 1][0] and not rows[k][0]]
-    assert len(starts) >= 2
-    for halted, command, action in rows:
-        assert not halted or (command, action) == (0.0, 0.0)
-    for k in starts:
-        assert rows[k][1] == pytest.approx(step) and rows[k][2] == 0.4
+    assert starts >= 2
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", HELD)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
     """To the bit: world, sensors, identifier; rewards are summed, and the step ends with the episode."""
     changes = {"course": {"length": 2.0}, "reward": {"information": 1.5, "information_discount": 0.9}}
     ends, halves, wheels, repeat = set(), 0, 6, 5
-    held, single = (simulation(mode, n, 4, wheels, **changes) for n in (repeat, 1))
+    held, single = (simulation(mode, n, range(4, 10), **changes) for n in (repeat, 1))
     rng, what = np.random.default_rng(1), np.zeros(wheels, dtype=np.int8)
     for step in range(80):
         if step % 3 == 0:
@@ -77,8 +69,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
             lasted += on
             going[single.worlds.cause != Cause.RUNNING] = 2
         driven = what == 0
-        for name in held.worlds.state.NAMES:
-            np.testing.assert_array_equal(held.worlds.state[name], single.worlds.state[name], err_msg=name)
+        np.testing.assert_array_equal(held.worlds.state.data, single.worlds.state.data)
         for name in ("observation", "cause", "streams"):
             np.testing.assert_array_equal(getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name)
         np.testing.assert_array_equal(held.worlds.changed[driven], solved[driven])

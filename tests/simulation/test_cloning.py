@@ -9,6 +9,7 @@ from soil_env.driving.cloning import clone
 from soil_env.driving.wheels import STEP, Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
+from tests.simulation.wheels import started
 
 WHEELS, CLONES = 5, 11
 
@@ -32,14 +33,15 @@ def memory(part, wheel, wheels, name="worlds"):
 
 def driven(scenario, variant, steps=60, seed=4):
     """Five wheels on their way, those that have ended on a new course."""
-    sim = Simulation(WHEELS, scenario, variant, threads=1)
-    rng = np.random.default_rng(seed)
-    for k in range(WHEELS):
-        sim.seed(k, np.random.default_rng([seed, k]))
-    sim.restart_where(np.ones(WHEELS, dtype=bool))
+    sim, rng = started(scenario, variant, [[seed, k] for k in range(WHEELS)]), np.random.default_rng(seed)
     for _ in range(steps):
         sim.step_all(rng.uniform(0.2, 0.6, WHEELS), (sim.worlds.cause != Cause.RUNNING.value).view(np.int8))
     return sim
+
+
+def equal(a, b):
+    """True if two memories hold the same bits."""
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
 
 
 @pytest.mark.parametrize("variant", ["blind", "identified", "true_soil"])
@@ -49,8 +51,7 @@ def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
     pairs = {0: 3, 7: 1, 10: 3, 2: 4}  # place: wheel
     clone(sim, list(pairs.values()), other, list(pairs))
     for place, wheel in pairs.items():
-        a, b = memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES)
-        assert a.keys() == b.keys() and all(np.array_equal(a[n], b[n], equal_nan=True) for n in a)
+        assert equal(memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES))
     rng, going = np.random.default_rng(1), np.full(CLONES, -1, dtype=np.int64)
     going[list(pairs)] = list(pairs.values())
     halts = 0
@@ -60,8 +61,7 @@ def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
         other.step_all(commands[going], np.where(going >= 0, STEP, 2).astype(np.int8))
         halts += int((sim.worlds.state["halt_left"] > 0.0).sum())
         for place, wheel in pairs.items():
-            a, b = memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES)
-            assert all(np.array_equal(a[n], b[n], equal_nan=True) for n in a)
+            assert equal(memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES))
     assert halts > 20  # halts, drawn from the stream, are among what is the same
 
 
@@ -73,21 +73,15 @@ def test_cloning_leaves_the_original_and_other_places_as_they_are():
     for _ in range(20):
         other.step(3, 0.5)
     after = [memory(s.worlds, k, WHEELS) for s in (sim, other) for k in range(WHEELS)]
-    changed = [
-        any(not np.array_equal(a[n], b[n], equal_nan=True) for n in a) for a, b in zip(before, after, strict=True)
-    ]
+    changed = [not equal(a, b) for a, b in zip(before, after, strict=True)]
     assert changed == [k == WHEELS + 3 for k in range(2 * WHEELS)]
 
 
 def test_worlds_of_another_scenario_and_lists_that_do_not_match_are_refused():
-    scenario = load_scenario("mixed")
-    sim, longer = (
-        driven(scenario, "blind", 2),
-        Simulation(2, load_scenario("mixed", {"course": {"length": 30.0}}), "blind"),
-    )
-    with pytest.raises(ParameterError, match="expected the same scenario"):
-        clone(sim, [0], longer, [0])
-    with pytest.raises(ParameterError, match="expected the same scenario"):
-        clone(sim, [0], Simulation(2, scenario, "identified"), [0])
+    scenario, longer = load_scenario("mixed"), load_scenario("mixed", {"course": {"length": 30.0}})
+    sim = started(scenario, "blind")
+    for other in (Simulation(2, longer, "blind"), Simulation(2, scenario, "identified")):
+        with pytest.raises(ParameterError, match="expected the same scenario"):
+            clone(sim, [0], other, [0])
     with pytest.raises(ParameterError, match="one for each"):
-        clone(sim, [0, 1], driven(scenario, "blind", 2), [0])
+        clone(sim, [0, 1], Simulation(2, scenario, "blind"), [0])

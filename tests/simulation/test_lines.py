@@ -5,24 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from soil_env._numba.random_streams import seed_stream
-from soil_env.driving.wheels import Simulation
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.task import VARIANTS, layout
-from soil_env.simulation.world import camera, courses as drawing, terrain
+from soil_env.simulation.world import camera, courses as drawing
 from soil_env.terramechanics.ground import blend
-from soil_env.terramechanics.traversability import best_working_point
-from tests.simulation.test_terrain_and_courses import draw
+from tests.simulation.wheels import course, margin, started
 
 SEEDS = range(30)
 
 
 def simulation(variant="blind", seed=0, wheels=1, **changes):
-    sim = Simulation(wheels, load_scenario("two_lines", changes), variant, threads=1)
-    for k in range(wheels):
-        sim.seed(k, np.random.default_rng([seed, k]))
-    sim.restart_where(np.ones(wheels, dtype=bool))
-    return sim
+    return started(load_scenario("two_lines", changes), variant, [[seed, k] for k in range(wheels)])
 
 
 @pytest.fixture(scope="module")
@@ -32,14 +25,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def drawn(scenario):
-    return [draw(seed, scenario) for seed in SEEDS]
-
-
-def margin(soil, grade, mass, scenario):
-    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
-    wheel, load = scenario.wheel, mass * scenario.gravity
-    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
-    return best.drawbar_pull / load - math.tan(grade)
+    return [course(seed, scenario)[:2] for seed in SEEDS]
 
 
 def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, scenario):
@@ -70,8 +56,7 @@ def test_every_border_between_passable_lines_is_passable(drawn, scenario):
                 for b in range(2):
                     grades = lines.grades[0, p - 1, a], lines.grades[0, p, b]
                     soils = SoilState(*lines.soils[0, p - 1, a]), SoilState(*lines.soils[0, p, b])
-                    good = [margin(s, g, mass, scenario) > 0.0 for s, g in zip(soils, grades, strict=True)]
-                    if all(good):
+                    if all(margin(s, g, mass, scenario) > 0.0 for s, g in zip(soils, grades, strict=True)):
                         middle = margin(blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
                         assert middle >= scenario.course.margin[0] - 1e-3
                         checked += 1
@@ -93,11 +78,9 @@ def test_patches_of_a_class_scatter_about_its_soil(drawn):
 
 def test_what_is_in_sight_is_final(scenario):
     """Lowering grades at the next border must not change a line that the camera has shown."""
-    changed, numbers = 0, drawing.course_numbers(scenario)
+    changed = 0
     for seed in SEEDS:
-        courses = terrain.new_courses(1, scenario)
-        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-        mass, x = drawing.start_course(0, courses, words, numbers), 0.0
+        (courses, mass, numbers), x = course(seed, scenario, whole=False), 0.0
         while x < scenario.course.length:
             drawing.extend_course(0, courses, mass, x + numbers.drawn.ahead, numbers)
             edges, patches = courses.edges[0], courses.patches[0]
@@ -111,42 +94,41 @@ def test_what_is_in_sight_is_final(scenario):
 
 
 def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
-    numbers, repeated = drawing.course_numbers(scenario), 0
-    mud = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0))  # of 45 deg
+    repeated = 0
     for seed in SEEDS:
-        courses = terrain.new_courses(1, scenario)
-        words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-        mass = drawing.start_course(0, courses, words, numbers)
+        courses, mass, numbers = course(seed, scenario, whole=False)
         drawing.extend_course(0, courses, mass, 5.0, numbers)
-        p = courses.patches[0]
+        mud, p = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0)), courses.patches[0]
         assert not drawing.extend_course(0, courses, mass, np.inf, mud)
         for q in range(p, courses.patches[0]):
             repeated += courses.lines.taken[0, p - 1] == 0 and courses.margins[0, p - 1] < 0.0
             assert courses.margins[0, q] > 0.0 and courses.lines.count[0, q] == 1
-    assert repeated > 0 and drawing.draw_course(0, courses, words, mud) == -1.0
+    assert repeated > 0
 
 
-def creep(sim, chosen, steps=700):
-    """Drive at 0.2 m/s with the speed loop; `chosen`(flag [n]) gives the action at halts where a line is chosen."""
-    top, flag = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed, sim.worlds.observation.shape[1]
-    names = [e.name for e in layout("blind", sim.scenario.course)]
-    flag, what = names.index("choice"), np.zeros(sim.worlds.reward.size, dtype=np.int8)
-    for _ in range(steps):
-        asked = sim.worlds.observation[:, flag] > 0.5
-        yield asked
-        sim.step_all(np.where(asked, chosen, 0.2 / top + 0.05), what)
+def creep(chosen, seed, steps=900):
+    """Yield (simulation, wheels that are asked for a line) at each step of eight wheels at 0.2 m/s or less.
+
+    `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes now and then.
+    """
+    sim = simulation(seed=seed, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
+    names, what = [e.name for e in layout("blind", sim.scenario.course)], np.zeros(8, dtype=np.int8)
+    slowly = 0.2 / (sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed) + 0.05
+    for step in range(steps):
+        asked = sim.worlds.observation[:, names.index("choice")] > 0.5
+        yield sim, asked
+        sim.step_all(np.where(asked, chosen, -0.05 if step % 20 == 0 else slowly), what)
 
 
 def test_the_sign_of_the_action_at_the_halt_chooses():
     """Before every fork there is a halt at which it does; what lies under and behind the wheel stays as it is."""
     for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
-        sim = simulation(seed=2, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-        courses, state, passed = sim.worlds.courses, sim.worlds.state, 0
-        asked_at = [set() for _ in range(8)]
-        for asked in creep(sim, chosen):
+        passed, asked_at = 0, [set() for _ in range(8)]
+        for sim, asked in creep(chosen, 2):
             for k in np.flatnonzero(asked):
-                assert state["halt_left"][k] > 0.0
+                assert sim.worlds.state["halt_left"][k] > 0.0
                 asked_at[k].add(int(sim.worlds.counts["patch"][k]) + 1)
+        courses = sim.worlds.courses
         for k in range(8):
             here = int(sim.worlds.counts["patch"][k])
             forks = [p for p in range(here + 1) if courses.lines.count[k, p] == 2]
@@ -159,35 +141,32 @@ def test_the_sign_of_the_action_at_the_halt_chooses():
         assert passed > 8
 
 
-def test_actions_outside_halts_choose_nothing():
-    sim = simulation(seed=3, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-    what = np.zeros(8, dtype=np.int8)
-    for step in range(500):
-        halted = sim.worlds.state["halt_left"] > 0.0
-        sim.step_all(np.where(halted, 1.0, -0.05 if step % 10 == 0 else 0.4), what)
-    assert sim.worlds.counts["patch"].max() >= 3 and not sim.worlds.courses.lines.taken.any()
-
-
 def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
-    sim = simulation(seed=4, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-    spec, seen = sim.scenario.course, []
-    state, counts, courses = sim.worlds.state, sim.worlds.counts, sim.worlds.courses
-    started, known = np.zeros(8, dtype=bool), set()
-    for _ in creep(sim, 0.0):
+    started, seen = np.zeros(8, dtype=bool), {}
+    for sim, _ in creep(0.0, 4):
+        state, courses, spec = sim.worlds.state, sim.worlds.courses, sim.scenario.course
         begins = (state["halt_left"] > 0.0) & ~started
         started = state["halt_left"] > 0.0
         for k in np.flatnonzero(begins):
-            p = int(counts["patch"][k]) + 1
+            p = int(sim.worlds.counts["patch"][k]) + 1
             left = courses.edges[k, p] - state["x"][k]
-            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1] and (k, p) not in known:
-                seen.append(left)  # the first so near; there may be another, as every metre or so
-                known.add((k, p))
+            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1]:
+                seen.setdefault((k, p), left)  # the first so near; there may be another, as every metre or so
+    seen = list(seen.values())
     assert len(seen) > 15  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
 
 
-def test_looking_longer_tells_no_more_of_label_and_grade():
+def before_the_fork(sim, away):
+    """Put all wheels at rest at a distance [m] before the first fork."""
+    at = sim.worlds.courses.edges[: len(sim.worlds.reward), 3] - away
+    sim.worlds.state["x"] = sim.worlds.state["best_x"] = at
+    sim.worlds.counts["patch"] = 2
+    return at
+
+
+def test_looking_longer_shows_no_more_of_label_and_grade():
     """All images show the same, whose error over many patches is the stated one."""
     sim = simulation(seed=6, wheels=400, camera={"label_error": 0.2})
     for k in range(400):
@@ -198,20 +177,17 @@ def test_looking_longer_tells_no_more_of_label_and_grade():
     assert abs(error.mean()) < 4.0 * 0.01 / math.sqrt(error.size)
     assert error.std() == pytest.approx(0.01, rel=0.05)
     assert wrong.mean() == pytest.approx(0.2, abs=0.03) and wrong.size > 2000
-    index = {e.name: i for i, e in enumerate(layout("blind", sim.scenario.course))}
-    rows = [name for name in index if name.startswith(("ahead_", "beside_"))]
-    at = sim.worlds.courses.edges[:, 3] - 0.7  # stand before the first fork
-    sim.worlds.state["x"] = at
-    sim.worlds.counts["patch"] = 2
-    first = None
+    names = [e.name for e in layout("blind", sim.scenario.course)]
+    shown = [i for i, name in enumerate(names) if name.startswith(("ahead_", "beside_"))]
+    at, images = before_the_fork(sim, 0.7), []
     for _ in range(3):
         sim.step_all(np.zeros(400), np.zeros(400, dtype=np.int8))
-        seen = sim.worlds.observation[:, [index[name] for name in rows]]
-        stays = np.abs(sim.worlds.state["x"] - at) < 0.2
-        first = seen if first is None else first
-        np.testing.assert_array_equal(seen[stays], first[stays])
+        images.append(sim.worlds.observation.copy())
+    stays = np.abs(sim.worlds.state["x"] - at) < 0.2
+    for image in images[1:]:
+        np.testing.assert_array_equal(image[stays][:, shown], images[0][stays][:, shown])
     expected = lines.grades[:, 3, 0] + lines.grade_errors[:, 3, 0]
-    np.testing.assert_allclose(seen[stays][:, rows.index("ahead_grade")], expected[stays], atol=1e-6)
+    np.testing.assert_allclose(image[stays, names.index("ahead_grade")], expected[stays], atol=1e-6)
 
 
 def test_averaging_images_leaves_the_fixed_error_of_a_border():
@@ -233,9 +209,8 @@ def test_only_true_soil_shows_the_soils_ahead(variant):
     rows = []
     for change in (1.0, 1.1):
         sim = simulation(variant, seed=9)
-        lines, courses = sim.worlds.courses.lines, sim.worlds.courses
-        sim.worlds.state["x"] = sim.worlds.state["best_x"] = courses.edges[0, 3] - 1.0
-        sim.worlds.counts["patch"] = 2
+        lines = sim.worlds.courses.lines
+        before_the_fork(sim, 1.0)
         lines.soils[0, 3:] *= change
         lines.capacities[0, 3:] *= change
         sim.step(0, 0.0)
@@ -250,9 +225,8 @@ def test_only_true_soil_shows_the_soils_ahead(variant):
 
 def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
     sim = simulation("true_soil", seed=9)
-    lines, courses = sim.worlds.courses.lines, sim.worlds.courses
-    sim.worlds.state["x"] = courses.edges[0, 3] - 1.0
-    sim.worlds.counts["patch"] = 2
+    lines = sim.worlds.courses.lines
+    before_the_fork(sim, 1.0)
     sim.step(0, 0.0)
     names = [e.name for e in layout("true_soil", sim.scenario.course)]
     for i, line in enumerate(("ahead", "beside")):

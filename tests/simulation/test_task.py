@@ -1,18 +1,25 @@
-"""The task: the documented layout, the reward, the ways an episode ends, and what the agent may see."""
+"""The task: observation, its documented layout and scales, reward, and the numbers that the agent may not see."""
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from soil_env.driving.estimator import Results, knowledge, show_estimate
-from soil_env.driving.wheels import Simulation
+from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.identification import Status
-from soil_env.parameters import load_scenario, soils
+from soil_env.parameters import Belief, load_scenario, soils
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.observation import write_observation
+from soil_env.simulation.task.scaling import CENTRE_AND_SCALE, Scaling
 from soil_env.simulation.world import sensors
 from soil_env.simulation.world.camera import Sight
+from soil_env.vector_env import SoilWheelVectorEnv
+from tests.simulation.wheels import started
 
 SENSORS = len(layout("blind"))  # entries that every variant has
 NOTHING_SEEN = Sight(0, 0.0, 0.0)
@@ -20,36 +27,29 @@ NOTHING_SEEN = Sight(0, 0.0, 0.0)
 
 def simulation(variant="identified", seed=0, changes=None):
     """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
-    sim = Simulation(1, load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes), variant)
-    sim.seed(0, np.random.default_rng(seed))
-    sim.restart(0)
-    return sim
+    return started(load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes), variant, [seed])
 
 
-def rollout(variant, seeds=range(6), steps=250, changes=None):
-    """Observations [n, D] under random actions that are held for a while."""
-    rows = []
-    for seed in seeds:
-        sim, rng = simulation(variant, seed, changes), np.random.default_rng(seed)
-        for k in range(steps):
-            if k % 7 == 0:
-                command = rng.uniform(-0.3, 1.0)
-            sim.step(0, command)
-            rows.append(sim.worlds.observation[0].copy())
-            if sim.worlds.cause[0] != Cause.RUNNING:
-                break
-    return np.array(rows)
+def driven(scenario="mixed", wheels=16, steps=120, **options):
+    """(environment, observations [steps, wheels, D]) under random actions."""
+    env = SoilWheelVectorEnv(wheels, scenario, **options)
+    env.reset(seed=0)
+    rng = np.random.default_rng(1)
+    return env, np.array([env.step(rng.uniform(-0.5, 1.0, (wheels, 1)))[0] for _ in range(steps)])
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_observation_is_neither_constant_nor_aliased(variant):
-    rows = rollout(variant, changes={"control": {"action": "rim_acceleration", "repeat": 1}})
+def test_observation_is_of_order_one_and_neither_constant_nor_aliased(variant):
+    rows = np.concatenate(driven(observation=variant, repeat=1, scaled=False)[1])
     entries = layout(variant)
-    assert np.all(np.isfinite(rows)) and len(rows) > 300
+    seen = Scaling(entries)(rows)
+    assert np.all(np.isfinite(rows))
+    assert np.all(np.abs(seen.mean(axis=0)) < 2.0) and np.all(seen.std(axis=0) < 4.0)
     for i, a in enumerate(entries):
         if a.name == "dig_recovery" and len({s.dig_recovery for s in soils().values()}) == 1:
             continue  # every shipped soil has the same
         assert np.ptp(rows[:, i]) > 1e-3, a.name
+        assert a.unit == "0 or 1" or seen[:, i].std() > 0.05, a.name
         assert a.low <= rows[:, i].min() and rows[:, i].max() <= a.high
         # cut to the bounds now and then at most, or information is lost
         if a.unit != "0 or 1" and a.name not in ("slip", "last_action", "rim_command"):
@@ -61,8 +61,8 @@ def test_observation_is_neither_constant_nor_aliased(variant):
 @pytest.mark.parametrize("variant", VARIANTS[1:])
 def test_all_variants_share_the_first_entries(variant):
     """Bit for bit, for the same seed and actions: the variant changes nothing but what is added."""
-    blind, other = rollout("blind", seeds=[3]), rollout(variant, seeds=[3])
-    np.testing.assert_array_equal(blind, other[:, : blind.shape[1]])
+    blind, other = (driven(observation=v, scaled=False, action="torque")[1] for v in ("blind", variant))
+    np.testing.assert_array_equal(blind, other[..., : blind.shape[-1]])
 
 
 def observed_again(sim, ground=None, estimate=None):
@@ -130,25 +130,23 @@ def test_readings_scatter_as_stated():
     for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0,
                         "motor_torque": 9.0}.items():  # fmt: skip
         sim.worlds.state[name] = value
-    w, n, radius = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius
+    w, n, radius, worlds = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius, sim.worlds
     weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out, rows, streams = np.zeros(SENSORS, np.float32), [], sim.worlds.streams.copy()
+    out, rows, streams, numbers = np.zeros(SENSORS, np.float32), [], worlds.streams.copy(), sim.numbers.task
     for _ in range(20_000):
-        reading = sensors.sense(sim.worlds.state, 0, streams, sim.numbers.task.sensors)
-        write_observation(
-            out, sim.worlds.state, sim.worlds.counts, 0, reading, sim.worlds.courses, NOTHING_SEEN, sim.numbers.task
-        )
-        rows.append(out[[*range(8), 11, 12]].copy())
-    rows = np.array(rows, dtype=float)
-    truth = [w["slip"], w["sinkage"] / radius, w["drawbar_pull"] / weight, w["load"] / weight,
-             w["torque"] / weight / radius, w["speed"] / top, w["wheel_speed"] * radius / top, w["grade"],
-             w["motor_torque"] / weight / radius, w["drawbar_pull"] / w["mass"] / sim.scenario.gravity]  # fmt: skip
-    sd = [n.slip, n.sinkage / radius, n.drawbar_pull, n.load, n.torque, n.speed / top,
-          n.wheel_speed * radius / top, n.pitch, n.motor_torque, n.acceleration / sim.scenario.gravity]  # fmt: skip
-    assert np.all(np.abs(rows.mean(axis=0) - truth) < 4.5 * np.array(sd) / math.sqrt(20_000))
-    np.testing.assert_allclose(rows.std(axis=0), sd, rtol=0.03)
-    correlation = np.corrcoef(rows.T) - np.eye(10)
-    assert np.abs(correlation).max() < 0.04
+        reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
+        write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers)
+        rows.append(out[[*range(8), 11, 12]].astype(float))
+    truth, sd = np.array([
+        (w["slip"], n.slip), (w["sinkage"] / radius, n.sinkage / radius), (w["drawbar_pull"] / weight, n.drawbar_pull),
+        (w["load"] / weight, n.load), (w["torque"] / weight / radius, n.torque), (w["speed"] / top, n.speed / top),
+        (w["wheel_speed"] * radius / top, n.wheel_speed * radius / top), (w["grade"], n.pitch),
+        (w["motor_torque"] / weight / radius, n.motor_torque),
+        (w["drawbar_pull"] / w["mass"] / sim.scenario.gravity, n.acceleration / sim.scenario.gravity),
+    ]).T  # fmt: skip
+    assert np.all(np.abs(np.mean(rows, axis=0) - truth) < 4.5 * sd / math.sqrt(20_000))
+    np.testing.assert_allclose(np.std(rows, axis=0), sd, rtol=0.03)
+    assert np.abs(np.corrcoef(np.transpose(rows)) - np.eye(10)).max() < 0.04
 
 
 def test_the_observation_follows_from_readings_alone():
@@ -173,24 +171,18 @@ def test_the_observation_follows_from_readings_alone():
 
 def test_odometry_is_off_as_stated():
     """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
-    sim = simulation("blind", changes={"noise": {"odometry_scale": 0.03}})
-    scales, rng, period = [], np.random.default_rng(0), sim.scenario.control.period
+    changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
+    sim = started(load_scenario("mixed", changes), "blind", range(400))
     length, top = sim.scenario.course.length, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    for _ in range(400):
-        sim.seed(0, rng)
-        sim.restart(0)
-        assert sim.worlds.observation[0, 9] == 0.0
-        before, read = 0.0, []
-        for _ in range(3):
-            sim.step(0, 0.4)
-            seen = sim.worlds.observation[0].astype(float)
-            read.append([(seen[9] - before) * length, seen[5] * top * period])
-            before = seen[9]
-        moved, by_speed = np.array(read).sum(axis=0)
-        scales.append(moved / by_speed)
-    scales = np.array(scales)
-    assert np.mean(scales) == pytest.approx(1.0, abs=4.0 * 0.03 / 20.0)
-    assert np.std(scales) == pytest.approx(0.03, rel=0.15)
+    assert not sim.worlds.observation[:, 9].any()
+    moved = by_speed = 0.0
+    for _ in range(3):
+        before = sim.worlds.observation[:, 9].astype(float)
+        sim.step_all(np.full(400, 0.4), np.zeros(400, dtype=np.int8))
+        moved += (sim.worlds.observation[:, 9] - before) * length
+        by_speed += sim.worlds.observation[:, 5] * top * sim.scenario.control.period
+    assert np.mean(moved / by_speed) == pytest.approx(1.0, abs=4.0 * 0.03 / 20.0)
+    assert np.std(moved / by_speed) == pytest.approx(0.03, rel=0.15)
 
 
 def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
@@ -227,3 +219,52 @@ def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
     ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
     ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
     assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
+
+
+# --- the documented tables and the scales -----------------------------------------------------------------------------
+
+ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
+ENTRY = re.compile(r"^\s*\| (n\+)?(\d+) \| (\w+) \| .+? \| (\S+) \| (\S+) \|$", re.MULTILINE)
+COURSE = load_scenario("two_lines").course
+
+
+def test_centres_and_scales_are_the_documented_ones():
+    rows = [(float(c), float(s), names.split(", ")) for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
+            if re.fullmatch(r"-?[\d.]+", c)]  # fmt: skip
+    assert {name: (c, s) for c, s, names in rows for name in names} == CENTRE_AND_SCALE
+
+
+def documented(env):
+    """Rows (number, name, low, high) of the tables in the docstring of an environment."""
+    return [(n + number, name, float(low), float(high)) for n, number, name, low, high in ENTRY.findall(env.__doc__)]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_entries_are_the_documented_ones(variant):
+    """Name and bounds of every entry, and the numbers of those that scenarios without a camera have."""
+    rows = documented(SoilWheelEnv)
+    bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
+    assert {(e.name.replace("beside", "ahead"), e.low, e.high) for e in layout(variant, COURSE)} <= bounds
+    assert {(re.sub("^(middle|rear)", "front", e.name), e.low, e.high) for e in rover_layout(variant, 3)} <= {
+        row[1:] for row in documented(SoilRoverEnv)
+    }
+    assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
+    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
+    assert env.observation_names == tuple(e.name for e in layout(variant))
+    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in layout(variant)]))
+    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in layout(variant)]))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_scaled_and_physical_are_the_same_drive(variant):
+    """Also where S is 1e6 exactly, the centre of its scale and the value of a line whose class was never met."""
+    scenario = replace(load_scenario("two_lines"), belief=Belief(sinkage_coefficient=1e6))
+    env, seen = driven(scenario, observation=variant)
+    other, values = driven(scenario, observation=variant, scaled=False)
+    np.testing.assert_array_equal(env.scaling(values), seen)
+    np.testing.assert_allclose(env.physical(seen), values, rtol=1e-5, atol=2e-6)
+    np.testing.assert_array_equal(other.physical(values), values)
+    assert other.single_observation_space == observation_space(variant, COURSE, scaled=False)
+    assert env.single_observation_space == observation_space(variant, COURSE) != other.single_observation_space
+    if variant == "identified":
+        assert (values[..., env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0).any()

@@ -1,4 +1,4 @@
-"""Wheels for tests of the dynamics: put at rest on courses, and stepped one control period at a time."""
+"""Simulations, courses and wheels for tests: put at rest on courses, and stepped one control period at a time."""
 
 import math
 from types import SimpleNamespace
@@ -7,11 +7,40 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.random_streams import seed_stream
-from soil_env.parameters import load_scenario
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.driving.wheels import Simulation
+from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+from soil_env.terramechanics.traversability import best_working_point
+from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
+
+
+def started(scenario, variant="blind", seeds=(0,), **options):
+    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its course."""
+    kind = RoverSimulation if isinstance(scenario, RoverScenario) else Simulation
+    simulation = kind(len(seeds), scenario, variant, threads=1, **options)
+    for k, seed in enumerate(seeds):
+        simulation.seed(k, np.random.default_rng(seed))
+    simulation.restart_where(np.ones(len(seeds), dtype=bool))
+    return simulation
+
+
+def course(seed, scenario, model=None, whole=True):
+    """(courses, mass, numbers) of one course, or of its start only."""
+    courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario, model)
+    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
+    return courses, (drawing.draw_course if whole else drawing.start_course)(0, courses, words, numbers), numbers
+
+
+def margin(soil, grade, mass, scenario):
+    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
+    wheel, load = scenario.wheel, mass * scenario.gravity
+    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
+    assert best.torque <= wheel.stall_torque
+    return best.drawbar_pull / load - math.tan(grade)
 
 
 class Wheels(NamedTuple):
@@ -35,6 +64,10 @@ class Wheels(NamedTuple):
                 self.state, self.counts, first, count, what, given, self.courses, self.streams, self.world
             )  # fmt: skip
 
+    def refined(self, times: int) -> "Wheels":
+        """The same wheels with steps so many times as short."""
+        return self._replace(world=self.world._replace(substeps=self.world.substeps * times))
+
     def now(self, k: int = 0) -> SimpleNamespace:
         """State and counts of wheel k as they are now."""
         return SimpleNamespace(**self.state[k], **self.counts[k])
@@ -46,13 +79,6 @@ class Wheels(NamedTuple):
             self.step(command)
             rows.append([self.state[name][0] for name in ("x", "sinkage", "speed", "slip")])
         return np.array(rows)
-
-    def numbers(self) -> dict[str, np.ndarray]:
-        """All arrays that a step changes, by name."""
-        rows = {**{n: self.state[n] for n in WheelState.NAMES}, **{n: self.counts[n] for n in WheelCounts.NAMES}}
-        courses = self.courses._asdict()
-        lines = {f"lines.{name}": array for name, array in courses.pop("lines")._asdict().items()}
-        return {**rows, **courses, **lines, "streams": self.streams}
 
 
 def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:

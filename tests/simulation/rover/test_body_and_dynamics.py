@@ -1,18 +1,53 @@
 """A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to wheels behind."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP
+from soil_env.parameters import to_dict
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.steady import steady_state
-from soil_env.vehicle import load_rover, rover_names
-from tests.simulation.rover.rovers import begun, driven, now, uniform
+from soil_env.vehicle import RoverScenario, load_rover, rover_names
+from tests.simulation.wheels import started
+
+_STILL = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+
+
+def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **changes) -> RoverScenario:
+    """A rover on one soil without scatter and one grade, without halts and payload."""
+    base = to_dict(load_rover(rover))["course"]
+    course = {"grade_deg": [grade_deg, grade_deg], "margin": [0.0, 0.0], "payload": [0.0, 0.0], "halt_time": 0.0}
+    course |= {"halt_interval": [1e5, 1e6], "patch_length": [1e3, 1e4], "length": base["length"]}
+    given = {"soils": {soil: 1.0}, "spread": _STILL, "course": course | changes.pop("course", {})}
+    control = {"action": "wheel_speed"} | changes.pop("control", {})
+    return load_rover(rover, given | {"control": control} | changes)
+
+
+class Axles(NamedTuple):
+    """Arrays [axles] of one rover, from the front on, and its body."""
+
+    wheel: dict[str, np.ndarray]
+    body: dict[str, float]
+
+
+def now(simulation: RoverSimulation, j: int = 0) -> Axles:
+    """The present state of rover j."""
+    rovers, rows = simulation.worlds.rovers, simulation.wheels[j]
+    wheel = {name: rovers.wheels[name][rows].copy() for name in rovers.wheels.NAMES}
+    wheel |= {name: rovers.axles[name][rows].copy() for name in rovers.axles.NAMES}
+    return Axles(wheel, rovers.body[j] | rovers.body_counts[j])
+
+
+def driven(simulation: RoverSimulation, command, periods: int) -> Axles:
+    """The state after so many control periods (of actions of one) with a command for all axles or for each."""
+    for _ in range(periods):
+        simulation.step(0, np.broadcast_to(command, simulation.scenario.axles))
+    return now(simulation)
 
 
 def left_over(simulation, a):
@@ -41,17 +76,14 @@ ON_FRONT = {"bogie": "front", "axles": [0.0, 1.074, 2.258], "centre": 1.258, "pi
 def climbing(request):
     """A rover that has driven up a slope of 8 degrees until nothing changes."""
     name, changes = request.param
-    simulation = begun(uniform(name, grade_deg=8.0, **changes))
+    simulation = started(uniform(name, grade_deg=8.0, **changes))
     return simulation, driven(simulation, 0.5, 300)
 
 
-def test_loads_are_in_equilibrium(climbing):
+def test_forces_and_moments_are_in_equilibrium(climbing):
+    """Loads bear the weight without a moment left over, and pulls carry it along the slope."""
     simulation, a = climbing
     assert a.body["x"] > 2.0 and np.all(np.abs(left_over(simulation, a)) < 2e-4)
-
-
-def test_pulls_carry_the_weight_along_the_slope(climbing):
-    simulation, a = climbing
     along = a.body["mass"] * simulation.scenario.gravity * math.sin(math.radians(8.0))
     assert a.wheel["drawbar_pull"].sum() == pytest.approx(along, rel=1e-3)
     assert np.all(a.wheel["grade"] == math.radians(8.0))
@@ -87,20 +119,20 @@ def test_the_body_pitches_with_the_slope_and_with_the_ruts(climbing):
 @pytest.mark.parametrize("name", rover_names())
 def test_at_rest_each_axle_bears_its_share(name):
     scenario = uniform(name)
-    a = driven(begun(scenario), 0.0, 30)
+    a = driven(started(scenario), 0.0, 30)
     assert a.wheel["load"] / a.wheel["load"].sum() == pytest.approx(np.array(scenario.vehicle.shares), abs=5e-3)
     assert abs(a.body["speed"]) < 1e-3
 
 
 def test_no_axle_lifts_off():
     scenario = uniform("lunar_micro_rover", grade_deg=8.0, vehicle={"centre_height": 1.5})
-    loads = driven(begun(scenario), 0.3, 50).wheel["load"]
+    loads = driven(started(scenario), 0.3, 50).wheel["load"]
     assert np.all(loads >= 0.99 * LEAST_LOAD / 2 * loads.sum()) and loads[0] < 0.03 * loads.sum()
 
 
 def test_energy_is_accounted_for():
     """Work of the motors less that on soil, of height, of speed, and of the integrator, over every period."""
-    simulation = begun(load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seed=3)
+    simulation = started(load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seeds=[3])
     world, w0 = simulation.numbers.world, now(simulation)
     rng = np.random.default_rng(0)
     for t in range(150):
@@ -119,7 +151,7 @@ def test_energy_is_accounted_for():
 
 def course(seed, refine, rover):
     """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by `refine`."""
-    simulation = begun(load_rover(rover, {"control": {"action": "wheel_speed"}}), seed)
+    simulation = started(load_rover(rover, {"control": {"action": "wheel_speed"}}), seeds=[seed])
     simulation.worlds.rovers.body.next_halt = 1e9
     world = simulation.numbers.world
     simulation.numbers = simulation.numbers._replace(world=world._replace(substeps=world.substeps * refine))
@@ -148,7 +180,9 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
     lowest = []
     for substep in (0.1, 0.0125):
         control = {"action": "wheel_speed", "substep": substep}
-        simulation = begun(load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}), seed=3)
+        simulation = started(
+            load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}), seeds=[3]
+        )
         states = [driven(simulation, 0.5, 1) for _ in range(300)]
         assert sum(a.body["halt_left"] > 0.0 for a in states) > 5
         loads = [a.wheel["load"] for a in states]
@@ -162,7 +196,7 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
     own = {"even": soil | {"sinkage_coefficient": 1e6}}
     vehicle = {"centre_height": -0.1}  # on the ground: pulls do not shift the loads
     scenario = uniform("lunar_micro_rover", "even", own_soils=own, vehicle=vehicle)
-    a = driven(begun(scenario), 0.3, 200)
+    a = driven(started(scenario), 0.3, 200)
     per_load = a.wheel["sinkage"] / a.wheel["load"] ** (2.0 / 3.0)
     assert per_load[1] / per_load[0] == pytest.approx(COMPACTION_OF_RUT ** (-2.0 / 3.0), rel=0.02)
     assert 2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)  # two passes, Abebe et al. (1989)
@@ -170,7 +204,7 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
 
 
 def test_a_wheel_that_digs_loosens_the_ground_for_those_behind():
-    a, b = (driven(begun(uniform("mars_rover", grade_deg=grade)), 0.5, 250) for grade in (0.0, 12.0))
+    a, b = (driven(started(uniform("mars_rover", grade_deg=grade)), 0.5, 250) for grade in (0.0, 12.0))
     assert b.wheel["slip"][0] > a.wheel["slip"][0] + 0.1
     assert b.wheel["sinkage"][1] > 1.3 * a.wheel["sinkage"][1]
 
@@ -185,20 +219,3 @@ def test_what_is_left_is_passed_on_to_all_wheels_behind():
     assert ruts.floor[16, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
     assert ruts.rut_factors[16, 1:5] == pytest.approx([1.0, 3.0, 1.5, 1.0])
     assert not ruts.floor[0].any()
-
-
-def test_rovers_side_by_side_share_nothing():
-    scenario = load_rover("mars_rover")
-    alone, among = RoverSimulation(1, scenario, "blind", 1), RoverSimulation(11, scenario, "blind", 1)
-    for j in range(11):
-        among.seed(j, np.random.default_rng(j))
-    among.restart_where(np.ones(11, dtype=bool))
-    alone.seed(0, np.random.default_rng(9))
-    alone.restart(0)
-    commands = np.random.default_rng(5).uniform(-0.2, 1.0, (60, 11, 3))
-    for c in commands:
-        among.step_all(c, np.where(among.worlds.cause == 0, STEP, IDLE))
-        if alone.worlds.cause[0] == 0:
-            alone.step(0, c[9])
-        assert now(alone).body == now(among, 9).body
-    assert np.array_equal(alone.worlds.observation[0], among.worlds.observation[9])

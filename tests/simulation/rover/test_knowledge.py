@@ -1,16 +1,11 @@
 """Estimates of the soil under the wheels of a rover, on courses."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from benchmarks.drives import SHARED, UNITS, SwingingSlip, record_rover, rover_scenario
 from soil_env.driving.rover_estimator import rover_estimator_numbers
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import STEP
 from soil_env.identification.online.soil_prior import published_prior
-from soil_env.parameters import Belief
 from soil_env.simulation.rover.task import rover_task_numbers
 from soil_env.vehicle import load_rover
 
@@ -71,25 +66,6 @@ def test_pooled_is_surer_than_alone(recorded):
     settled = log["driven"] & (log["soil"][..., 4] > 1.0) & (log["soil"][..., 3] > 0)
     ratio = log["pooled_sd"][settled][:, FRICTION_AND_COHESION] / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
     assert np.all(np.median(ratio, axis=0) < 0.8)
-
-
-def test_one_rover_and_many_know_the_same():
-    scenario = replace(rover_scenario("mars_rover"), belief=Belief())
-
-    def known(rovers, j):
-        simulation = RoverSimulation(rovers, scenario, "identified", 2)
-        for i in range(rovers):
-            simulation.seed(i, np.random.default_rng(i if rovers > 1 else j))
-        simulation.restart_where(np.ones(rovers, dtype=bool))
-        drive = SwingingSlip(scenario)
-        for _ in range(300):
-            commands = drive(np.full(rovers, 0.3))
-            simulation.step_all(commands, np.full(rovers, STEP))
-        w, rows = simulation.worlds, simulation.wheels[j if rovers > 1 else 0]
-        return w.known.estimate[rows].copy(), w.known.sd[rows].copy(), w.observation[j if rovers > 1 else 0].copy()
-
-    for one, many in zip(known(1, 9), known(11, 9), strict=True):
-        assert np.array_equal(one, many)
 
 
 @pytest.mark.parametrize(("action", "read"), [("torque", True), ("wheel_speed", False), ("rim_acceleration", False)])

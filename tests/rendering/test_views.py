@@ -1,0 +1,219 @@
+"""Pictures of a wheel and of a rover: wheels, stresses and ruts where they are, history, windows, video."""
+
+import math
+import os
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+
+from soil_env.parameters import load_scenario
+from soil_env.rendering import canvas, rover_view, side_view
+from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
+from soil_env.rendering.side_view import Renderer, stresses_under
+from soil_env.simulation.world.terrain import cell_at
+from soil_env.vehicle import load_rover, rover_names
+from tests.conftest import ROOT
+from tests.simulation.wheels import started
+
+VEHICLES = pytest.mark.parametrize("rover", [None, *rover_names()], ids=["wheel", *rover_names()])
+
+
+def start(rover=None, changes=None, mode="rgb_array", variant="identified"):
+    """(simulation, view) after a reset of the wheel of `mixed`, or of a rover."""
+    if rover is None:
+        scenario = load_scenario("mixed", changes or {})
+    else:
+        scenario = load_rover(rover, {"control": {"action": "wheel_speed"}, **(changes or {})})
+    simulation = started(scenario, variant, [1])
+    view = (Renderer if rover is None else RoverRenderer)(scenario, mode)
+    view.record(simulation, 0)
+    return simulation, view
+
+
+def drive(simulation, view, steps, command=0.4):
+    """Drive on, recording every step."""
+    for _ in range(steps):
+        simulation.step(0, command)
+        view.record(simulation, 0)
+
+
+def near(picture, colour, tolerance=12):
+    """Mask [height, width] of the pixels that have a colour."""
+    return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=-1)
+
+
+def hubs(simulation, view):
+    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
+    r = simulation.numbers.world.wheel.radius
+    if isinstance(view, Renderer):
+        left, top, width, height = side_view.SCENE
+        scale, w, at = width / side_view._VIEW / r, simulation.wheel(0), side_view._WHEEL_AT
+        up = (r - w["sinkage"]) * np.array([[-math.sin(w["grade"]), math.cos(w["grade"])]])
+    else:
+        left, top, width, height = rover_view.SCENE
+        scale, at = width / rover_view._width_of(simulation), rover_view._AT
+        x = simulation.worlds.rovers.wheels.x[simulation.wheels[0]]
+        up = posture_of(simulation, 0, view._profile).hubs - view._profile.at(0.5 * (x[0] + x[-1]))
+    return np.array([left + at[0] * width, top + at[1] * height]) + up * scale * (1.0, -1.0), scale
+
+
+def ring(picture, x, y, radius):
+    """Share of a wheel's rim, by angle, that is drawn in the colour of the rim."""
+    a = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
+    places = [(y + share * radius * np.sin(a), x + share * radius * np.cos(a)) for share in (0.94, 0.97)]
+    return np.any([near(picture[tuple(np.rint(p).astype(int))], canvas.RIM, 40) for p in places], axis=0).mean()
+
+
+@VEHICLES
+def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
+    simulation, view = start(rover)
+    drive(simulation, view, 40)
+    picture = view.draw(simulation, 0)
+    places, scale = hubs(simulation, view)
+    radius = simulation.numbers.world.wheel.radius * scale
+    for x, y in places:
+        assert ring(picture, x, y, radius) > 0.6  # arrow heads and beams lie on the rest
+        assert ring(picture, x, y - 0.3 * radius, radius) < 0.4
+        below = picture[int(y) : int(y + 1.9 * radius), int(x - radius) : int(x + 1.6 * radius)]
+        assert near(below, canvas.LIGHT_BLUE).sum() > 15  # of the stresses
+
+
+def integral(values, x):
+    """Trapezoidal rule."""
+    return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(x)))
+
+
+@pytest.mark.parametrize("command", [0.5, 0.9, -0.3])
+@VEHICLES
+def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
+    """Load, pull and torque of the state, by the trapezoidal rule; the load is what the suspension gives."""
+    simulation, view = start(rover)
+    drive(simulation, view, 15, command)
+    world = simulation.numbers.world.wheel
+    r, area = world.radius, world.radius * world.width
+    if rover is None:
+        wheels = [(simulation.wheel(0), stresses_under(simulation, 0))]
+    else:
+        states = [simulation.worlds.rovers.wheels[int(k)] for k in simulation.wheels[0]]
+        wheels = [(w, rover_stresses(simulation, 0, axle)) for axle, w in enumerate(states)]
+    for w, (angle, normal, shear) in wheels:
+        side = math.copysign(1.0, w["speed"])
+        load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
+        pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
+        assert load == pytest.approx(w["load"], rel=0.02)
+        assert r * area * integral(shear, angle) == pytest.approx(w["torque"], abs=0.03 * w["load"] * r)
+        assert pull == pytest.approx(w["drawbar_pull"], abs=0.03 * w["load"])
+
+
+@pytest.mark.parametrize("rover", [None, "field_rover"])
+def test_ruts_lower_the_ground_behind_the_wheels(rover):
+    """By their depth; ahead of the wheels the picture is as without."""
+    simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
+    drive(simulation, view, 60)
+    with_rut, worlds = view.draw(simulation, 0), simulation.worlds
+    places, scale = hubs(simulation, view)
+    if rover is None:
+        left, row, x = [worlds.courses.rut], 0, simulation.wheel(0)["x"]
+    else:  # behind the rear wheel: its own rut in that of the front wheel
+        row = int(simulation.wheels[0][-1])
+        left, x = [worlds.ruts.rut, worlds.ruts.floor], worlds.rovers.wheels.x[row]
+        depth = worlds.rovers.wheels.sinkage[row] + worlds.rovers.axles.floor[row]
+        hub, ground = posture_of(simulation, 0, view._profile).hubs[-1], view._profile.at(x)
+        assert math.dist(hub, ground) == pytest.approx(simulation.numbers.world.wheel.radius - depth, rel=1e-9)
+    depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
+    for array in left:
+        array[:] = 0.0
+    without, radius = view.draw(simulation, 0), simulation.numbers.world.wheel.radius * scale
+    sky = [near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum() for p in (with_rut, without)]
+    assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
+    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : side_view.SCENE[2]]  # below the key of the stresses
+    assert np.array_equal(with_rut[ahead], without[ahead])
+
+
+@pytest.mark.parametrize("variant", ["identified", "blind"])
+def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
+    """Another prior then leaves the picture as it is."""
+    pictures = []
+    for prior in (30.0, 40.0):
+        belief = {"soils": {}, "friction_angle_deg": prior, "shear_modulus": 4e-4 * prior}
+        simulation, renderer = start(changes={"belief": belief}, variant=variant)
+        drive(simulation, renderer, 20)
+        pictures.append(renderer.draw(simulation, 0))
+    assert np.array_equal(*pictures) == (variant == "blind")
+
+
+def test_off_screen_pictures_need_no_display():
+    code = (
+        "import sys, numpy as np\n"
+        "import soil_env.rendering.side_view\n"
+        "assert 'pygame' not in sys.modules\n"
+        "from tests.rendering.test_views import start\n"
+        "simulation, renderer = start()\n"
+        "assert renderer.draw(simulation, 0).any()\n"
+        "import pygame\n"
+        "assert not pygame.display.get_init()\n"
+    )
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    env |= {"SDL_VIDEODRIVER": "nonexistent", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert done.returncode == 0, done.stderr
+
+
+def test_windows_live_and_close_one_by_one(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    import pygame
+
+    pygame.display.quit()
+    fast = {"control": {"period": 0.01, "substep": 0.01}}
+    (sim_a, a), (sim_b, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
+    off_screen = Renderer(sim_a.scenario, "rgb_array")
+    for _ in range(3):
+        drive(sim_a, a, 1)
+        assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
+    shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
+    off_screen._history, off_screen._angle = a._history, a._angle
+    assert np.array_equal(shown, off_screen.draw(sim_a, 0))
+    pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
+    assert b.draw(sim_b, 0) is None  # b takes the event meant for a
+    assert a._id not in Renderer._windows and b._id in Renderer._windows
+    assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
+    for renderer in (a, a, b, b, off_screen, off_screen):
+        renderer.close()
+    assert not Renderer._windows
+    pygame.display.quit()
+
+
+@pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])
+def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(name):
+    drawn, plain = (gymnasium.make(name, render_mode=mode, action="wheel_speed") for mode in ("rgb_array", None))
+    for env in (drawn, plain):
+        env.reset(seed=5)
+    first = drawn.render()
+    kept = first.copy()
+    np.testing.assert_array_equal(drawn.render(), first)
+    for k in range(30):
+        a, b = (env.step(np.full(env.action_space.shape, 0.5, np.float32)) for env in (drawn, plain))
+        np.testing.assert_array_equal(a[0], b[0])
+        assert a[1:] == b[1:]
+        if k % 10 == 0:
+            drawn.render()
+    np.testing.assert_array_equal(first, kept)
+    assert not np.array_equal(drawn.render(), first)
+    drawn.reset(seed=5)
+    np.testing.assert_array_equal(drawn.render(), first)  # the history begins anew
+
+
+@pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])
+def test_a_video_is_recorded(name, tmp_path):
+    pytest.importorskip("moviepy")
+    env = gymnasium.make(name, render_mode="rgb_array", control={"time_limit": 1.0})
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "video"), lambda _: True)
+    env.reset(seed=0)
+    over = False
+    while not over:
+        over = env.step(np.full(env.action_space.shape, 0.5, np.float32))[2]
+    env.close()
+    assert (tmp_path / "video" / "rl-video-episode-0.mp4").stat().st_size > 2000
