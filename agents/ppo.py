@@ -77,8 +77,6 @@ def normalised(
 def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
     """The vector environment of `count` wheels or rovers."""
     if isinstance(scenario, RoverScenario):
-        if config.critic:
-            raise ParameterError(f"ppo.critic = {config.critic!r}: expected none for a rover")
         return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
     return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world, critic=config.critic)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from soil_env._io.document import Table
 
+WIDTH = 100  # columns of printed text
 console = Console()  # output of all commands of this package
 
 
@@ -48,9 +51,14 @@ class Bar:
             self.printed = self.done
             self.console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
 
+    def note(self, note: str, advance: int) -> None:
+        """Advance the amount done, with a note beside it."""
+        self.update(advance=advance, note=note)
+
 
 def show(*parts: object) -> None:
-    """Print tables and lines; long lines are wrapped by the terminal, not cut."""
+    """Print tables, and lines broken at `WIDTH`."""
+    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
     for part in parts:
-        text = part.text() if isinstance(part, Table) else part
+        text = part.text() if isinstance(part, Table) else wrap.fill(str(part))
         console.print(text, soft_wrap=True, highlight=False, markup=False)

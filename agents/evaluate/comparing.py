@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +10,9 @@ import numpy as np
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
-from ..controllers import CONTROLLERS, make_controller
-from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from . import statistics as st
-from .driving import MEANINGS, RATES, Runs, run_courses
+from .driving import MEANINGS, RATES, Runs
 from .limit import ORACLE, limit, rows as limit_rows
 from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
 
@@ -25,32 +21,6 @@ RESAMPLES = 2000  # of the bootstraps
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
 BY_SEED = ("immobilised", "finished", "return")
-
-
-def controllers(scenario: Scenario, settings: Mapping[str, Mapping[str, float]]) -> dict:
-    """All classical controllers of a wheel or of a rover by name, with these settings."""
-    known, make = (
-        (ROVER_CONTROLLERS, make_rover_controller)
-        if isinstance(scenario, RoverScenario)
-        else (CONTROLLERS, make_controller)
-    )
-    return {name: make(name, scenario, **settings.get(name, {})) for name in known}
-
-
-def driven(
-    drivers: Mapping[str, Sequence],
-    scenario: Scenario,
-    seed: int,
-    courses: int,
-    progress: Callable[[int, str], None],
-    model: WheelSoilModel | None = None,
-) -> dict[str, list[Runs]]:
-    """{name: the courses of the set `seed` as each member drives them}, of {name: members}."""
-
-    def drive(driver, name: str) -> Runs:
-        return run_courses(driver, scenario, seed, courses, progress=lambda count: progress(count, name), model=model)
-
-    return {name: [drive(driver, name) for driver in members] for name, members in drivers.items()}
 
 
 def comparison(

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from soil_env._io.loading import FieldError, ParameterError, quantity
+from soil_env._io.loading import ParameterError, quantity
 from soil_env.parameters import Scenario
 
 from ..cells import Engine, code_version, fill, read_cell
-from ..config import OfWorld
+from ..config import OfWorld, check_oracle
 from ..controllers import make_controller
 from ..controllers.oracle import Oracle
 from . import loading
@@ -42,9 +42,7 @@ class Evaluation(OfWorld):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.oracle_courses > self.courses:
-            problem = f" = {self.oracle_courses}: expected at most {self.courses}, the courses compared"
-            raise FieldError(self, "oracle_courses", problem)
+        check_oracle(self)
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""

@@ -18,10 +18,6 @@ from .driving import RATES, Runs
 from .limit import ORACLE
 from .tables import cell, difference, draw_metrics, png, save_csv
 
-REFERENCE = (
-    "Published: warnings 1.8 m and 2.9 s before complete immobilisation on average, on field data of a four-wheeled "
-    "rover in snow (ASME J. Autonomous Vehicles and Systems 2(3), 031001): another machine, ground, method and course."
-)
 _FILES = ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "return")
 _CHOSEN = {
@@ -38,7 +34,7 @@ def print_table(result: Mapping) -> None:
     warned = (f"{name} {cell(rows[name]['warned'], 100.0, 0, bounds=False)} % "
               f"{cell(rows[name]['warning_distance'], bounds=False)} m "
               f"{cell(rows[name]['warning_time'], digits=1, bounds=False)} s" for name in rows)  # fmt: skip
-    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}", REFERENCE)
+    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}")
 
 
 def settings(result: Mapping) -> list[str]:
@@ -118,6 +114,5 @@ def page(result: Mapping) -> str:
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
         "Differences on the same courses, of rates in percentage points, and the probability of the higher return:",
         Table(["controllers", *shown, "P(higher return)"], paired).markdown(),
-        REFERENCE,
     ]
     return "\n\n".join(parts) + "\n"

@@ -32,16 +32,16 @@ class Column(NamedTuple):
 COLUMNS = (
     Column("immobilised", "immobilised [%]", 100.0, 1),
     Column("finished", "finished [%]", 100.0, 1),
-    Column("time_limit", "late [%]", 100.0, 1, bounds=False),
-    Column("time", "time [s]", digits=0, bounds=False),
+    Column("time_limit", "late", 100.0, 1, bounds=False),
+    Column("time", "time", digits=0, bounds=False),
     Column("energy_per_metre", "J/m", digits=0, bounds=False),
     Column("slip", "slip", bounds=False),
     Column("return", "return", bounds=False),
 )
 OF_ROVERS = (
-    *COLUMNS,
-    Column("fighting", "fighting [%]", bounds=False),
-    Column("wheel_force", "force [%]", digits=1, bounds=False),
+    *(c for c in COLUMNS if c.metric not in ("time_limit", "slip")),
+    Column("fighting", "fighting", bounds=False),
+    Column("wheel_force", "force", digits=1, bounds=False),
 )
 
 
@@ -83,7 +83,8 @@ def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) ->
     entries = []
     for c in columns:
         unit, meaning = metrics[c.metric]
-        entries.append(f"{c.heading}: {f'{unit}, ' if unit.startswith('share') else ''}{meaning}")
+        unit = "%" if c.factor == 100.0 else unit
+        entries.append(f"{c.heading}: {meaning}" + ("" if unit == "-" or unit in c.heading else f" [{unit}]"))
     return f"Columns: {'; '.join(entries)}"
 
 

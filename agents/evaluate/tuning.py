@@ -23,8 +23,8 @@ from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from ..controllers import CONTROLLERS, checked_settings, make_controller
-from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from ..controllers import CONTROLLERS, checked_settings
+from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
 
@@ -133,7 +133,9 @@ def tuned_settings(
     if courses == 0:
         return {}, {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
-    spaces = _spaces_of(scenario, load_spaces())
+    spaces = load_spaces().controllers
+    if isinstance(scenario, RoverScenario):  # that of the controller of its wheels
+        spaces = {name: spaces[kind.of_wheel] for name, kind in ROVER_CONTROLLERS.items()}
     names = [name for name in (spaces if names is None else names) if name in spaces]
     chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
     missing = [name for name in names if name not in shipped]
@@ -149,22 +151,10 @@ def tuned_settings(
     return {name: chosen[name] for name in names}, tried
 
 
-def _spaces_of(scenario: Scenario, spaces: Spaces) -> dict[str, dict[str, Range]]:
-    """{controller: its space}; a controller of a rover has that of the controller of its wheels."""
-    if isinstance(scenario, RoverScenario):
-        return {name: spaces.controllers[c.of_wheel] for name, c in ROVER_CONTROLLERS.items()}
-    return spaces.controllers
-
-
-def shown_on(bar: Bar) -> Progress:
-    """Progress that a bar shows."""
-    return lambda count, name: bar.update(advance=count, note=name)
-
-
 def _trials(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
     optuna = _optuna()
-    make = make_rover_controller if isinstance(scenario, RoverScenario) else make_controller
+    _, make = controllers_of(scenario)
     bounds = {key: range_.bounds(scenario) for key, range_ in space.items()}
     task = json.dumps([name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True)
     storage = None
