@@ -158,10 +158,9 @@ def run_courses(
     """
     parts = []
     for start in range(first, first + courses, batch):
-        count = min(batch, first + courses - start)
-        sim, taken = _start(controller, scenario, seed, start, count, threads, model, detailed)
-        totals = _totals(sim, taken, count, detailed)
-        for alive in _periods(sim, taken, controller, start, threads, model):
+        count, totals = min(batch, first + courses - start), None
+        for sim, alive in _driven(controller, scenario, seed, start, count, threads, model, detailed):
+            totals = totals or _totals(sim, scenario, count, detailed)
             totals.add(alive)
         parts.append(totals.runs())
         if progress is not None:
@@ -188,8 +187,7 @@ def drive(
     `information`: it helps to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
     `worlds.recent`.
     """
-    sim, taken = _start(controller, scenario, seed, first, count, threads, model, warnings)
-    for alive in _periods(sim, taken, controller, first, threads, model):
+    for sim, alive in _driven(controller, scenario, seed, first, count, threads, model, warnings):
         yield sim.worlds, alive
 
 
@@ -202,36 +200,26 @@ def simulate(
     return Simulation(count, scenario, variant, threads, model, warnings)
 
 
-def _start(controller, scenario, seed, first, count, threads, model, warnings):
-    """A simulation at the start of the courses, and the scenario as the controller drives it."""
-    taken = replace(
-        scenario,
-        reward=replace(scenario.reward, information=0.0),
-        control=replace(scenario.control, **getattr(controller, "drives", {})),
-    )
-    stepped = replace(taken, control=replace(taken.control, repeat=1))
+def _driven(controller, scenario, seed: int, first: int, count: int, threads, model, warnings: bool) -> Iterator[tuple]:
+    """Drive to the end of all courses; (simulation, courses under way [count] bool) after each control period."""
+    control = replace(scenario.control, **getattr(controller, "drives", {}))
+    stepped = replace(scenario, reward=replace(scenario.reward, information=0.0), control=replace(control, repeat=1))
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     sim.restart_where(np.ones(count, dtype=bool))
-    return sim, taken
-
-
-def _periods(sim, scenario, controller, first: int, threads, model) -> Iterator[np.ndarray]:
-    """Drive to the end of all courses; the courses under way [count] bool in each control period."""
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
-    worlds, held = sim.worlds, scenario.control.held
-    count = worlds.cause.size
+    worlds, held = sim.worlds, control.held
     alive, what, memory = np.ones(count, dtype=bool), np.full(count, STEP), None
-    for period in range(scenario.periods):
+    for period in range(stepped.periods):
         if period % held == 0:
             action, memory = controller.predict(
                 worlds.observation, state=memory, episode_start=np.full(count, period == 0), deterministic=True
             )
             commands = _commands(action, alive, scenario, f"in step {period // held} of course", first)
         sim.step_all(commands, what)
-        yield alive
+        yield sim, alive
         ended = alive & (worlds.cause != _RUNNING)
         alive = alive & ~ended
         what[ended] = IDLE

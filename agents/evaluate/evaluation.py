@@ -46,18 +46,15 @@ class Evaluation(OfWorld):
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""
-        return {
-            key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings})
-            for key, c in self.controllers.items()
-        }
+        own = self.controllers.items()
+        return {key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings}) for key, c in own}
 
     def blocks(self) -> list[Block]:
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
         firsts = range(0, self.courses, self.block)
         own = [Block(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
-        return own + [
-            Block(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in range(0, self.oracle_courses, BLOCK)
-        ]
+        firsts = range(0, self.oracle_courses, BLOCK)
+        return own + [Block(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in firsts]
 
 
 @dataclass(frozen=True)
@@ -96,19 +93,16 @@ class Job:
 
     def __call__(self, block: Block) -> dict[str, list]:
         """The columns of the `Runs` of a block."""
-        asked = self.asked
+        asked, key = self.asked, block.controller
         try:
             runs = run_courses(
-                self._controller(block.controller), asked.scenario, asked.seed, block.count, block.first,
-                batch=block.count, model=asked.world, threads=self.threads, detailed=block.controller != ORACLE,
+                self._controller(key), asked.scenario, asked.seed, block.count, block.first,
+                batch=block.count, model=asked.world, threads=self.threads, detailed=key != ORACLE,
             )  # fmt: skip
         except ParameterError as error:
-            text, label = str(error), block.controller
-            if label in self.controllers:
-                label = self.controllers[label].label
-            raise ParameterError(
-                text if text.startswith("controllers: ") else f"controllers: {label}: {text}"
-            ) from None
+            label = self.controllers[key].label if key in self.controllers else key
+            named = str(error).startswith("controllers: ")
+            raise ParameterError(str(error) if named else f"controllers: {label}: {error}") from None
         return runs.columns()
 
     def _controller(self, key: str):
@@ -167,13 +161,10 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
         for c in asked.controllers.values()
         if settings.get(c.name)
     }
+    same = ("tuning_courses", "block", "resamples", "version", *(["model"] if asked.model else []))
     return {
         **comparison(asked.scenario, asked.seed, own, settings, oracle, asked.resamples),
         "sources": {name: [c.source for c in contestants.values() if c.name == name] for name in own},
         "chosen": chosen,
-        "tuning_courses": asked.tuning_courses,
-        "block": asked.block,
-        "resamples": asked.resamples,
-        "version": asked.version,
-        **({"model": asked.model} if asked.model else {}),
+        **{name: getattr(asked, name) for name in same},
     }

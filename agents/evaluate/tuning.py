@@ -8,11 +8,11 @@ sampler of each trial has a seed of its own, so that a tuning that goes on from 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -32,8 +32,6 @@ SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
 _COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
-
-Progress = Callable[[int, str], None]
 
 
 # --- spaces -----------------------------------------------------------------------------------------------------------
@@ -83,7 +81,7 @@ class Spaces(Checked):
 
 
 def load_spaces(path: Path | None = None) -> Spaces:
-    """The search spaces of a YAML file, by default those of configs/tuning.yaml; strict."""
+    """The search spaces of a YAML file, by default those of configs/tuning.yaml."""
     path = config_dir() / SPACES if path is None else Path(path)
     return load(Spaces, read_yaml(path), path.name)
 
@@ -117,7 +115,6 @@ def tuned_settings(
     scenario: Scenario,
     courses: int,
     names: Iterable[str] | None = None,
-    progress: Progress | None = None,
     model: WheelSoilModel | None = None,
     log: Path | None = None,
     anew: bool = False,
@@ -125,9 +122,8 @@ def tuned_settings(
     """({controller: best settings}, {controller: trials}) on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
-    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. `progress` receives a number of
-    courses and the name of the controller that has driven them; without it a bar is shown. Controllers without settings
-    are left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
+    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. Controllers without settings are
+    left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
     interrupted tuning goes on.
     """
     if courses == 0:
@@ -140,12 +136,9 @@ def tuned_settings(
     chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
     missing = [name for name in names if name not in shipped]
     trials = load_spaces().trials_of(courses)
-    with contextlib.ExitStack() as stack:
-        if progress is None and missing:
-            bar = stack.enter_context(Bar("Tuning", courses * trials * len(missing), "courses"))
-            progress = shown_on(bar)
+    with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
         for name in missing:
-            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, progress)
+            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
             best = max(tried[name], key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}, tried
@@ -170,7 +163,7 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
         study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
     done = len(study.get_trials(states=(complete,)))
     if done:
-        progress(courses * done, name)
+        progress(courses * done)
     for number in range(done, trials):
         study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
         if number == 0:
@@ -183,7 +176,7 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
         for key, value in score.items():
             trial.set_user_attr(key, value)
         study.tell(trial, score["finished"] + _TIE * score["return"])
-        progress(courses, name)
+        progress(courses)
     found = study.get_trials(states=(complete,))[:trials]
     return [{**trial.params, **trial.user_attrs} for trial in found]
 
