@@ -15,7 +15,7 @@ from .agent import Agent
 from .config import NAMES, TrainConfig
 from .controllers.oracle import Oracle
 from .controllers.rover import controllers_of
-from .evaluate import HELD_OUT_SET, Runs, comparing, limit, run_courses
+from .evaluate import HELD_OUT_SET, Runs, comparing, run_courses
 from .evaluate.tables import percent, points
 from .evaluate.tuning import tuned_settings
 from .progress import Bar, show
@@ -47,7 +47,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
 
         runs = {name: driven(name, driver, config.courses) for name, driver in contestants.items()}
         hard = config.oracle_courses
-        oracle = driven(limit.ORACLE, Oracle(scenario), hard, limit.BLOCK) if hard else None
+        oracle = driven(comparing.ORACLE, Oracle(scenario), hard, comparing.ORACLE_BLOCK) if hard else None
     result = comparing.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
     if world is not None:
         result["model"] = world.content()
@@ -60,7 +60,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
         drawn = {best: contestants[best], agent.name: agent}
         plots.course_figure(scenario, HELD_OUT_SET, course, drawn, folder / "course.png", world)
     (folder / _TUNING).unlink(missing_ok=True)
-    show(*comparing.table(result), *limit.lines(result))
+    show(*comparing.table(result), *comparing.limit_lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in NAMES.values()))
     return result
 
@@ -75,7 +75,7 @@ def verdict(result: dict, name: str) -> str:
     best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
     agent, other = rows[name]["finished"], rows[best]["finished"]
     known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
-    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    known |= {n: metrics["finished"] for n, metrics in comparing.limit_rows(result).items()}
     difference = points(result["paired"][name][best]["finished"])
     apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
     text = f"{name} {f'finishes {apart} courses than' if apart else 'against'} {best}, the best of the others without "

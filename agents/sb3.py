@@ -158,7 +158,7 @@ class SoilWheelVecEnv(CourseVecEnv):
     """`num_envs` wheels.
 
     Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that `true_soil` observes of the soil
-    come after the observation, for the value network of `agents.asymmetric`.
+    come after the observation, for the value network of `agents.agent`.
     """
 
     def __init__(

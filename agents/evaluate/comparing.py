@@ -13,10 +13,11 @@ from soil_env.parameters import Scenario
 
 from . import statistics as st
 from .driving import MEANINGS, RATES, Runs
-from .limit import ORACLE, limit, rows as limit_rows
 from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
 
 RESAMPLES = 2000  # of the bootstraps
+ORACLE = "oracle"  # its name in tables; no contestant may have it
+ORACLE_BLOCK = 10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
@@ -36,7 +37,7 @@ def comparison(
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
     "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
     training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
-    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (`agents.evaluate.limit`) where the
+    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (see `limit`) where the
     `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
     rows = {name: [own] if isinstance(own, Runs) else list(own) for name, own in runs.items()}
@@ -117,3 +118,50 @@ def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
         values = [row[m][part] for m in result["metrics"] for part in ("value", "low", "high")]
         rows.append([key, *("" if v is None else f"{v:.6g}" for v in values)])
     save_csv(Path(folder) / f"{name}.csv", rows)
+
+
+# --- limit of the task ------------------------------------------------------------------------------------------------
+# A failure is avoidable where the oracle finished the same course. The oracle (`agents.controllers.oracle`) knows the
+# ground ahead; a controller without that knowledge need not have been able to foresee the failure.
+
+
+def avoidable(oracle: Runs, runs: Sequence[Runs]) -> dict:
+    """{"failures", "value", "low", "high"}: failures of one controller on the oracle's courses, and the share of them
+    that the oracle has finished, with a 95 % interval; None where there was none. `runs`: one entry a member."""
+    passed = oracle.metric("finished") > 0.5
+    failed = [run.metric("finished")[: passed.size] < 0.5 for run in runs]
+    failures = int(sum(f.sum() for f in failed))
+    if failures == 0:
+        return {"failures": 0, "value": None, "low": None, "high": None}
+    count = int(sum((f & passed).sum() for f in failed))
+    low, high = st.wilson(count, failures)
+    return {"failures": failures, "value": count / failures, "low": low, "high": high}
+
+
+def limit(oracle: Runs, runs: Mapping[str, Sequence[Runs]], metrics: Mapping) -> dict:
+    """The entry "limit" of a comparison: {"courses", "metrics", "avoidable": {controller: `avoidable`}}."""
+    return {
+        "courses": int(oracle.cause.size),
+        "metrics": dict(metrics),
+        "avoidable": {name: avoidable(oracle, members) for name, members in runs.items()},
+    }
+
+
+def limit_rows(result: Mapping) -> dict[str, Mapping]:
+    """The oracle's row of a table of controllers, {name: metrics}; none where it has not driven."""
+    entry = result.get("limit")
+    return {f"{ORACLE} (first {entry['courses']} courses)": entry["metrics"]} if entry else {}
+
+
+def limit_lines(result: Mapping) -> list[str]:
+    """One line: the share of each controller's failures that was avoidable; none where the oracle has not driven."""
+    entry = result.get("limit")
+    if not entry:
+        return []
+    parts = [
+        f"{name} {100 * a['value']:.0f} [{100 * a['low']:.0f}, {100 * a['high']:.0f}] % of {a['failures']}"
+        for name, a in entry["avoidable"].items()
+        if a["failures"]
+    ]
+    title = f"Failures on the first {entry['courses']} courses that the oracle, which knows the ground, avoids: "
+    return [title + ("; ".join(parts) or "nobody failed there")]

@@ -16,7 +16,7 @@ from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
 from ..controllers import CONTROLLERS
 from ..exported import POLICY
-from .limit import ORACLE
+from .comparing import ORACLE
 
 
 @dataclass(frozen=True)

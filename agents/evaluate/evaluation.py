@@ -18,10 +18,9 @@ from ..config import OfWorld, check_oracle
 from ..controllers import make_controller
 from ..controllers.oracle import Oracle
 from . import loading
-from .comparing import comparison
+from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_files
 from .driving import HELD_OUT_SET, Runs, run_courses
-from .limit import BLOCK, ORACLE
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,8 @@ class Evaluation(OfWorld):
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
         firsts = range(0, self.courses, self.block)
         own = [Block(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
-        firsts = range(0, self.oracle_courses, BLOCK)
-        return own + [Block(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in firsts]
+        firsts = range(0, self.oracle_courses, ORACLE_BLOCK)
+        return own + [Block(ORACLE, f, min(ORACLE_BLOCK, self.oracle_courses - f)) for f in firsts]
 
 
 @dataclass(frozen=True)

@@ -110,15 +110,15 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    where = f"controllers: {contestant.label}: predict"
+    where = f"controllers: {contestant.label}: predict gave"
     if not (isinstance(answer, tuple) and len(answer) == 2):
-        raise ParameterError(f"{where} gave a {type(answer).__name__}: expected (action, state)")
+        raise ParameterError(f"{where} a {type(answer).__name__}: expected (action, state)")
     try:
         action = np.asarray(answer[0], dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
+        raise ParameterError(f"{where} {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
     if action.shape != (3, 1):
-        raise ParameterError(f"{where} gave actions of shape {action.shape} for three wheels: expected (3, 1)")
-    wrong = np.flatnonzero(~np.isfinite(action[:, 0]))
+        raise ParameterError(f"{where} actions of shape {action.shape} for three wheels: expected (3, 1)")
+    wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
-        raise ParameterError(f"{where} gave {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")
+        raise ParameterError(f"{where} {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")

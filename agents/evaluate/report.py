@@ -13,9 +13,9 @@ from soil_env._io.files import replace_file
 from soil_env.simulation.task import Cause
 
 from ..progress import show
-from . import comparing, limit
+from . import comparing
+from .comparing import ORACLE
 from .driving import RATES, Runs
-from .limit import ORACLE
 from .tables import cell, difference, draw_metrics, png, save_csv
 
 _FILES = ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png")
@@ -30,7 +30,7 @@ _CHOSEN = {
 def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
-    show(*comparing.table(result), *settings(result), *limit.lines(result))
+    show(*comparing.table(result), *settings(result), *comparing.limit_lines(result))
     warned = (f"{name} {cell(rows[name]['warned'], 100.0, 0, bounds=False)} % "
               f"{cell(rows[name]['warning_distance'], bounds=False)} m "
               f"{cell(rows[name]['warning_time'], digits=1, bounds=False)} s" for name in rows)  # fmt: skip
@@ -77,7 +77,7 @@ def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
 
 def page(result: Mapping) -> str:
     """evaluation.md: controllers, all metrics, differences on the same courses."""
-    names, limits = list(result["controllers"]), limit.rows(result)
+    names, limits = list(result["controllers"]), comparing.limit_rows(result)
     made = Table(
         ["controller", "training seeds", "from", "settings"],
         [
@@ -109,7 +109,7 @@ def page(result: Mapping) -> str:
         f"{result['courses']} courses of set {result['seed']}, the same for all controllers; 95 % intervals.",
         made.markdown(),
         *settings(result),
-        *limit.lines(result),
+        *comparing.limit_lines(result),
         "![Metrics](metrics.png)",
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
         "Differences on the same courses, of rates in percentage points, and the probability of the higher return:",

@@ -19,8 +19,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
-from .graph import OPSET, Graph, Traced
-from .network import action_of, memory_sizes
+from .graph import OPSET, Graph, Traced, action_of, memory_sizes
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 

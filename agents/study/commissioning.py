@@ -103,18 +103,6 @@ class Log:
     readings: dict[str, np.ndarray]  # by `READINGS`, SI
 
 
-class _Scheduled(ConstantSpeed):
-    """`constant_speed` with a rim speed of each wheel that can be changed."""
-
-    def __init__(self, scenario: Scenario, wheels: int):
-        super().__init__(scenario)
-        self.speeds = np.zeros(wheels)
-
-    def rim_speed(self, observation, state):
-        """The present set points [m/s]."""
-        return self.speeds
-
-
 def bed_soil(scenario: Scenario, plan: Commissioning, rng: np.random.Generator) -> Soil:
     """The soil of the bed: the preset, scattered once with `plan.scatter` times the scenario's spread."""
     if plan.soil not in soils():
@@ -140,20 +128,17 @@ def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, se
     """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log."""
     rng = np.random.default_rng([seed, 7])
     bed = WheelSoilModel(world.wheel, bed_soil(scenario, plan, rng), world.effects, world.residual, world.gravity)
-    parts, first = [], 0
+    rows, first = [], 0
     with Bar("Commissioning", len(plan.payloads) * len(plan.grades_deg) * plan.repeats, "drives") as bar:
-        for payload in plan.payloads:
-            for grade in plan.grades_deg:
-                part = _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
-                first += plan.repeats
-                if part is not None:
-                    parts.append(part)
-                bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
-    if not parts:
+        for payload, grade in itertools.product(plan.payloads, plan.grades_deg):
+            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
+            first += plan.repeats
+            bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
+    if not rows:
         raise ParameterError("commissioning: the wheel can drive on no grade of the plan; expected milder grades_deg")
-    join = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Log)
-            if f.name != "readings"}  # fmt: skip
-    return Log(**join, readings={n: np.concatenate([p.readings[n] for p in parts]) for n in READINGS})
+    a = np.array(rows)
+    readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
+    return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
 
 
 def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: float) -> Scenario:
@@ -176,17 +161,17 @@ def _run_in(scenario: Scenario, plan: Commissioning) -> float:
     return plan.run_in * scenario.relaxation * scenario.wheel.radius
 
 
-def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> Log | None:
-    """`plan.repeats` drives side by side; None where the wheel cannot climb the grade."""
+def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> list[tuple]:
+    """Rows of `plan.repeats` drives side by side: columns of `Log`. None where the wheel cannot climb the grade."""
     count, wheel = len(rngs), scenario.wheel
     try:
         sim = Simulation(count, scenario, "blind", threads=1, model=bed)
     except ParameterError:
-        return None
+        return []
     for k, rng in enumerate(rngs):
         sim.seed(k, rng)
     sim.restart_where(np.ones(count, dtype=bool))
-    w, controller = sim.worlds, _Scheduled(scenario, count)
+    w, controller = sim.worlds, ConstantSpeed(scenario)
     speeds = np.array(plan.rim_speeds) * controller.top_speed
     stretch, what = np.zeros(count, dtype=int), np.full(count, STEP)
     driven, held = np.zeros(count), np.zeros(count)  # [m] of the run-in, by the measured speed, and [s] after it
@@ -195,7 +180,7 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
     scale = np.array([1.0, wheel.radius, scenario.weight, scenario.weight, scenario.weight * wheel.radius,
                       controller.top_speed])  # fmt: skip
     for step in range(scenario.steps):
-        controller.speeds = speeds[stretch]
+        controller.settings["speed"] = speeds[stretch]
         action, memory = controller.predict(w.observation, state=memory, episode_start=fresh)
         fresh = np.zeros(count, dtype=bool)
         alive = what == STEP
@@ -213,9 +198,7 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
         driven[done], held[done] = 0.0, 0.0
         if (what == IDLE).all():
             break
-    a = np.array(rows)
-    readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
-    return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
+    return rows
 
 
 # --- the table ------------------------------------------------------------------------------------------------------

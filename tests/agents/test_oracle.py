@@ -6,7 +6,7 @@ import pytest
 from agents.controllers import make_controller
 from agents.controllers.oracle import COUNT, Oracle, Plans
 from agents.evaluate import Runs, driving, run_courses
-from agents.evaluate.limit import avoidable
+from agents.evaluate.comparing import avoidable
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation

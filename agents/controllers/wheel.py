@@ -1,16 +1,63 @@
-"""Slip controllers without knowledge of the soil: a held slip, a limited slip, extremum seeking."""
+"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on its soil."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from soil_env.slip import rim_speeds, travel_speeds
+from soil_env.terramechanics.traversability import best_points
 
 from .base import SPEED, START, Controller, Ramped, Setting
 
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", high=MOST_SLIP, zero=True)
+CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
+
+# --- blind ------------------------------------------------------------------------------------------------------------
+
+
+class FullThrottle(Controller):
+    """Full command, always."""
+
+    name = "full_throttle"
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """The same action for every wheel."""
+        shape = (1,) if np.ndim(observation) == 1 else (len(observation), 1)
+        return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
+
+
+class ConstantTorque(FullThrottle):
+    """A constant command, as a share of the largest action."""
+
+    name = "constant_torque"
+    bounds = {"share": Setting(0.4, "of the highest action", "the command", high=1.0)}
+
+
+class ConstantSpeed(Controller):
+    """A constant rim speed."""
+
+    name = "constant_speed"
+    bounds = {"speed": SPEED._replace(default=0.33)}
+
+    def rim_speed(self, observation, state):
+        """The speed, one for all wheels or one each."""
+        return np.full(len(observation), self.settings["speed"])
+
+
+class SoftStart(Ramped):
+    """A rim speed that rises evenly from rest, and after every halt, up to a top speed."""
+
+    name = "soft_start"
+    bounds = {**Ramped.bounds, "speed": SPEED._replace(default=0.6)}
+
+    def rim_speed(self, observation, state):
+        """The ramp."""
+        return self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
+
+
+# --- by slip ----------------------------------------------------------------------------------------------------------
 
 
 def travel_speed(controller: Controller, observation):
@@ -112,3 +159,61 @@ class ExtremumSeeking(SlipFollower):
         state["best"] = np.clip(best + step, self.low, self.high)
         state["phase"] = state["phase"] + 2.0 * np.pi / self.swing_period * self.period
         return state["best"] + self.settings["swing"] * np.sin(state["phase"])
+
+
+# --- by soil ----------------------------------------------------------------------------------------------------------
+
+
+class BestSlipIdentified(SlipFollower):
+    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as identified."""
+
+    name = "best_slip_identified"
+    variant = "identified"
+    memory = {**SlipFollower.memory, "known": 8, "slip": 0}
+
+    def soil_columns(self, observation) -> list:
+        """The columns of `SoilState` read from the observation, each [n] or one number."""
+        read, belief = (lambda name: observation[:, self.column[name]]), self.scenario.belief
+        return [
+            np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
+            1000.0 * read("cohesion"),
+            10.0 ** read("log10_shear_modulus"),
+            10.0 ** read("log10_sinkage_coefficient"),
+            belief.sinkage_exponent,
+            read("dig_gain"),
+            belief.dig_recovery,
+        ]
+
+    def soils(self, observation) -> np.ndarray:
+        """`SoilState` rows [n, 7] read from the observation."""
+        return np.column_stack([np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)])
+
+    def load(self, observation) -> np.ndarray:
+        """Load [N] read from the observation, [n]."""
+        return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
+
+    def target_slip(self, observation, state):
+        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
+        soils, load = self.soils(observation), self.load(observation)
+        known, now = state["known"], np.column_stack([soils, load])
+        rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
+        wheel = self.scenario.wheel
+        best_points(
+            rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["slip"], np.empty(len(load))
+        )
+        known[rows] = now[rows]
+        return state["slip"]
+
+
+class BestSlipTrue(BestSlipIdentified):
+    """The same on the true soil."""
+
+    name = "best_slip_true"
+    variant = "true_soil"
+
+    def soil_columns(self, observation):
+        """The columns of `SoilState` read from the observation, each [n]."""
+        out = super().soil_columns(observation)
+        for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
+            out[i] = observation[:, self.column[name]]
+        return out
