@@ -104,7 +104,7 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
 def test_the_table_of_train_comes_out_again(tmp_path):
     """For the classical controllers, with the same tuning: the default set of courses is that of train.py."""
     scenario, names = load_scenario(), ("fixed_slip", "best_slip_identified")
-    chosen, _ = tuned_settings(scenario, 2, names, lambda count, name: None)
+    chosen, _ = tuned_settings(scenario, 2, names)
     arguments = ["--courses=5", "--block=3", "--resamples=20", "--tuning-courses=2"]
     assert main([f"--controllers={','.join(names)}", f"--out={tmp_path / 'out'}", *arguments]) == 0
     result = result_of(tmp_path / "out")

@@ -28,10 +28,6 @@ def few(monkeypatch):
     monkeypatch.setattr(tuning, "load_spaces", lambda: tuning.replace(spaces, trials=6))
 
 
-def quiet(count, name):
-    pass
-
-
 # --- spaces -----------------------------------------------------------------------------------------------------------
 
 
@@ -67,7 +63,7 @@ def test_a_wrong_space_is_refused_with_one_line(tmp_path, change, said):
 
 
 def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few):
-    chosen, tried = tuned_settings(short, 8, ("constant_torque",), quiet)
+    chosen, tried = tuned_settings(short, 8, ("constant_torque",))
     trials = tried["constant_torque"]
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
     assert chosen == {"constant_torque": {"share": best["share"]}}
@@ -82,7 +78,7 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(short, few
 def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path, monkeypatch):
     """Interrupted in the middle of a drive, in which a trial is left running, and killed between two trials."""
     names, log, drive = ("soft_start", "constant_speed"), tmp_path / "tuning.log", tuning.run_courses
-    whole, driven = tuned_settings(short, 6, names, quiet, anew=True), []
+    whole, driven = tuned_settings(short, 6, names, anew=True), []
 
     def until_the_ninth(*args, **options):
         if len(driven) in (0, 4, 8):
@@ -94,15 +90,15 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(short, few, tmp_path,
     monkeypatch.setattr(tuning, "run_courses", until_the_ninth)
     for _ in range(3):
         with pytest.raises(KeyboardInterrupt):
-            tuned_settings(short, 6, names, quiet, log=log, anew=True)
-    assert tuned_settings(short, 6, names, quiet, log=log, anew=True) == whole
+            tuned_settings(short, 6, names, log=log, anew=True)
+    assert tuned_settings(short, 6, names, log=log, anew=True) == whole
     assert driven.count("driven") == 12  # every trial once
-    assert tuned_settings(short, 6, names, quiet, log=log, anew=True) == whole and len(driven) == 15
+    assert tuned_settings(short, 6, names, log=log, anew=True) == whole and len(driven) == 15
 
 
 def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
     rover = load_rover("lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}})
-    chosen, tried = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"), quiet)
+    chosen, tried = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"))
     spaces = load_spaces().controllers
     assert {n: set(c) for n, c in chosen.items()} == {n: set(spaces[ROVER_CONTROLLERS[n].of_wheel]) for n in chosen}
     assert all(len(trials) == 2 for trials in tried.values())
