@@ -52,8 +52,9 @@ def comparison(
     def difference(a: str, b: str, m: str) -> dict:
         return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
 
-    def iqm(own: np.ndarray, weights: np.ndarray) -> dict:
-        return st.bounds(st.iqm(own), st.iqm_samples(own, weights, drawn.courses))
+    def iqm(name: str) -> dict:
+        own = scores[name]["return"]
+        return st.bounds(st.iqm(own), st.iqm_samples(own, members[name], drawn.courses))
 
     def improvement(a: str, b: str) -> dict:
         x, y = scores[a]["return"], scores[b]["return"]
@@ -70,7 +71,7 @@ def comparison(
         "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
         "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in rows},
         "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in rows},
-        "iqm": {n: iqm(scores[n]["return"], members[n]) for n in rows},
+        "iqm": {n: iqm(n) for n in rows},
         "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
         **({"limit": limit(oracle, rows, _alone(oracle, names, seed, resamples))} if oracle else {}),
@@ -100,14 +101,9 @@ def table(result: Mapping) -> tuple[Table, str]:
     """The main metrics of all controllers, and a line with the meaning of the columns."""
     columns = OF_ROVERS if "fighting" in result["metrics"] else COLUMNS
     title = f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
-    entries = {label(result, name): row for name, row in result["controllers"].items()} | limit_rows(result)
+    seeds = {name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()}
+    entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(result)
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
-
-
-def label(result: Mapping, name: str) -> str:
-    """Name of a controller, with the number of its training seeds where there are several."""
-    count = result["members"][name]
-    return f"{name} ({count} seeds)" if count > 1 else name
 
 
 def save(result: Mapping, folder: Path, name: str = "comparison") -> None:

@@ -156,11 +156,11 @@ def run_courses(
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
     bits may depend on how many courses are driven side by side.
     """
-    parts = []
+    parts, kind = [], _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
         count, totals = min(batch, first + courses - start), None
         for sim, alive in _driven(controller, scenario, seed, start, count, threads, model, detailed):
-            totals = totals or _totals(sim, scenario, count, detailed)
+            totals = totals or kind(sim, scenario, count)
             totals.add(alive)
         parts.append(totals.runs())
         if progress is not None:
@@ -245,11 +245,6 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
 # --- what is kept of the control periods ------------------------------------------------------------------------------
 
 
-def _totals(sim, scenario: Scenario, count: int, detailed: bool) -> _Totals:
-    kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
-    return kind(sim, scenario, count)
-
-
 class _Totals:
     """Sums over the time of `count` courses side by side."""
 
@@ -329,7 +324,10 @@ class _Detailed(_Totals):
 
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
-        self.alarms: dict[str, Alarm] = {"warning": Warnings(scenario, count), "foresight": Foresight(scenario, count)}
+        self.alarms: list[tuple[Alarm, str, str, str]] = [  # and its metrics
+            (Warnings(scenario, count), "warned", "warning", "false_warning"),
+            (Foresight(scenario, count), "foreseen", "foreseen", "false_foresight"),
+        ]
         self.drawbar_work, self.drive_work = np.zeros((2, count))
         self.slips, self.depths, self.drove = [], [], []
 
@@ -341,20 +339,18 @@ class _Detailed(_Totals):
         self.slips.append(s["slip"].copy())
         self.depths.append(1000.0 * s["sinkage"])
         self.drove.append(on)
-        for alarm in self.alarms.values():
+        for alarm, *_ in self.alarms:
             alarm.step(self.worlds, alive)
         return on
 
     def more(self) -> dict[str, np.ndarray]:
         stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
         out = {}
-        for (kind, alarm), name, lead_name in zip(
-            self.alarms.items(), ("warned", "foreseen"), ("warning", "foreseen"), strict=True
-        ):
+        for alarm, name, ahead, false in self.alarms:
             lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
             out[name] = np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)
-            out[f"{lead_name}_distance"], out[f"{lead_name}_time"] = lead.T
-            out[f"false_{kind}"] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
+            out[f"{ahead}_distance"], out[f"{ahead}_time"] = lead.T
+            out[false] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
         out["tractive_efficiency"] = _ratio(self.drawbar_work, self.drive_work)
         drove = np.array(self.drove)
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):
@@ -364,12 +360,8 @@ class _Detailed(_Totals):
 
 def _percentiles(series, mask):
     """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where `mask`."""
-    out = np.full((2, series.shape[1]), math.nan)
-    for k in range(series.shape[1]):
-        x = series[mask[:, k], k]
-        if x.size:
-            out[:, k] = np.percentile(x, [50, 95])
-    return out
+    columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
+    return np.array([np.percentile(x, [50, 95]) if x.size else (math.nan, math.nan) for x in columns]).T
 
 
 def _ratio(a, b):

@@ -78,36 +78,26 @@ def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
 def page(result: Mapping) -> str:
     """evaluation.md: controllers, all metrics, differences on the same courses."""
     names, limits = list(result["controllers"]), comparing.limit_rows(result)
-    made = Table(
-        ["controller", "training seeds", "from", "settings"],
-        [
-            [f"`{n}`", result["members"][n], ", ".join(result["sources"][n]), _values(result["settings"].get(n, {}))]
-            for n in names
-        ],
-    )
+    made = [
+        [f"`{n}`", result["members"][n], ", ".join(result["sources"][n]), _values(result["settings"].get(n, {}))]
+        for n in names
+    ]
     metrics = []
     for m, about in result["metrics"].items():
         rate, columns = m in RATES, [*result["controllers"].values(), *limits.values()]
         unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
         metrics.append([f"{m.replace('_', ' ')} [{unit}]", about["meaning"], *cells])
-    metrics.append(
-        ["interquartile mean of return", "", *(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
-    )
-    pairs = [(a, b) for i, a in enumerate(names) for b in names[:i]]
-    shown = ("immobilised", "finished", "return")
-    paired = [
-        [
-            f"`{a}` - `{b}`",
-            *(difference(m, result["paired"][a][b][m]) for m in shown),
-            cell(result["improvement"][a][b]),
-        ]
-        for a, b in pairs
-    ]
+    iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
+    metrics.append(["interquartile mean of return", "", *iqm])
+    shown, paired = ("immobilised", "finished", "return"), []
+    for a, b in ((a, b) for i, a in enumerate(names) for b in names[:i]):
+        cells = (difference(m, result["paired"][a][b][m]) for m in shown)
+        paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
         f"# Controllers on scenario {result['scenario']}",
         f"{result['courses']} courses of set {result['seed']}, the same for all controllers; 95 % intervals.",
-        made.markdown(),
+        Table(["controller", "training seeds", "from", "settings"], made).markdown(),
         *settings(result),
         *comparing.limit_lines(result),
         "![Metrics](metrics.png)",

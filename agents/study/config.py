@@ -175,10 +175,11 @@ def _seed_of(cell: Cell) -> int:
 def read_config(path: Path, changes: dict | None = None) -> Study:
     """The study of a YAML file with `changes` merged over it."""
     content = merge(config_mapping(path), changes or {})
-    known = {"scenarios", "controllers", "train", "changes", *(f.name for f in dataclasses.fields(Study))}
+    own = {f.name for f in dataclasses.fields(Study)} - {"targets", "version"}
+    known = {"scenarios", "controllers", "train", "changes", *own}
     for key in content:
-        if key not in known - {"targets", "version"}:
-            raise unknown_key(key, known - {"targets", "version"}, str(path))
+        if key not in known:
+            raise unknown_key(key, known, str(path))
     for key in ("scenarios", "arms", "worlds", "train", "changes"):
         if not isinstance(content.get(key) or {}, dict):
             raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")
