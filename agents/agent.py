@@ -108,9 +108,8 @@ class AsymmetricPolicy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor: nn.Module = AsymmetricExtractor(
-            self.features_dim, self.privileged, self.net_arch, self.activation_fn, self.device
-        )
+        arguments = self.features_dim, self.privileged, self.net_arch, self.activation_fn, self.device
+        self.mlp_extractor: nn.Module = AsymmetricExtractor(*arguments)
 
     def _get_constructor_parameters(self) -> dict:
         return super()._get_constructor_parameters() | {"privileged": self.privileged}

@@ -80,9 +80,8 @@ def load_study(cls, folder: Path):
         raise ParameterError(f"{path}: no such folder; expected one that a study has written")
     study = load(cls, read_yaml(path), str(path))
     if study.version != code_version():
-        raise ParameterError(
-            f"{path}: begun with soil_env {study.version}, this is {code_version()}; give another --out"
-        )
+        here = code_version()
+        raise ParameterError(f"{path}: begun with soil_env {study.version}, this is {here}; give another --out")
     return study
 
 

@@ -46,9 +46,8 @@ class PPOConfig(Checked):
         super().__post_init__()
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
-            raise FieldError(
-                self, "batch_size", f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
-            )
+            problem = f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            raise FieldError(self, "batch_size", problem)
 
 
 def check_oracle(config: TrainConfig) -> None:

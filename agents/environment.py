@@ -65,7 +65,6 @@ class SeveralWorlds(NativeVecEnv):
         return [self._owner[k] for k in self._get_indices(indices)]
 
     def reset(self) -> np.ndarray:
-        """New courses for all wheels."""
         return np.concatenate([p.reset() for p in self.parts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
@@ -74,12 +73,10 @@ class SeveralWorlds(NativeVecEnv):
         return [s for part, own in zip(self.parts, seeds, strict=True) for s in part.seed(own)]
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions [num_envs, 1]."""
         for part, own in zip(self.parts, np.split(np.asarray(actions), self._starts[1:]), strict=True):
             part.step_async(own)
 
     def step_wait(self):
-        """One step; (observations, rewards, dones, infos)."""
         observation, rewards, dones, infos = zip(*(p.step_wait() for p in self.parts), strict=True)
         together = [info for some in infos for info in some]
         return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together

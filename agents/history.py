@@ -103,14 +103,12 @@ class HistoryVecEnv(VecEnvWrapper):
         self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
 
     def reset(self) -> np.ndarray:
-        """New courses for all wheels."""
         out, self.kept[:] = self.history.observe(
             self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool), self._others
         )
         return out
 
     def step_wait(self):
-        """One step; (observations, rewards, dones, infos)."""
         observation, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
         if ended.size:

@@ -25,14 +25,9 @@ _SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range
 
 
 def build(
-    scenario: Scenario | RoverScenario,
-    observation: str,
-    config: PPOConfig,
-    seed: int,
-    tensorboard: Path | None = None,
-    world: World = None,
-    algorithm: str = "ppo",
-) -> PPO:
+    scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None,
+    world: World = None, algorithm: str = "ppo",
+) -> PPO:  # fmt: skip
     """A fresh agent with its normalised vector environment; `algorithm` as in `TrainConfig`."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
     policy, arguments = network(algorithm, config, scenario)
@@ -78,15 +73,9 @@ def save(model: PPO, path: Path) -> None:
 
 
 def resume(
-    path: Path,
-    scenario: Scenario | RoverScenario,
-    observation: str,
-    config: PPOConfig,
-    seed: int,
-    tensorboard: Path | None,
-    world: World = None,
-    algorithm: str = "ppo",
-) -> PPO:
+    path: Path, scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int,
+    tensorboard: Path | None, world: World = None, algorithm: str = "ppo",
+) -> PPO:  # fmt: skip
     """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
     info = read_info(path)
     for key, stored, asked in (

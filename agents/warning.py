@@ -50,7 +50,6 @@ UNKNOWN = 5.0  # [s] before the last progress of a course cut by the time limit,
 HIDDEN, RATE, DECAY, BATCH = (64, 32), 1e-2, 1e-3, 4096
 _STUCK = [cause.value for cause in IMMOBILISED]
 
-
 # --- drivers ----------------------------------------------------------------------------------------------------------
 
 FAMILIES = ("constant_speed", "soft_start", "slip", "random_speed", "random_throttle", "full_throttle", "best_slip")

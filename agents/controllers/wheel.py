@@ -23,7 +23,6 @@ class FullThrottle(Controller):
     name = "full_throttle"
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """The same action for every wheel."""
         shape = (1,) if np.ndim(observation) == 1 else (len(observation), 1)
         return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
 
@@ -42,7 +41,6 @@ class ConstantSpeed(Controller):
     bounds = {"speed": SPEED._replace(default=0.33)}
 
     def rim_speed(self, observation, state):
-        """The speed, one for all wheels or one each."""
         return np.full(len(observation), self.settings["speed"])
 
 
@@ -53,7 +51,6 @@ class SoftStart(Ramped):
     bounds = {**Ramped.bounds, "speed": SPEED._replace(default=0.6)}
 
     def rim_speed(self, observation, state):
-        """The ramp."""
         return self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
 
 
@@ -121,7 +118,6 @@ class SlipLimiter(SlipFollower):
     bounds = {"slip": _SLIP._replace(default=0.5), **SlipFollower.bounds}
 
     def target_slip(self, observation, state):
-        """The limit."""
         return np.full(len(observation), self.settings["slip"])
 
 

@@ -31,14 +31,10 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.option("--controllers", metavar="LIST", help="Names with commas, see above.")
 @click.option("--out", type=PATH, metavar="OUT", help="Folder of the results, made if missing.")
 @click.option("--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it.")
-@click.option(
-    "--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML file (default {DEFAULT_SCENARIO})."
-)
+@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @click.option("--model", metavar="YAML", default="", help="model.yaml with the effects of this world.")
 @click.option("--courses", type=WholeNumber(), default=1000, metavar="N", help="Courses of each (default 1000).")
-@click.option(
-    "--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Set of courses (default: held out)."
-)
+@click.option("--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Courses (default: held out).")
 @click.option("--tuning-courses", type=WholeNumber(), metavar="N", help="For untuned controllers; 0: do not tune.")
 @click.option("--oracle-courses", type=WholeNumber(), default=0, metavar="N", help="Courses of the oracle (default 0).")
 @click.option("--block", type=WholeNumber(), default=100, metavar="N", help="Courses side by side (default 100).")
@@ -104,14 +100,12 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
         raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
     if tuning is None:
         tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
-    same = ("courses", "seed", "block", "resamples", "oracle_courses")
+    same = {name: getattr(options, name) for name in ("courses", "seed", "block", "resamples", "oracle_courses")}
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, extra.get("settings", {}))
     model = WheelSoilModel.load(options.model).content() if options.model else {}
     with as_options():
-        return Evaluation(
-            scenario, controllers, tuning_courses=tuning, model=model, **{name: getattr(options, name) for name in same}
-        )
+        return Evaluation(scenario, controllers, tuning_courses=tuning, model=model, **same)
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:

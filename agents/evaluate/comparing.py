@@ -25,13 +25,9 @@ BY_SEED = ("immobilised", "finished", "return")
 
 
 def comparison(
-    scenario: Scenario,
-    seed: int,
-    runs: Mapping[str, Runs | Sequence[Runs]],
-    settings: Mapping | None = None,
-    oracle: Runs | None = None,
-    resamples: int = RESAMPLES,
-) -> dict:
+    scenario: Scenario, seed: int, runs: Mapping[str, Runs | Sequence[Runs]], settings: Mapping | None = None,
+    oracle: Runs | None = None, resamples: int = RESAMPLES,
+) -> dict:  # fmt: skip
     """The content of comparison.json; `runs`: for each controller its runs, or those of each training seed.
 
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},

@@ -134,9 +134,8 @@ def model_files(path: str) -> dict[str, bytes]:
         if beside.is_file() and not exported:
             files[VECNORMALIZE] = beside.read_bytes()
     except OSError as error:
-        raise ParameterError(
-            f"controllers: {path}: cannot be read ({error.strerror}); expected a model, .zip, or a run folder"
-        ) from None
+        expected = "expected a model, .zip, or a run folder"
+        raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); {expected}") from None
     return files
 
 

@@ -117,12 +117,13 @@ class Runs:
         return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
 
     @classmethod
-    def from_columns(cls, columns: dict[str, list]) -> Runs:
-        """Rebuild runs from `columns`."""
+    def from_columns(cls, columns: dict[str, list], courses: int | None = None) -> Runs:
+        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`, by default of the first."""
         arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
         for name, array in arrays.items():
-            if len(array) != len(arrays["cause"]):
-                raise ValueError(f"{name}: {len(array)} values, expected {len(arrays['cause'])}")
+            expected = len(arrays["cause"]) if courses is None else courses
+            if len(array) != expected:
+                raise ValueError(f"{name}: {len(array)} values, expected {expected}")
         own = [arrays.pop(name) for name in _FIELDS]
         return cls(own[0].astype(np.int64), *own[1:], arrays)
 
@@ -136,17 +137,10 @@ def course_rng(seed: int, course: int) -> np.random.Generator:
 
 
 def run_courses(
-    controller,
-    scenario: Scenario,
-    seed: int,
-    courses: int,
-    first: int = 0,
-    progress: Callable[[int], None] | None = None,
-    batch: int = 500,
-    model: WheelSoilModel | None = None,
-    threads: int | None = None,
-    detailed: bool = False,
-) -> Runs:
+    controller, scenario: Scenario, seed: int, courses: int, first: int = 0,
+    progress: Callable[[int], None] | None = None, batch: int = 500, model: WheelSoilModel | None = None,
+    threads: int | None = None, detailed: bool = False,
+) -> Runs:  # fmt: skip
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
@@ -169,15 +163,9 @@ def run_courses(
 
 
 def drive(
-    controller,
-    scenario: Scenario,
-    seed: int,
-    first: int,
-    count: int,
-    threads: int | None = None,
-    model: WheelSoilModel | None = None,
-    warnings: bool = False,
-) -> Iterator[tuple[Worlds, np.ndarray]]:
+    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
+    model: WheelSoilModel | None = None, warnings: bool = False,
+) -> Iterator[tuple[Worlds, np.ndarray]]:  # fmt: skip
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
     Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and the courses

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError, quantity
@@ -123,22 +124,13 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Cal
     fill(job, asked.blocks(), folder, engine, lambda block: progress(block.count))
 
     def of(key: str) -> Runs:
-        return Runs.join([read_cell(folder, b, _parse(b)) for b in asked.blocks() if b.controller == key])
+        own = [b for b in asked.blocks() if b.controller == key]
+        return Runs.join([read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own])
 
     out: dict[str, list[Runs]] = {}
     for key, contestant in asked.controllers.items():
         out.setdefault(contestant.name, []).append(of(key))
     return {**out, ORACLE: [of(ORACLE)]} if asked.oracle_courses else out
-
-
-def _parse(block: Block) -> Callable[[dict], Runs]:
-    def parse(content: dict) -> Runs:
-        runs = Runs.from_columns(content)
-        if runs.cause.size != block.count:
-            raise ValueError(f"{runs.cause.size} courses, expected {block.count}")
-        return runs
-
-    return parse
 
 
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:

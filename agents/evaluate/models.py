@@ -119,11 +119,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
 def _warn(path: str) -> None:
     """Warn once for each file, on stderr and not in worker processes, that loading it runs what is pickled in it."""
     if multiprocessing.parent_process() is None:
-        print(
-            f"warning: {path}: not written by train.py, so parts of it are unpickled, which runs code that is in the "
-            "file; load only what you trust",
-            file=sys.stderr,
-        )
+        said = "not written by train.py, so parts of it are unpickled, which runs its code: load only what you trust"
+        print(f"warning: {path}: {said}", file=sys.stderr)
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:

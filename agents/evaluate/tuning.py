@@ -49,9 +49,8 @@ class Range(Checked):
     def __post_init__(self):
         super().__post_init__()
         if not self.low < self.high or (self.log and self.low == 0.0):
-            raise ParameterError(
-                f"Range.high = {self.high!r}: expected low {'> 0 and ' if self.log else ''}below high, low = {self.low}"
-            )
+            positive = "> 0 and " if self.log else ""
+            raise ParameterError(f"Range.high = {self.high!r}: expected low {positive}below high, low = {self.low}")
 
     def bounds(self, scenario: Scenario) -> tuple[float, float]:
         """(low, high) in the unit of the setting."""
@@ -112,13 +111,9 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
 
 
 def tuned_settings(
-    scenario: Scenario,
-    courses: int,
-    names: Iterable[str] | None = None,
-    model: WheelSoilModel | None = None,
-    log: Path | None = None,
-    anew: bool = False,
-) -> tuple[dict[str, dict], dict[str, list[dict]]]:
+    scenario: Scenario, courses: int, names: Iterable[str] | None = None, model: WheelSoilModel | None = None,
+    log: Path | None = None, anew: bool = False,
+) -> tuple[dict[str, dict], dict[str, list[dict]]]:  # fmt: skip
     """({controller: best settings}, {controller: trials}) on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
@@ -155,13 +150,11 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
         journal = optuna.storages.journal
         lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
         storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(log), lock_obj=lock))
-    study = optuna.create_study(
-        storage=storage, study_name=hashlib.sha256(task.encode()).hexdigest(), direction="maximize", load_if_exists=True
-    )
-    complete, running = optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.RUNNING
-    for trial in study.get_trials(states=(running,)):  # of a process that was killed
-        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-    done = len(study.get_trials(states=(complete,)))
+    digest, state = hashlib.sha256(task.encode()).hexdigest(), optuna.trial.TrialState
+    study = optuna.create_study(storage=storage, study_name=digest, direction="maximize", load_if_exists=True)
+    for trial in study.get_trials(states=(state.RUNNING,)):  # of a process that was killed
+        study.tell(trial.number, state=state.FAIL)
+    done = len(study.get_trials(states=(state.COMPLETE,)))
     if done:
         progress(courses * done)
     for number in range(done, trials):
@@ -177,7 +170,7 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
             trial.set_user_attr(key, value)
         study.tell(trial, score["finished"] + _TIE * score["return"])
         progress(courses)
-    found = study.get_trials(states=(complete,))[:trials]
+    found = study.get_trials(states=(state.COMPLETE,))[:trials]
     return [{**trial.params, **trial.user_attrs} for trial in found]
 
 
@@ -186,8 +179,7 @@ def _optuna():
     try:
         import optuna
     except ImportError:
-        raise ParameterError(
-            "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
-        ) from None
+        said = "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
+        raise ParameterError(said) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

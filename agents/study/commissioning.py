@@ -91,6 +91,10 @@ class Commissioning(Checked):
     slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
     slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
 
+    def run_in_of(self, scenario: Scenario) -> float:
+        """Length of the run-in [m]."""
+        return self.run_in * scenario.relaxation * scenario.wheel.radius
+
 
 @dataclass(frozen=True, eq=False)
 class Log:
@@ -143,7 +147,7 @@ def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, se
 
 def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: float) -> Scenario:
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    lengths = [_run_in(scenario, plan) + 1.2 * plan.hold * share * top for share in plan.rim_speeds]
+    lengths = [plan.run_in_of(scenario) + 1.2 * plan.hold * share * top for share in plan.rim_speeds]
     length = sum(lengths) + 1.0
     none = {f: 0.0 for f in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")}
     return load_scenario(scenario, {
@@ -154,11 +158,6 @@ def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: floa
         "control": {"action": "torque", "repeat": 1,
                     "time_limit": min(10.0 * length / (min(plan.rim_speeds) * top), 1e5)},
     })  # fmt: skip
-
-
-def _run_in(scenario: Scenario, plan: Commissioning) -> float:
-    """Length of the run-in [m]."""
-    return plan.run_in * scenario.relaxation * scenario.wheel.radius
 
 
 def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> list[tuple]:
@@ -175,7 +174,7 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
     speeds = np.array(plan.rim_speeds) * controller.top_speed
     stretch, what = np.zeros(count, dtype=int), np.full(count, STEP)
     driven, held = np.zeros(count), np.zeros(count)  # [m] of the run-in, by the measured speed, and [s] after it
-    run_in, period = _run_in(scenario, plan), scenario.control.period
+    run_in, period = plan.run_in_of(scenario), scenario.control.period
     memory, fresh, rows = None, np.ones(count, dtype=bool), []
     scale = np.array([1.0, wheel.radius, scenario.weight, scenario.weight, scenario.weight * wheel.radius,
                       controller.top_speed])  # fmt: skip
@@ -224,8 +223,7 @@ def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Ste
     """
     size = max(4, round(plan.window / scenario.control.period))
     least = 0.5 * (plan.hold / plan.window)
-    out = []
-    key = log.run * 1000 + log.stretch
+    out, key = [], log.run * 1000 + log.stretch
     for k in np.unique(key):
         rows = np.flatnonzero((key == k) & log.ran_in)
         windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
@@ -234,9 +232,8 @@ def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Ste
         best = max((list(group) for is_good, group in steady_ones if is_good), key=len, default=[])
         if best and len(best) >= least:
             inside = np.concatenate([windows[w] for w in best])
-            mean = {n: float(x[inside].mean()) for n, x in log.readings.items()}
-            run, stretch, time = (float(a[inside[-1]]) for a in (log.run, log.stretch, log.time))
-            out.append(Steady(int(run), int(stretch), time, mean))
+            last, mean = inside[-1], {n: float(x[inside].mean()) for n, x in log.readings.items()}
+            out.append(Steady(int(log.run[last]), int(log.stretch[last]), float(log.time[last]), mean))
     return out
 
 
@@ -325,7 +322,5 @@ def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
             f"commissioning: {len(points)} steady points, too few that repeat each other; expected more grades_deg "
             "that the rover can climb, or more repeats"
         )
-    return {
-        name: float(f"{math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))):.3g}")
-        for name, values in squares.items()
-    }
+    upper = {name: math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))) for name, values in squares.items()}
+    return {name: float(f"{value:.3g}") for name, value in upper.items()}

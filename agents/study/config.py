@@ -183,11 +183,11 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     for key in ("scenarios", "arms", "worlds", "train", "changes"):
         if not isinstance(content.get(key) or {}, dict):
             raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")
-    scenarios, common = content.pop("scenarios", {}), content.pop("changes", {})
+    scenarios, common = content.pop("scenarios", None) or {}, content.pop("changes", None) or {}
     targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
     rovers = any("vehicle" in target["task"] for target in targets.values())
     chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
-    shared, arms = content.pop("train", {}), {name: {"controller": name} for name in chosen}
+    shared, arms = content.pop("train", None) or {}, {name: {"controller": name} for name in chosen}
     for name, arm in (content.get("arms") or {}).items():
         if isinstance(arm, dict) and "controller" not in arm:
             arm = {**arm, "train": merge(shared, arm.get("train") or {})}

@@ -123,20 +123,19 @@ class Work:
 
 def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
     """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell: settings})."""
+
+    def parse(content: dict) -> dict:
+        own = {t: Runs.from_columns(columns, study.courses) for t, columns in content["driven"].items()}
+        return {**content, "driven": own}
+
     runs: dict[str, dict[str, list[Runs]]] = {name: {} for name in study.targets}
     settings = {}
     for cell in study.cells():
         if not cells.cell_file(folder, cell).is_file():
             continue
-        content = cells.read_cell(folder, cell, _parse)
+        content = cells.read_cell(folder, cell, parse)
         if content["settings"]:
             settings[str(cell)] = content["settings"]
         for target, own in content["driven"].items():
-            if own.cause.size != study.courses:
-                raise ParameterError(f"{cells.cell_file(folder, cell)}: {own.cause.size} courses; delete it")
             runs[target].setdefault(cell.arm, []).append(own)
     return {t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own}, settings
-
-
-def _parse(content: dict) -> dict:
-    return {**content, "driven": {t: Runs.from_columns(columns) for t, columns in content["driven"].items()}}
