@@ -57,13 +57,6 @@ class SoftStart(Ramped):
 # --- by slip ----------------------------------------------------------------------------------------------------------
 
 
-def travel_speed(controller: Controller, observation):
-    """V [m/s], [n], from slip and rim speed: less noisy at low speeds than the speed sensor."""
-    slip = observation[:, controller.column["slip"]]
-    rim = np.maximum(observation[:, controller.column["rim_speed"]], 0.0) * controller.top_speed
-    return travel_speeds(rim, np.maximum(slip, -0.9))
-
-
 class SlipFollower(Ramped):
     """Base: the rim speed V/(1 - i) of a target slip i, or that of the ramp where it is lower."""
 
@@ -73,16 +66,14 @@ class SlipFollower(Ramped):
         """Slip not to exceed, [n]."""
         raise NotImplementedError
 
-    def of_slip(self, observation, state):
-        """V/(1 - i) with a lead, at least the starting speed [m/s], [n]."""
-        slip = np.minimum(self.target_slip(observation, state), MOST_SLIP)
-        start = self.settings["start"]
-        return np.maximum(rim_speeds(travel_speed(self, observation), slip) + _CREEP * start, start)
-
     def rim_speed(self, observation, state):
-        """The lower of `of_slip` and the ramp."""
+        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed [m/s], [n]."""
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
-        return np.minimum(self.of_slip(observation, state), ramp)
+        slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
+        # V from slip and rim speed is less noisy at low speeds than the speed sensor.
+        travel = travel_speeds(np.maximum(rim, 0.0) * self.top_speed, np.maximum(slip, -0.9))
+        target, start = np.minimum(self.target_slip(observation, state), MOST_SLIP), self.settings["start"]
+        return np.minimum(np.maximum(rim_speeds(travel, target) + _CREEP * start, start), ramp)
 
 
 class FixedSlip(Controller):

@@ -7,7 +7,6 @@ import inspect
 import sys
 import tempfile
 import traceback
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -74,13 +73,11 @@ def _takes_one(thing) -> bool:
     return True
 
 
-@dataclass
 class _Wrapped:
     """A controller from elsewhere; an exception in it is an error of one line."""
 
-    thing: object
-    variant: str
-    spec: str
+    def __init__(self, thing, variant: str, spec: str):
+        self.thing, self.variant, self.spec = thing, variant, spec
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As the object's own, with a copy of the observation."""
