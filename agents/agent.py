@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
@@ -31,7 +32,6 @@ from soil_env.simulation.task.scaling import Scaling
 from soil_env.vehicle import RoverScenario
 
 from . import inputs
-from .asymmetric import AsymmetricPolicy
 from .config import NAMES, PPOConfig
 from .history import History
 from .sb3 import privileged
@@ -79,6 +79,42 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
     return layout(variant, scenario.course)
 
 
+# --- networks ---------------------------------------------------------------------------------------------------------
+
+
+class AsymmetricExtractor(MlpExtractor):
+    """Hidden layers of both networks; the policy reads the first entries only."""
+
+    def __init__(self, feature_dim: int, privileged: int, net_arch, activation_fn, device):
+        super().__init__(feature_dim, net_arch, activation_fn, device)
+        self.seen = feature_dim - privileged
+        own = MlpExtractor(self.seen, net_arch, activation_fn, device)
+        self.policy_net, self.latent_dim_pi = own.policy_net, own.latent_dim_pi
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Last hidden layer of the policy for observations [n, D]."""
+        return self.policy_net(features[:, : self.seen])
+
+
+class AsymmetricPolicy(ActorCriticPolicy):
+    """`MlpPolicy` whose value network sees more than its action network (Pinto et al. 2018, RSS).
+
+    The last `privileged` entries of an observation, such as the true soil, are input of the value network alone. The
+    value is needed in training only, so the agent acts without these entries.
+    """
+
+    def __init__(self, *args, privileged: int = 0, **kwargs):
+        self.privileged = privileged
+        super().__init__(*args, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        arguments = self.features_dim, self.privileged, self.net_arch, self.activation_fn, self.device
+        self.mlp_extractor: nn.Module = AsymmetricExtractor(*arguments)
+
+    def _get_constructor_parameters(self) -> dict:
+        return super()._get_constructor_parameters() | {"privileged": self.privileged}
+
+
 def network(algorithm: str, config: PPOConfig, scenario: Scenario | RoverScenario) -> tuple[type, dict]:
     """(policy class of SB3 or sb3-contrib, its arguments)."""
     common = {"log_std_init": config.log_std_init}
@@ -111,27 +147,23 @@ def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
         with zipfile.ZipFile(path) as archive:
             if name not in archive.namelist():
                 return None
-            if archive.getinfo(name).file_size > most:
-                raise ParameterError(f"{path}: {name}: too large to be that of a model")
-            return archive.read(name)
-    except ParameterError:
-        raise
+            if archive.getinfo(name).file_size <= most:
+                return archive.read(name)
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected a model") from None
     except Exception as error:  # a broken zip fails in a dozen ways
         raise ParameterError(f"{path}: not a model of Stable-Baselines3 ({one_line(error)})") from None
+    raise ParameterError(f"{path}: {name}: too large to be that of a model")
 
 
 def read_mapping(path: Path, name: str) -> dict | None:
     """A JSON member of a model's zip as a mapping, None where the zip has no such member."""
     content = read_member(path, name, _MOST_TEXT)
-    if content is None:
-        return None
     try:
-        mapping = json.loads(content)
+        mapping = None if content is None else json.loads(content)
     except (ValueError, RecursionError) as error:
         raise ParameterError(f"{path}: {name}: not a model: expected JSON ({one_line(error)})") from None
-    if not isinstance(mapping, dict):
+    if content is not None and not isinstance(mapping, dict):
         raise ParameterError(f"{path}: {name}: expected a mapping, got {type(mapping).__name__}")
     return mapping
 
@@ -164,10 +196,9 @@ def read_info(path: Path) -> Info:
 
 def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
     """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
-    task = info.task
-    scenario = task if scenario is None else scenario
-    if isinstance(task, RoverScenario) != isinstance(scenario, RoverScenario):
-        own, other = ("rover", "wheel") if isinstance(task, RoverScenario) else ("wheel", "rover")
+    scenario = info.task if scenario is None else scenario
+    if isinstance(info.task, RoverScenario) != isinstance(scenario, RoverScenario):
+        own, other = ("rover", "wheel") if isinstance(info.task, RoverScenario) else ("wheel", "rover")
         raise ParameterError(f"{where}: an agent of a {own}, for scenario {scenario.name!r} of a {other}")
     expected, found = [e.name for e in entries_of(scenario, info.observation)], list(info.observation_names)
     if found != expected:
@@ -186,13 +217,11 @@ def network_scaling(info: Info) -> Scaling:
 
 def load_weights(path: Path, name: str, into) -> None:
     """Load a member of tensors `into` a module or an optimizer; ParameterError in one line."""
+    content = read_member(path, name)
     try:
-        content = read_member(path, name)
         if content is None:
             raise ValueError("it is missing")
         into.load_state_dict(torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
-    except ParameterError:
-        raise
     except Exception as error:  # torch has no error class of its own for a broken file
         raise ParameterError(f"{path}: {name}: cannot be loaded as weights ({one_line(error)})") from None
 
@@ -220,8 +249,8 @@ def load_agent(path: str | Path) -> Agent:
 class Agent:
     """A trained agent. It takes observations in their units, whatever it was trained on.
 
-    The units are those of the tables of `SoilWheel-v0` and `SoilRover-v0`: an environment made with `scaled=False`
-    observes them, `env.unwrapped.physical(observation)` gives them back where it was not.
+    The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled observations use
+    `env.unwrapped.physical(observation)`.
     """
 
     policy: ActorCriticPolicy

@@ -80,9 +80,8 @@ def load_study(cls, folder: Path):
         raise ParameterError(f"{path}: no such folder; expected one that a study has written")
     study = load(cls, read_yaml(path), str(path))
     if study.version != code_version():
-        raise ParameterError(
-            f"{path}: begun with soil_env {study.version}, this is {code_version()}; give another --out"
-        )
+        here = code_version()
+        raise ParameterError(f"{path}: begun with soil_env {study.version}, this is {here}; give another --out")
     return study
 
 
@@ -128,7 +127,7 @@ def choose(engine: str, workers: int | None = None, address: str | None = None) 
     if engine == "ray":
         if address is not None and workers is not None:
             raise ParameterError("--workers: only without --address, whose cluster has its own")
-        check_ray(address)
+        _check_ray(address)
         return partial(on_ray, address=address, workers=workers)
     if engine != "local":
         raise unknown_value(engine, ("local", "ray"), "--engine")
@@ -202,11 +201,8 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
 # --- Ray --------------------------------------------------------------------------------------------------------------
 
 
-def check_ray(address: str | None = None) -> None:
-    """ParameterError with one line if Ray is not installed or nothing listens at `address` or RAY_ADDRESS.
-
-    Ray itself tries an address for minutes.
-    """
+def _check_ray(address: str | None) -> None:
+    """ParameterError if Ray is not installed or nothing listens at `address` or RAY_ADDRESS; Ray tries for minutes."""
     try:
         import ray  # noqa: F401
     except ImportError:
@@ -229,7 +225,6 @@ def on_ray(
     Every node needs this version of soil_env, and the modules of controllers given as module:Class. Each cell takes one
     CPU. `workers` limits the CPUs of a cluster started here.
     """
-    check_ray(address)
     import ray
 
     ours = not ray.is_initialized()
@@ -242,9 +237,8 @@ def on_ray(
         try:
             ray.init(**options)
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
-            raise ParameterError(
-                f"--engine ray: no cluster at {address or 'this machine'} ({_line(error, 0)})"
-            ) from None
+            where = address or "this machine"
+            raise ParameterError(f"--engine ray: no cluster at {where} ({_line(error, 0)})") from None
     running: dict = {}
     try:
         shared = ray.put(work)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ from . import plots
 from .agent import Agent
 from .config import NAMES, TrainConfig
 from .controllers.oracle import Oracle
-from .evaluate import HELD_OUT_SET, comparing, limit, run_courses
+from .controllers.rover import controllers_of
+from .evaluate import HELD_OUT_SET, Runs, comparing, run_courses
 from .evaluate.tables import percent, points
-from .evaluate.tuning import shown_on, tuned_settings
+from .evaluate.tuning import tuned_settings
 from .progress import Bar, show
 
 _TUNING = "tuning.log"  # trials of the tuning, until the comparison is finished
@@ -34,18 +36,18 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
     chosen, tried = tuned_settings(scenario, config.tuning_courses, model=world, log=folder / _TUNING)
     settings: dict = {name: {**chosen[name], "tried": tried.get(name, [])} for name in chosen}
     settings["tuning_courses"] = config.tuning_courses
-    classical = comparing.controllers(scenario, chosen)
+    known, make = controllers_of(scenario)
+    classical = {name: make(name, scenario, **chosen.get(name, {})) for name in known}
     contestants = classical | {agent.name: agent}
-    hard = min(config.oracle_courses, config.courses)
-    with Bar("Comparing", config.courses * len(contestants) + hard, "courses") as bar:
-        drivers = {name: [one] for name, one in contestants.items()}
-        runs = comparing.driven(drivers, scenario, HELD_OUT_SET, config.courses, shown_on(bar), world)
-        oracle = None
-        if hard:
-            progress = lambda count: bar.update(advance=count, note=limit.ORACLE)  # noqa: E731
-            oracle = run_courses(
-                Oracle(scenario), scenario, HELD_OUT_SET, hard, progress=progress, batch=limit.BLOCK, model=world
-            )
+    with Bar("Comparing", config.courses * len(contestants) + config.oracle_courses, "courses") as bar:
+
+        def driven(name: str, driver, courses: int, batch: int = 500) -> Runs:
+            progress = partial(bar.note, name)
+            return run_courses(driver, scenario, HELD_OUT_SET, courses, 0, progress, batch, world)
+
+        runs = {name: driven(name, driver, config.courses) for name, driver in contestants.items()}
+        hard = config.oracle_courses
+        oracle = driven(comparing.ORACLE, Oracle(scenario), hard, comparing.ORACLE_BLOCK) if hard else None
     result = comparing.comparison(scenario, HELD_OUT_SET, runs, settings, oracle)
     if world is not None:
         result["model"] = world.content()
@@ -53,27 +55,27 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
     plots.comparison_figure(result, folder / "comparison.png")
     if not config.rover:
         best = max(classical, key=lambda n: result["controllers"][n]["finished"]["value"])
-        hard_for = runs["full_throttle"][0].metric("finished") < 0.5
-        course = int(np.argmax(hard_for & (runs[agent.name][0].metric("finished") > 0.5)))  # the first one, else 0
+        hard_for = runs["full_throttle"].metric("finished") < 0.5
+        course = int(np.argmax(hard_for & (runs[agent.name].metric("finished") > 0.5)))  # the first one, else 0
         drawn = {best: contestants[best], agent.name: agent}
         plots.course_figure(scenario, HELD_OUT_SET, course, drawn, folder / "course.png", world)
     (folder / _TUNING).unlink(missing_ok=True)
-    show(*comparing.table(result), *limit.lines(result))
+    show(*comparing.table(result), *comparing.limit_lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in NAMES.values()))
     return result
 
 
 def verdict(result: dict, name: str) -> str:
-    """Courses finished by the agent, against the best controller that does not know the true soil.
+    """Courses finished by the agent `name`, against the best controller that does not know the true soil.
 
-    Gives the difference on the same courses, both rates alone, and the references that know the true soil. "More" and
-    "fewer" are said only where the intervals of the two alone do not overlap.
+    Gives the difference on the same courses, both rates alone, and the references that know the true soil. It says
+    "more" or "fewer" only where the intervals of the two do not overlap.
     """
     rows = result["controllers"]
     best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
     agent, other = rows[name]["finished"], rows[best]["finished"]
     known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
-    known |= {n: metrics["finished"] for n, metrics in limit.rows(result).items()}
+    known |= {n: metrics["finished"] for n, metrics in comparing.limit_rows(result).items()}
     difference = points(result["paired"][name][best]["finished"])
     apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
     text = f"{name} {f'finishes {apart} courses than' if apart else 'against'} {best}, the best of the others without "

@@ -46,9 +46,15 @@ class PPOConfig(Checked):
         super().__post_init__()
         rollout = self.num_envs * self.n_steps
         if rollout % self.batch_size:
-            raise FieldError(
-                self, "batch_size", f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
-            )
+            problem = f" = {self.batch_size}: expected a divisor of num_envs x n_steps = {rollout}"
+            raise FieldError(self, "batch_size", problem)
+
+
+def check_oracle(config: TrainConfig) -> None:
+    """FieldError if the oracle is to drive more than the `courses` compared."""
+    if config.oracle_courses > config.courses:
+        problem = f" = {config.oracle_courses}: expected at most {config.courses}, the courses compared"
+        raise FieldError(config, "oracle_courses", problem)
 
 
 class OfWorld(Checked):
@@ -81,19 +87,16 @@ class TrainConfig(OfWorld):
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
     oracle_courses: int | None = quantity(
-        "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, or none for a rover"
+        "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: at most 50, none for a rover"
     )
     ppo: PPOConfig = PPOConfig()
 
     def __post_init__(self):
         super().__post_init__()
         self._resolve()
-        if self.algorithm == "recurrent_ppo" and self.ppo.critic:
-            raise ParameterError(
-                f"ppo.critic = {self.ppo.critic!r}: expected only with algorithm ppo, not recurrent_ppo"
-            )
-        if self.rover and self.ppo.critic:
-            raise ParameterError(f"ppo.critic = {self.ppo.critic!r}: expected none for a rover")
+        if self.ppo.critic and (self.rover or self.algorithm != "ppo"):
+            expected = "none for a rover" if self.rover else f"only with algorithm ppo, not {self.algorithm}"
+            raise ParameterError(f"ppo.critic = {self.ppo.critic!r}: expected {expected}")
         if self.hidden_worlds >= self.ppo.num_envs:
             raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
@@ -107,7 +110,8 @@ class TrainConfig(OfWorld):
         if not self.rover and not self.scenario:
             object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
         if self.oracle_courses is None:
-            object.__setattr__(self, "oracle_courses", 0 if self.rover else 50)
+            object.__setattr__(self, "oracle_courses", 0 if self.rover else min(50, self.courses))
+        check_oracle(self)
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

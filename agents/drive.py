@@ -21,12 +21,8 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 
 
 @click.command("drive")
-@click.option(
-    "--controller", default="best_slip_identified", metavar="NAME", help="Name, run folder, .onnx or m:Class."
-)
-@click.option(
-    "--scenario", default=DEFAULT_SCENARIO, metavar="NAME", help=f"Name or YAML (default {DEFAULT_SCENARIO})."
-)
+@click.option("--controller", default="best_slip_identified", metavar="NAME", help="Or run folder, .onnx, m:Class.")
+@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @seed_option("the course")
 @click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
 @click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")

@@ -21,11 +21,6 @@ READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_s
 SHARE = 0.1  # weight of a step in the averages on a terrain class
 
 
-def _all_of(name: str) -> set[str]:
-    """A reading of a wheel, or of each axle of a rover."""
-    return {name, *(f"{axle}_{name}" for axle in AXLES)}
-
-
 class History:
     """Layout of the history, for `steps` steps of an observation with the entries `names`; holds no readings itself.
 
@@ -36,11 +31,12 @@ class History:
     def __init__(self, names: Sequence[str], steps: int):
         names = list(names)
         self.steps, self.entries = steps, len(names)
-        found = [[k for k, own in enumerate(names) if own in _all_of(name)] for name in READINGS]
-        for name, own in zip(READINGS, found, strict=True):
+        self.columns: list[int] = []
+        for name in READINGS:  # of a wheel, or of each axle of a rover
+            own = {name, *(f"{axle}_{name}" for axle in AXLES)}.intersection(names)
             if not own:
                 raise ValueError(f"{name!r} is not in the layout")
-        self.columns = [k for own in found for k in own]
+            self.columns += sorted(map(names.index, own))
         self.halted = names.index("halted")
         self.classes = [k for k, name in enumerate(names) if name.startswith("here_class_")]
         self.lines = [
@@ -107,14 +103,12 @@ class HistoryVecEnv(VecEnvWrapper):
         self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
 
     def reset(self) -> np.ndarray:
-        """New courses for all wheels."""
         out, self.kept[:] = self.history.observe(
             self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool), self._others
         )
         return out
 
     def step_wait(self):
-        """One step; (observations, rewards, dones, infos)."""
         observation, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones)
         if ended.size:

@@ -18,7 +18,8 @@ from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.steady import sinkage_coefficient_at
 
-from .evaluate import drive, limit
+from .evaluate import drive
+from .evaluate.comparing import ORACLE, limit_rows
 from .evaluate.tables import draw_metrics, png
 
 _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
@@ -27,14 +28,14 @@ _PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre",
 def comparison_figure(result: dict, path: Path) -> None:
     """Draw the metrics of all controllers as points with their 95 % intervals."""
     title = f"{result['courses']} held-out courses of {result['scenario']!r}; bars: 95 % intervals"
-    figure = draw_metrics({title: result["controllers"] | limit.rows(result)}, _PANELS, _colour)
+    figure = draw_metrics({title: result["controllers"] | limit_rows(result)}, _PANELS, _colour)
     replace_file(path, png(figure))
 
 
 def _colour(name: str) -> str:
     if name.startswith("ppo"):
         return "#d55e00"
-    return "#777777" if name.endswith("true") or name.startswith(limit.ORACLE) else "#0072b2"
+    return "#777777" if name.endswith("true") or name.startswith(ORACLE) else "#0072b2"
 
 
 def trace(
@@ -61,22 +62,20 @@ def course_figure(
 ) -> None:
     """One course, a column a controller: grade, slip, sinkage, and phi, K, S as identified against the truth."""
     figure, axes = plt.subplots(6, len(controllers), figsize=(6.5 * len(controllers), 12), sharex="col", squeeze=False)
-    for column, (name, controller) in enumerate(controllers.items()):
+    for a, (name, controller) in zip(axes.T, controllers.items(), strict=True):
         d, cause = trace(controller, scenario, seed, course, model)
-        a = axes[:, column]
         a[0].set_title(f"{name}: {cause.lower().replace('_', ' ')} after {d['t'][-1]:.0f} s, {d['x'].max():.1f} m")
-        for axis, key, label in (
-            (a[0], "grade", "grade [deg]"),
-            (a[1], "slip", "slip [-]"),
-            (a[2], "sinkage", "sinkage [mm]"),
+        for axis, key, label in zip(
+            a, ("grade", "slip", "sinkage"), ("grade [deg]", "slip [-]", "sinkage [mm]"), strict=False
         ):
             axis.plot(d["t"], d[key], color="#333333", lw=1)
             axis.set_ylabel(label)
-        _estimate(
-            a[3], d["t"], d["phi"], np.degrees(d["e_phi"]), np.degrees(d["sd_phi"]), "friction angle [deg]", False
-        )
-        _estimate(a[4], d["t"], d["K"], 1000.0 * np.exp(d["e_K"]), d["sd_K"], "K [mm]", True)
-        _estimate(a[5], d["t"], d["S"], np.exp(d["e_S"]), d["sd_S"], "S [N/m$^{n+2}$]", True)
+        phi, sd = np.degrees(d["e_phi"]), np.degrees(d["sd_phi"])
+        _estimate(a[3], d["t"], d["phi"], phi, (phi - sd, phi + sd), "friction angle [deg]")
+        for axis, key, scale, label in ((a[4], "K", 1000.0, "K [mm]"), (a[5], "S", 1.0, "S [N/m$^{n+2}$]")):
+            value, factor = scale * np.exp(d[f"e_{key}"]), np.exp(d[f"sd_{key}"])
+            _estimate(axis, d["t"], d[key], value, (value / factor, value * factor), label)
+            axis.set_yscale("log")
         a[5].set_xlabel("time [s]")
         a[3].legend(loc="upper right", fontsize=8)
         for axis in a:
@@ -87,11 +86,8 @@ def course_figure(
     plt.close(figure)
 
 
-def _estimate(axis, t, truth, value, sd, label, logarithmic):
-    low, high = (value * np.exp(-sd), value * np.exp(sd)) if logarithmic else (value - sd, value + sd)
-    axis.fill_between(t, low, high, color="#0072b2", alpha=0.2, lw=0)
+def _estimate(axis, t, truth, value, bounds, label) -> None:
+    axis.fill_between(t, *bounds, color="#0072b2", alpha=0.2, lw=0)
     axis.plot(t, value, color="#0072b2", lw=1, label="identified, 1 sd")
     axis.plot(t, truth, color="#d55e00", lw=1, label="true")
     axis.set_ylabel(label)
-    if logarithmic:
-        axis.set_yscale("log")

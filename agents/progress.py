@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from soil_env._io.document import Table
 
+WIDTH = 100  # columns of printed text
 console = Console()  # output of all commands of this package
 
 
 class Bar:
     """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
 
-    def __init__(self, title: str, total: int, unit: str, done: int = 0, on: Console | None = None):
+    def __init__(self, title: str, total: int, unit: str, done: int = 0):
         self.title, self.total, self.unit, self.done = title, total, unit, done
-        self.printed = done
-        self.console, self.live = on or console, None
-        if self.console.is_terminal:
+        self.printed, self.live = done, None
+        if console.is_terminal:
             self.live = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(bar_width=20),
@@ -26,7 +28,7 @@ class Bar:
                 TextColumn("{task.fields[note]}"),
                 TimeElapsedColumn(),
                 TimeRemainingColumn(),
-                console=self.console,
+                console=console,
             )
             self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
 
@@ -46,11 +48,16 @@ class Bar:
             self.live.update(self.task, completed=self.done, note=note)
         elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
             self.printed = self.done
-            self.console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+            console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+
+    def note(self, note: str, advance: int) -> None:
+        """Advance the amount done, with a note beside it."""
+        self.update(advance=advance, note=note)
 
 
 def show(*parts: object) -> None:
-    """Print tables and lines; long lines are wrapped by the terminal, not cut."""
+    """Print tables, and lines broken at `WIDTH`."""
+    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
     for part in parts:
-        text = part.text() if isinstance(part, Table) else part
+        text = part.text() if isinstance(part, Table) else wrap.fill(str(part))
         console.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -13,11 +13,10 @@ from .cli import lacks_training
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
-    if lacks_training(error):
-        raise ModuleNotFoundError(
-            f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'", name=error.name
-        ) from None
-    raise
+    if not lacks_training(error):
+        raise
+    said = f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'"
+    raise ModuleNotFoundError(said, name=error.name) from None
 
 from soil_env._io.loading import unknown_value
 from soil_env.course_env import actions_of, check_count
@@ -46,7 +45,39 @@ def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
     return truth(course) if critic else ()
 
 
-class CourseVecEnv(VecEnv):
+class NativeVecEnv(VecEnv):
+    """Base: courses that are stepped in one call, so that none is an object of its own."""
+
+    render_mode = None
+
+    def owners(self, indices=None) -> list[VecEnv]:
+        """The object that has the attributes of each of these courses."""
+        return [self for _ in self._get_indices(indices)]
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices=None) -> list[Any]:
+        """The attribute of each course."""
+        return [getattr(owner, attr_name) for owner in self.owners(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
+        """Set an attribute; courses share it."""
+        for owner in dict.fromkeys(self.owners(indices)):
+            setattr(owner, attr_name, value)
+
+    def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
+        """Call a method once for all courses that share it; the result for each course."""
+        owners = self.owners(indices)
+        found = {owner: getattr(owner, method_name)(*args, **kwargs) for owner in dict.fromkeys(owners)}
+        return [found[owner] for owner in owners]
+
+    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
+        """Single courses are never wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+class CourseVecEnv(NativeVecEnv):
     """Base: many courses for SB3, a finished one reset within the same step, as SB3 expects.
 
     Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
@@ -61,7 +92,6 @@ class CourseVecEnv(VecEnv):
         if threads is not None:
             check_count("threads", threads)
         num_envs = int(num_envs)
-        self.render_mode = None
         self.scenario, self.scaling = scenario, scaling
         super().__init__(num_envs, scaling.space, actions)
         self.observation_variant = observation
@@ -123,46 +153,18 @@ class CourseVecEnv(VecEnv):
         """Observations."""
         return self.scaling(self.simulation.worlds.observation)
 
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def get_attr(self, attr_name: str, indices=None) -> list[Any]:
-        """The attribute, once a course (they share it)."""
-        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
-
-    def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
-        """Set an attribute for all courses."""
-        setattr(self, attr_name, value)
-
-    def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
-        """Call a method of this object, once; the result is repeated for each course."""
-        return [getattr(self, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
-
-    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
-        """Single courses are never wrapped."""
-        return [False] * len(list(self._get_indices(indices)))
-
 
 class SoilWheelVecEnv(CourseVecEnv):
     """`num_envs` wheels.
 
     Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that `true_soil` observes of the soil
-    come after the observation, for the value network of `agents.asymmetric`.
+    come after the observation, for the value network of `agents.agent`.
     """
 
     def __init__(
-        self,
-        num_envs: int,
-        scenario=DEFAULT_SCENARIO,
-        observation="identified",
-        action=None,
-        repeat=None,
-        threads=None,
-        model=None,
-        critic="",
-        scaled=True,
-        **changes,
-    ):
+        self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", action=None, repeat=None,
+        threads=None, model=None, critic="", scaled=True, **changes,
+    ):  # fmt: skip
         scenario = build_scenario(scenario, action, repeat, changes, _OWN)
         own, extra = layout(observation, scenario.course), privileged(critic, scenario.course)
         scaling = Scaling((*own, *extra), scaled)
@@ -186,17 +188,9 @@ class SoilRoverVecEnv(CourseVecEnv):
     """`num_envs` rovers; keyword arguments as in `SoilRoverEnv`."""
 
     def __init__(
-        self,
-        num_envs: int,
-        rover=DEFAULT_ROVER,
-        observation="identified",
-        action=None,
-        repeat=None,
-        threads=None,
-        model=None,
-        scaled=True,
-        **changes,
-    ):
+        self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", action=None, repeat=None, threads=None,
+        model=None, scaled=True, **changes,
+    ):  # fmt: skip
         scenario = build_rover(rover, action, repeat, changes, _OWN_OF_ROVER)
         scaling = Scaling(rover_layout(observation, scenario.axles), scaled)
         actions = rover_action_space(scenario.axles)

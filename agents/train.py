@@ -13,6 +13,7 @@ from soil_env.cli.running import PATH
 
 from .cli import WITH_KEYS, config_mapping, continued_by, keys_argument, needing_training, overrides
 from .config import PPOConfig, TrainConfig, load_config
+from .progress import show
 
 
 def _keys() -> str:
@@ -47,33 +48,28 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     with needing_training():
         from . import comparison, training
 
-    folder, settings, scenario = _opened(config, resume, keys)
+    changes = overrides(keys, "--config")
+    if resume is not None:
+        if config is not None or changes:
+            raise ParameterError("--resume takes no other option: the run folder has its config")
+        folder, (settings, scenario) = resume, training.open_run(resume)
+    else:
+        mapping, where = {}, "command line"
+        if config is not None:
+            mapping, where = config_mapping(config), f"{config}, command line"
+            load_config(mapping, str(config))  # errors of the file alone name the file alone
+        settings = load_config(merge(mapping, changes), where)
+        scenario = training.scenario_of(settings)
+        folder = training.make_run_folder(settings, scenario)
     with continued_by(f"soil-env train --resume {folder}"):
-        training.console.print(f"Run folder: {folder}")
-        if all((folder / name).is_file() for name in (training.MODEL, *comparison.written(settings))):
-            training.console.print("Already finished. Delete its comparison.json to compare again.")
+        show(f"Run folder: {folder}")
+        written = comparison.written(settings)
+        if all((folder / name).is_file() for name in (training.MODEL, *written)):
+            show("Already finished. Delete its comparison.json to compare again.")
             return
         try:
             agent = training.train(folder, settings, scenario)
         except MemoryError as error:
             raise MemoryError(f"{error}; expected a smaller ppo.num_envs or ppo.n_steps") from None
         comparison.compare(folder, settings, scenario, agent)
-        training.console.print(f"Written to {folder}: {', '.join(comparison.written(settings))}")
-
-
-def _opened(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> tuple:
-    """(folder, config, scenario) of a new run, or of the one to resume."""
-    from . import training
-
-    changes = overrides(keys, "--config")
-    if resume is not None:
-        if config is not None or changes:
-            raise ParameterError("--resume takes no other option: the run folder has its config")
-        return resume, *training.open_run(resume)
-    mapping, where = {}, "command line"
-    if config is not None:
-        mapping, where = config_mapping(config), f"{config}, command line"
-        load_config(mapping, str(config))  # errors of the file alone name the file alone
-    loaded = load_config(merge(mapping, changes), where)
-    scenario = training.scenario_of(loaded)
-    return training.make_run_folder(loaded, scenario), loaded, scenario
+        show(f"Written to {folder}: {', '.join(written)}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +13,19 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
+from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.vehicle import RoverScenario, load_rover
 
 from . import ppo
 from .agent import Agent, contrib, load_agent
 from .config import TrainConfig, load_config
-from .progress import Bar, console
-from .worlds import hidden_worlds
+from .environment import hidden_worlds
+from .progress import Bar, show
 
 MODEL, CHECKPOINT = "model.zip", "checkpoint.zip"
 _RECENT = 1000  # courses whose mean return and rates are shown
+_STUCK = [cause.name for cause in IMMOBILISED]
 
 
 class _Watch(BaseCallback):
@@ -32,29 +34,24 @@ class _Watch(BaseCallback):
     def __init__(self, folder: Path, every: int, bar: Bar):
         super().__init__()
         self.folder, self.every, self.bar = folder, every, bar
-        self.next_save = 0
-        self.causes: list[str] = []
-        self.returns: list[float] = []
+        self.next_save, self.ended = 0, deque(maxlen=_RECENT)  # (cause, return)
 
     def _on_training_start(self) -> None:
         self.next_save = self.num_timesteps + self.every
 
     def _on_step(self) -> bool:
-        for k in np.flatnonzero(self.locals["dones"]):
-            info = self.locals["infos"][k]
-            self.causes.append(info["cause"])
-            self.returns.append(info["episode"]["r"])
+        infos = [self.locals["infos"][k] for k in np.flatnonzero(self.locals["dones"])]
+        self.ended.extend((info["cause"], info["episode"]["r"]) for info in infos)
         return True
 
     def _on_rollout_end(self) -> None:
-        self.causes, self.returns = self.causes[-_RECENT:], self.returns[-_RECENT:]
         note = ""
-        if self.causes:
-            stuck = np.mean([cause in ("ENTRAPPED", "STALLED", "BOGGED") for cause in self.causes])
-            finished, mean = np.mean([cause == "FINISHED" for cause in self.causes]), np.mean(self.returns)
-            for name, value in (("immobilised", stuck), ("finished", finished), ("return", mean)):
+        if self.ended:
+            causes, returns = zip(*self.ended, strict=True)
+            stuck, finished = np.isin(causes, _STUCK).mean(), np.mean([cause == "FINISHED" for cause in causes])
+            for name, value in (("immobilised", stuck), ("finished", finished), ("return", np.mean(returns))):
                 self.logger.record(f"courses/{name}", value)
-            note = f"return {mean:.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            note = f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
         self.bar.update(self.num_timesteps, note=note)
 
     def _on_rollout_start(self) -> None:
@@ -68,10 +65,7 @@ class _Watch(BaseCallback):
 
 def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     """The task of a config: its rover, if the config names one, else its scenario."""
-    if config.rover:
-        scenario = load_rover(config.rover, config.changes)
-    else:
-        scenario = load_scenario(config.scenario, config.changes)
+    scenario = (load_rover if config.rover else load_scenario)(config.rover or config.scenario, config.changes)
     if scenario.belief.method == "none":
         raise ParameterError(
             "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which reads "
@@ -80,33 +74,23 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     return scenario
 
 
-def check(config: TrainConfig) -> None:
-    """ParameterError in one line if sb3-contrib is needed and missing."""
-    if config.algorithm == "recurrent_ppo":
-        contrib()
-
-
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
     """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
-    check(config)
+    if config.algorithm == "recurrent_ppo":
+        contrib()  # ParameterError where it is missing
     folder = Path(config.runs) / name
     try:
         folder.mkdir(parents=True)
-        write_task(folder, config, scenario)
+        for file, content in (("config", config), ("scenario", scenario)):
+            replace_file(folder / f"{file}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
     except FileExistsError:
         raise ParameterError(f"{folder}: exists; give another --name, or --resume {folder}") from None
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder
-
-
-def write_task(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> None:
-    """Write the config.yaml and scenario.yaml of a run folder."""
-    for name, content in (("config", config), ("scenario", scenario)):
-        replace_file(folder / f"{name}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
 
 
 def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
@@ -123,31 +107,30 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
 # --- training ---------------------------------------------------------------------------------------------------------
 
 
-def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario, bar: Callable = Bar) -> Agent:
-    """Train in `folder`, from its checkpoint if there is one, and save model.zip. `bar`: as `Bar`, shows progress."""
+def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> Agent:
+    """Train in `folder`, from its checkpoint if there is one, and save model.zip."""
     folder = Path(folder)
     if not (folder / MODEL).is_file():
-        _learn(folder, config, scenario, bar)
+        _learn(folder, config, scenario)
     for left_over in (folder / CHECKPOINT, *folder.glob(".*.partial*")):  # a kill may have left them beside the model
         left_over.unlink(missing_ok=True)
     return load_agent(folder / MODEL)
 
 
-def _learn(folder: Path, config: TrainConfig, scenario, bar: Callable) -> None:
-    checkpoint, log = folder / CHECKPOINT, folder / "tensorboard"
-    worlds = config.world
+def _learn(folder: Path, config: TrainConfig, scenario) -> None:
+    checkpoint, worlds = folder / CHECKPOINT, config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
-    task = scenario, config.observation, config.ppo, config.seed, log, worlds, config.algorithm
+    task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds, config.algorithm
     if checkpoint.is_file():
         model = ppo.resume(checkpoint, *task)
-        console.print(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
+        show(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(*task)
     left = config.timesteps - model.num_timesteps
     if left > 0:
-        with bar("Training", config.timesteps, "steps", model.num_timesteps) as shown:
-            watch = _Watch(folder, config.checkpoint_every, shown)
+        with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+            watch = _Watch(folder, config.checkpoint_every, bar)
             try:
                 model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
@@ -156,12 +139,12 @@ def _learn(folder: Path, config: TrainConfig, scenario, bar: Callable) -> None:
     ppo.save(model, folder / MODEL)
 
 
-def trained(config: TrainConfig, scenario: Scenario | RoverScenario, bar: Callable = Bar) -> Path:
+def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
     """The model.zip of the run folder of a config, which is begun, resumed, or done already."""
     run = Path(config.runs) / config.name
     if run.is_dir() and not (run / "scenario.yaml").is_file():
         shutil.rmtree(run)  # its start was interrupted
     if not run.is_dir():
         make_run_folder(config, scenario)
-    train(run, config, scenario, bar)
+    train(run, config, scenario)
     return run / MODEL

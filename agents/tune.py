@@ -8,7 +8,6 @@ from typing import get_args, get_type_hints
 import click
 import yaml
 
-from soil_env._io.document import Table
 from soil_env._io.files import make_folder, replace_file
 from soil_env._io.loading import unknown_value
 from soil_env.cli.running import PATH, WholeNumber
@@ -47,7 +46,7 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
 def _tune(out: Path, name: str, actions: list[str], courses: int) -> None:
     """Tune for each action and write the settings."""
     make_folder(out)
-    settings, rows = {}, []
+    settings, lines = {}, []
     for action in actions:
         scenario = load_scenario(name, {"control": {"action": action}})
         chosen, tried = tuned_settings(scenario, courses, log=out / f"trials-{action}.log", anew=True)
@@ -55,11 +54,11 @@ def _tune(out: Path, name: str, actions: list[str], courses: int) -> None:
         for n, values in settings[action].items():
             best = max(tried[n], key=lambda trial: (trial["finished"], trial["return"]))
             said = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            rows.append([action, n, f"{100 * best['finished']:.1f}", said])
+            lines.append(f"{action}, {n}: {100 * best['finished']:.1f} % of the tuning courses finished with {said}")
     content = {"courses": courses, "seed": TUNING_SET, "trials": load_spaces().trials_of(courses),
                "version": code_version(), "settings": settings}  # fmt: skip
     file = out / f"{name}.yaml"
     typed = f"soil-env tune --scenario {name} --courses {courses} --actions {','.join(actions)}"
     made = f"# Settings of the classical controllers, found by {typed}\n"
     replace_file(file, made + yaml.safe_dump(content, sort_keys=False))
-    show(Table(["action", "controller", "finished [% of tuning courses]", "settings"], rows), f"Written: {file}")
+    show(*lines, f"Written: {file}")

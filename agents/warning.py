@@ -31,20 +31,12 @@ from soil_env.identification.online.immobilisation import (
     ImmobilisationWarning,
     Network,
     score_inputs,
-)
+)  # fmt: skip
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.simulation.task import Cause
 
 from .cli import needing_training
-from .controllers import (
-    BestSlipIdentified,
-    ConstantSpeed,
-    Controller,
-    FullThrottle,
-    SlipLimiter,
-    SoftStart,
-    make_controller,
-)
+from .controllers import CONTROLLERS, Controller
 from .evaluate.driving import drive
 from .evaluate.warning import KEPT, RELEASE
 from .progress import show
@@ -57,7 +49,6 @@ FALSE = 0.05  # share of the driving time on finished courses under alarm
 UNKNOWN = 5.0  # [s] before the last progress of a course cut by the time limit, from which on its outcome is not known
 HIDDEN, RATE, DECAY, BATCH = (64, 32), 1e-2, 1e-3, 4096
 _STUCK = [cause.value for cause in IMMOBILISED]
-
 
 # --- drivers ----------------------------------------------------------------------------------------------------------
 
@@ -95,23 +86,30 @@ class Random(Controller):
 
 def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int) -> Controller:
     """A driver of a family, each of `count` courses with settings of its own that `seed` draws."""
-    rng, top = np.random.default_rng([*seed, FAMILIES.index(family)]), make_controller("soft_start", scenario).top_speed
-    share = lambda low, high: rng.uniform(low, high, count) * top  # noqa: E731
+    rng, top = np.random.default_rng([*seed, FAMILIES.index(family)]), Controller(scenario).top_speed
+
+    def share(low: float, high: float) -> np.ndarray:
+        return rng.uniform(low, high, count) * top
+
     start = share(0.05, 0.4)
     match family:
         case "constant_speed":
-            return ConstantSpeed(scenario, speed=share(0.05, 0.9))
+            settings = {"speed": share(0.05, 0.9)}
         case "soft_start":
             rate = np.exp(rng.uniform(np.log(0.04), np.log(0.7), count)) * top
-            return SoftStart(scenario, acceleration=rate, speed=share(0.2, 0.95))
+            settings = {"acceleration": rate, "speed": share(0.2, 0.95)}
         case "slip":
-            cap, slip = np.maximum(share(0.3, 0.95), start), rng.uniform(0.05, 0.7, count)
-            return SlipLimiter(scenario, slip=slip, start=start, acceleration=_AT_ONCE, speed=cap)
+            family, cap = "slip_limiter", np.maximum(share(0.3, 0.95), start)
+            slip = rng.uniform(0.05, 0.7, count)
+            settings = {"slip": slip, "start": start, "acceleration": _AT_ONCE, "speed": cap}
         case "best_slip":
-            return BestSlipIdentified(scenario, start=0.1 * top, acceleration=_AT_ONCE, speed=0.4 * top)
+            family = "best_slip_identified"
+            settings = {"start": 0.1 * top, "acceleration": _AT_ONCE, "speed": 0.4 * top}
         case "full_throttle":
-            return FullThrottle(scenario)
-    return Random(scenario, rng, count, family == "random_throttle")
+            settings = {}
+        case _:
+            return Random(scenario, rng, count, family == "random_throttle")
+    return CONTROLLERS[family](scenario, **settings)
 
 
 # --- drives -----------------------------------------------------------------------------------------------------------

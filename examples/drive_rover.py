@@ -1,62 +1,51 @@
 """Drive a rover with all wheels at one speed, as most rovers do, and save a picture or a video of it.
 
+\b
 Examples:
     python examples/drive_rover.py                                     prints how the course went, axle by axle
     python examples/drive_rover.py --rover mars_rover --frame 300 --out rover.png    one frame as a picture
     python examples/drive_rover.py --speed 0.8 --out rover.mp4         the whole course (needs moviepy)
 """
 
-import argparse
-import sys
 from pathlib import Path
 
+import click
 import gymnasium
 import matplotlib.image
 import numpy as np
 
 from soil_env import ParameterError
+from soil_env.cli.running import leave, run
 from soil_env.vehicle import DEFAULT_ROVER, rover_names
 
 
-def main() -> None:
+@click.command(help=__doc__)
+@click.option("--rover", default=DEFAULT_ROVER, help=f"{', '.join(rover_names())}, or the path of a YAML file")
+@click.option("--speed", type=click.FloatRange(-1.0, 1.0), default=0.7, help="share of the no-load speed of the wheels")
+@click.option("--seed", default=0, help="seed of the course")
+@click.option("--frame", type=click.IntRange(1), help="control period of which to save a picture (default: the last)")
+@click.option("--out", type=Path, help=".png for a picture, .mp4 for a video")
+def main(rover: str, speed: float, seed: int, frame: int | None, out: Path | None) -> None:
     """Drive, print, save."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--rover", default=DEFAULT_ROVER, help=f"{', '.join(rover_names())}, or the path of a YAML file")
-    p.add_argument("--speed", type=float, default=0.7, help="of the wheels, as a share of their no-load speed")
-    p.add_argument("--seed", type=int, default=0, help="seed of the course")
-    p.add_argument("--frame", type=int, help="control period of which to save a picture; the last one if left out")
-    p.add_argument("--out", type=Path, help=".png for a picture, .mp4 for a video")
-    options = p.parse_args()
-    if options.out is not None and options.out.suffix not in (".png", ".mp4"):
-        p.error(f"--out {options.out}: expected a .png or an .mp4 file")
-    if not -1.0 <= options.speed <= 1.0:
-        p.error(f"--speed {options.speed}: expected a share of the no-load speed in [-1, 1]")
-    if options.frame is not None and options.frame < 1:
-        p.error(f"--frame {options.frame}: expected a control period, from 1 on")
-    video = options.out is not None and options.out.suffix == ".mp4"
+    if out is not None and out.suffix not in (".png", ".mp4"):
+        raise ParameterError(f"--out {out}: expected a .png or an .mp4 file")
+    video = out is not None and out.suffix == ".mp4"
     env = gymnasium.make(
-        "soil_env:SoilRover-v0",
-        rover=options.rover,
-        observation="blind",
-        info="full",  # with what is identified
-        action="wheel_speed",
-        render_mode="rgb_array" if options.out else None,
-    )
+        "soil_env:SoilRover-v0", rover=rover, observation="blind", info="full", action="wheel_speed",
+        render_mode="rgb_array" if out else None,
+    )  # fmt: skip
     if video:
-        folder = str(options.out.resolve().parent)
-        env = gymnasium.wrappers.RecordVideo(env, folder, lambda _: True, name_prefix=options.out.stem)
-    env.reset(seed=options.seed)
-    action = np.full(env.action_space.shape, options.speed, dtype=np.float32)  # a number for each axle
+        env = gymnasium.wrappers.RecordVideo(env, str(out.resolve().parent), lambda _: True, name_prefix=out.stem)
+    env.reset(seed=seed)
+    action = np.full(env.action_space.shape, speed, dtype=np.float32)  # a number for each axle
     over, steps = False, 0
-    while not over and (video or options.frame is None or steps < options.frame):
+    while not over and (video or frame is None or steps < frame):
         _, _, terminated, truncated, info = env.step(action)
         over, steps = terminated or truncated, steps + 1
-    if options.frame is not None and steps < options.frame:
-        print(f"--frame {options.frame}: the course ended before, after {steps} periods; the picture is of its end")
-    if options.out is not None and not video:
-        matplotlib.image.imsave(options.out, env.render())
+    if out is not None and not video:
+        matplotlib.image.imsave(out, env.render())
     env.close()
-    print(f"{options.rover}: {info['cause']} at {info['state']['x']:.2f} m after {steps} periods")
+    print(f"{rover}: {info['cause']} at {info['state']['x']:.2f} m after {steps} periods")
     identified = env.unwrapped.scenario.belief.method != "none"
     for axle in ("front", "middle", "rear"):
         if axle in info:
@@ -69,8 +58,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except (ParameterError, ValueError, OSError, gymnasium.error.Error) as error:
-        print(f"drive_rover.py: error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    leave(run(main, None, "drive_rover.py"))

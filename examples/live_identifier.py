@@ -10,8 +10,6 @@ Examples:
         python examples/live_identifier.py --stdin
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import socket

@@ -35,13 +35,9 @@ def record(name: str, controller: str, scenario: str, episodes: int) -> None:
             start = np.array([False])
             observation, _, terminated, truncated, _ = env.step(action[0])
             over = terminated or truncated
-    env.create_dataset(
-        dataset_id=name,
-        algorithm_name=controller,
-        author="soil_env developers",
-        description=f"{episodes} courses of scenario {scenario!r}, seeds from {SEED}, driven by {controller}",
-        requirements=[f"soil_env=={soil_env.__version__}"],
-    )
+    said = f"{episodes} courses of scenario {scenario!r}, seeds from {SEED}, driven by {controller}"
+    needs = [f"soil_env=={soil_env.__version__}"]
+    env.create_dataset(dataset_id=name, algorithm_name=controller, description=said, requirements=needs)
     env.close()
 
 

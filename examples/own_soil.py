@@ -32,17 +32,11 @@ def main() -> None:
             friction_angle_deg=options.phi, cohesion=800.0, shear_modulus=options.shear_modulus,
             sinkage_exponent=1.0, sinkage_coefficient=9e5, density=1550.0, dig_gain=2.0,
         )  # fmt: skip
-        env = gymnasium.make(
-            "soil_env:SoilWheel-v0",
-            render_mode="rgb_array",
-            repeat=1,
-            scaled=False,  # controllers read physical values
-            name="beach",
-            own_soils={"beach": beach},
-            soils={"beach": 3, "dry_sand": 1},  # three patches of four are beach
-            wheel={"radius": 0.2, "width": 0.18},
+        env = gymnasium.make(  # three patches of four are beach; controllers read physical values
+            "soil_env:SoilWheel-v0", render_mode="rgb_array", repeat=1, scaled=False, name="beach",
+            own_soils={"beach": beach}, soils={"beach": 3, "dry_sand": 1}, wheel={"radius": 0.2, "width": 0.18},
             course={"length": 20.0, "margin": [0.03, 0.08]},
-        )
+        )  # fmt: skip
         observation, info = env.reset(seed=1)
     except ParameterError as error:
         p.exit(2, f"{p.prog}: error: {error}\n")

@@ -11,9 +11,8 @@ Examples:
     soil-env logs drive --map drive.map.yaml --out drive.report
 """
 
-from __future__ import annotations
-
 import argparse
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -86,16 +85,10 @@ class Recorder:
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
         felt = vector(reading["acceleration"], 0.0, 0.0)
         self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, felt, np.zeros(9))
-        self.write(
-            "/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, radius - reading["sinkage"], *_variance()
-        )
+        height, older = radius - reading["sinkage"], "variance" not in T["sensor_msgs/msg/Range"].__dataclass_fields__
+        self.write("/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, height, *(() if older else (0.0,)))
         self.write("/wheel/slip", seconds, "std_msgs/msg/Float64", reading["slip"])
         self.write("/motor/torque", seconds, "std_msgs/msg/Float64", reading["motor_torque"])
-
-
-def _variance() -> tuple[float, ...]:
-    """The last field of a Range, which older definitions of it do not have."""
-    return (0.0,) if "variance" in T["sensor_msgs/msg/Range"].__dataclass_fields__ else ()
 
 
 def drive(recorder: Recorder, seed: int, steps: int):
@@ -134,13 +127,8 @@ def map_of(scenario) -> str:
     depth = {"topic": "/range", "field": "range", "unit": "m", "sign": -1, "offset": wheel.radius}
     channels = {name: {**source, "sd": sd[name]} for name, source in {**CHANNELS, "sinkage": depth}.items()}
     rover = {n: getattr(wheel, n) for n in ("radius", "width", "body_mass", "inertia", "stall_torque", "no_load_speed")}
-    return yaml.safe_dump(
-        {
-            "wheel": rover, "channels": channels, "period": scenario.control.period, "gravity": scenario.gravity,
-            "relaxation": scenario.relaxation, "belief": to_dict(belief),
-        },
-        sort_keys=False,
-    )  # fmt: skip
+    same = {"period": scenario.control.period, "gravity": scenario.gravity, "relaxation": scenario.relaxation}
+    return yaml.safe_dump({"wheel": rover, "channels": channels, **same, "belief": to_dict(belief)}, sort_keys=False)
 
 
 def main() -> None:
@@ -154,10 +142,8 @@ def main() -> None:
         p.error(f"--out {options.out}: exists: expected the folder of a new bag")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     recorder = Recorder(options.out)
-    try:
+    with contextlib.closing(recorder.writer):
         scenario, online = drive(recorder, options.seed, options.steps)
-    finally:
-        recorder.writer.close()
     place = options.out.with_name(options.out.name + ".map.yaml")
     place.write_text(map_of(scenario), encoding="utf-8")
     try:

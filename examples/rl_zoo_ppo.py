@@ -23,21 +23,12 @@ from soil_env_agents.sb3 import SoilWheelVecEnv
 hyperparams = {
     "SoilWheel-v0": {
         "vec_env_wrapper": [{"rl_zoo_ppo.native": {"initial_action": 0.1}}],
-        "normalize": True,
-        "n_envs": 128,
-        "n_timesteps": 500_000,
-        "policy": "MlpPolicy",
-        "n_steps": 64,
-        "batch_size": 2048,
-        "n_epochs": 6,
-        "learning_rate": "lin_1e-3",
-        "gamma": 0.999,
-        "gae_lambda": 0.95,
-        "clip_range": 0.2,
-        "ent_coef": 0.0,
+        "normalize": True, "n_envs": 128, "n_timesteps": 500_000, "policy": "MlpPolicy", "n_steps": 64,
+        "batch_size": 2048, "n_epochs": 6, "learning_rate": "lin_1e-3", "gamma": 0.999, "gae_lambda": 0.95,
+        "clip_range": 0.2, "ent_coef": 0.0,
         "policy_kwargs": {"net_arch": [64, 64], "activation_fn": nn.ReLU, "log_std_init": -1.0},
     }
-}
+}  # fmt: skip
 
 
 class Shifted(VecEnvWrapper):

@@ -22,7 +22,7 @@ from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 
 
 class Driving(DefaultPPOTorchRLModule):
-    """RLlib's policy and value, with a policy that drives at first: exploring around full stop would teach to stall."""
+    """RLlib's policy and value; the untrained policy drives slowly."""
 
     def setup(self):
         """Begin with the mean action 0.3 and the standard deviation 0.2."""
@@ -47,10 +47,8 @@ def main() -> None:
         PPOConfig()
         .environment("soil_env:SoilWheel-v0", env_config={"scenario": "mixed", "observation": "identified"})
         .env_runners(
-            num_env_runners=options.runners,
-            num_envs_per_env_runner=options.wheels,
+            num_env_runners=options.runners, num_envs_per_env_runner=options.wheels, rollout_fragment_length="auto",
             gym_env_vectorize_mode="vector_entry_point",
-            rollout_fragment_length="auto",
             env_to_module_connector=lambda env, spaces, device: MeanStdFilter(),
         )
         .learners(num_learners=0)
@@ -61,22 +59,13 @@ def main() -> None:
             )
         )
         .training(
-            train_batch_size_per_learner=options.batch,
-            minibatch_size=min(1024, options.batch),
-            num_epochs=6,
-            lr=[[0, 1e-3], [options.iterations * options.batch, 5e-5]],
-            gamma=0.999,
-            lambda_=0.9,
-            use_kl_loss=False,
-            clip_param=0.2,
-            entropy_coeff=0.003,
-            vf_loss_coeff=0.5,
-            vf_clip_param=100.0,
-            grad_clip=0.5,
+            train_batch_size_per_learner=options.batch, minibatch_size=min(1024, options.batch), num_epochs=6,
+            lr=[[0, 1e-3], [options.iterations * options.batch, 5e-5]], gamma=0.999, lambda_=0.9, use_kl_loss=False,
+            clip_param=0.2, entropy_coeff=0.003, vf_loss_coeff=0.5, vf_clip_param=100.0, grad_clip=0.5,
             grad_clip_by="global_norm",
         )
         .debugging(seed=1)
-    )
+    )  # fmt: skip
     algorithm, returns = config.build_algo(), deque(maxlen=100)
     for k in range(options.iterations):
         found = algorithm.train()["env_runners"]

@@ -23,43 +23,31 @@ from soil_env._io.loading import ParameterError, number, unknown_key, unknown_va
 from soil_env.parameters import Scenario
 
 from .base import Controller, Setting
-from .blind_speed import ConstantSpeed, ConstantTorque, FullThrottle, SoftStart
-from .slip import ExtremumSeeking, FixedSlip, SlipFollower, SlipLimiter
-from .soil import CHANGE, BestSlipIdentified, BestSlipTrue
+from .wheel import (
+    CHANGE,
+    BestSlipIdentified,
+    BestSlipTrue,
+    ConstantSpeed,
+    ConstantTorque,
+    ExtremumSeeking,
+    FixedSlip,
+    FullThrottle,
+    SlipFollower,
+    SlipLimiter,
+    SoftStart,
+)  # fmt: skip
 
 __all__ = [
-    "CHANGE",
-    "CONTROLLERS",
-    "BestSlipIdentified",
-    "BestSlipTrue",
-    "ConstantSpeed",
-    "ConstantTorque",
-    "Controller",
-    "ExtremumSeeking",
-    "FixedSlip",
-    "FullThrottle",
-    "Setting",
-    "SlipFollower",
-    "SlipLimiter",
-    "SoftStart",
-    "checked_settings",
-    "make_controller",
-]
+    "CHANGE", "CONTROLLERS", "BestSlipIdentified", "BestSlipTrue", "ConstantSpeed", "ConstantTorque", "Controller",
+    "ExtremumSeeking", "FixedSlip", "FullThrottle", "Setting", "SlipFollower", "SlipLimiter", "SoftStart",
+    "checked_settings", "make_controller",
+]  # fmt: skip
 
-CONTROLLERS: dict[str, type[Controller]] = {
-    c.name: c
-    for c in (
-        FullThrottle,
-        ConstantTorque,
-        ConstantSpeed,
-        SoftStart,
-        FixedSlip,
-        SlipLimiter,
-        ExtremumSeeking,
-        BestSlipIdentified,
-        BestSlipTrue,
-    )
-}
+_ALL = (
+    FullThrottle, ConstantTorque, ConstantSpeed, SoftStart, FixedSlip, SlipLimiter, ExtremumSeeking, BestSlipIdentified,
+    BestSlipTrue,
+)  # fmt: skip
+CONTROLLERS: dict[str, type[Controller]] = {c.name: c for c in _ALL}
 
 
 def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:

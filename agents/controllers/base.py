@@ -107,10 +107,6 @@ class Controller:
             state = {name: np.zeros((len(batch), n) if n else len(batch)) for name, n in self.memory.items()}
             fresh = np.ones(len(batch), dtype=bool)
         state = {key: value.copy() for key, value in state.items()}
-        return self.restarted(batch, state, fresh)
-
-    def restarted(self, batch, state: dict, fresh) -> dict:
-        """`state` with the rows that are `fresh` as at the start of a course."""
         for name, columns in self.memory.items():
             state[name] = np.where(fresh[:, None] if columns else fresh, 0.0, state[name])
         state["fresh"] = fresh
@@ -129,15 +125,9 @@ class Controller:
         error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
         torque = self.gain * error + state["integral"]
         windup = (np.abs(torque) > self.stall) & (torque * error > 0.0)
-        state["integral"] = np.where(
-            self.halted(batch),
-            self._feed_forward(batch),
-            np.clip(
-                state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error),
-                -self.stall,
-                self.stall,
-            ),
-        )
+        integral = state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error)
+        integral = np.clip(integral, -self.stall, self.stall)
+        state["integral"] = np.where(self.halted(batch), self._feed_forward(batch), integral)
         return torque
 
 

@@ -80,7 +80,6 @@ class _Driver(Ramped):
         return np.where(back, BACK * self.top_speed, state["ramp"])
 
     def beside(self, batch):
-        """Line of the plan, [n] bool."""
         return self.plans.beside
 
     def act(self, batch, state) -> np.ndarray:

@@ -15,16 +15,18 @@ All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`ag
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.parameters import Scenario
 from soil_env.simulation.rover.task import axle_names, rover_layout
 from soil_env.simulation.task import layout
 from soil_env.vehicle import RoverScenario
 
-from ..controllers import make_controller
+from ..controllers import CONTROLLERS, make_controller
 
 _SLOWEST = 0.02  # [of top rim speed] of the body, where its turning is looked at
 _RATE_SHARE = 0.3  # of the newest reading in the mean of the pitch rate
@@ -32,14 +34,12 @@ _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 
 
 class RoverController:
-    """Base: a controller of a wheel for each wheel; `own` is that controller, `drives` changes of the control."""
+    """The controller `of_wheel` for each wheel; `own` is that controller, `drives` changes of the control."""
 
-    name = "rover_controller"
-    of_wheel = "soft_start"
     drives: dict[str, Any] = {}
 
-    def __init__(self, scenario: RoverScenario, **settings: float):
-        self.own = make_controller(self.of_wheel, scenario, **settings)
+    def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
+        self.own = make_controller(of_wheel, scenario, **settings)
         self.scenario, self.variant, self.settings = scenario, self.own.variant, self.own.settings
         self.axles = scenario.axles
         self.column = {e.name: i for i, e in enumerate(rover_layout(self.variant, self.axles))}
@@ -66,36 +66,6 @@ class RoverController:
         return self.own.rim_speed(wheels, state)
 
 
-class EqualSpeed(RoverController):
-    """One constant rim speed."""
-
-    name, of_wheel = "equal_speed", "constant_speed"
-
-
-class SoftStart(RoverController):
-    """One rim speed that rises from rest and after halts."""
-
-    name, of_wheel = "soft_start", "soft_start"
-
-
-class SlipLimiter(RoverController):
-    """The ramp, limited for each wheel by its own slip."""
-
-    name, of_wheel = "slip_limiter", "slip_limiter"
-
-
-class BestSlipIdentified(RoverController):
-    """The ramp, limited for each wheel to the best slip on the soil under it as identified."""
-
-    name, of_wheel = "best_slip_identified", "best_slip_identified"
-
-
-class BestSlipTrue(RoverController):
-    """The same on the true soil."""
-
-    name, of_wheel = "best_slip_true", "best_slip_true"
-
-
 class VelocitySync(RoverController):
     """The ramp, with each wheel as fast as its axle goes in the motion of the rigid body.
 
@@ -104,10 +74,8 @@ class VelocitySync(RoverController):
     centre goes sqrt(V^2 + (q x)^2), and the fastest keeps the commanded speed. On even slopes all go alike.
     """
 
-    name = "velocity_sync"
-
-    def __init__(self, scenario: RoverScenario, **settings: float):
-        super().__init__(scenario, **settings)
+    def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
+        super().__init__(scenario, of_wheel, **settings)
         v = scenario.vehicle
         self.arms = v.centre - np.array(v.axles)
 
@@ -132,7 +100,6 @@ class TorqueByLoad(RoverController):
     resistance take.
     """
 
-    name = "torque_by_load"
     drives = {"action": "torque", "repeat": 1}
 
     def command(self, batch, wheels, state):
@@ -153,9 +120,21 @@ class TorqueByLoad(RoverController):
         return np.clip(total[:, None] * share / own.stall, -1.0, 1.0).astype(np.float32)
 
 
-ROVER_CONTROLLERS: dict[str, type[RoverController]] = {
-    c.name: c
-    for c in (EqualSpeed, SoftStart, VelocitySync, SlipLimiter, TorqueByLoad, BestSlipIdentified, BestSlipTrue)
+class Kind(NamedTuple):
+    """A controller of a rover, and that of each of its wheels."""
+
+    cls: type[RoverController]
+    of_wheel: str
+
+
+ROVER_CONTROLLERS = {
+    "equal_speed": Kind(RoverController, "constant_speed"),
+    "soft_start": Kind(RoverController, "soft_start"),
+    "velocity_sync": Kind(VelocitySync, "soft_start"),
+    "slip_limiter": Kind(RoverController, "slip_limiter"),
+    "torque_by_load": Kind(TorqueByLoad, "soft_start"),
+    "best_slip_identified": Kind(RoverController, "best_slip_identified"),
+    "best_slip_true": Kind(RoverController, "best_slip_true"),
 }
 
 
@@ -165,4 +144,12 @@ def make_rover_controller(name: str, scenario: RoverScenario, **settings: float)
         raise unknown_value(name, ROVER_CONTROLLERS, "controller")
     if not isinstance(scenario, RoverScenario):
         raise ParameterError(f"controller {name}: expected the scenario of a rover")
-    return ROVER_CONTROLLERS[name](scenario, **settings)
+    kind = ROVER_CONTROLLERS[name]
+    return kind.cls(scenario, kind.of_wheel, **settings)
+
+
+def controllers_of(scenario: Scenario | RoverScenario) -> tuple[Mapping[str, Any], Callable[..., Any]]:
+    """(Controllers by name, function that makes one) of a wheel or of a rover."""
+    if isinstance(scenario, RoverScenario):
+        return ROVER_CONTROLLERS, make_rover_controller
+    return CONTROLLERS, make_controller

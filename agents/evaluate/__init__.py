@@ -6,17 +6,6 @@ from .statistics import wilson
 from .tuning import tuned_settings
 
 __all__ = [
-    "HELD_OUT_SET",
-    "METRICS",
-    "RATES",
-    "TUNING_SET",
-    "ControllerError",
-    "Runs",
-    "comparison",
-    "course_rng",
-    "drive",
-    "run_courses",
-    "save",
-    "tuned_settings",
-    "wilson",
-]
+    "HELD_OUT_SET", "METRICS", "RATES", "TUNING_SET", "ControllerError", "Runs", "comparison", "course_rng", "drive",
+    "run_courses", "save", "tuned_settings", "wilson",
+]  # fmt: skip

@@ -31,14 +31,10 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.option("--controllers", metavar="LIST", help="Names with commas, see above.")
 @click.option("--out", type=PATH, metavar="OUT", help="Folder of the results, made if missing.")
 @click.option("--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it.")
-@click.option(
-    "--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML file (default {DEFAULT_SCENARIO})."
-)
+@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @click.option("--model", metavar="YAML", default="", help="model.yaml with the effects of this world.")
 @click.option("--courses", type=WholeNumber(), default=1000, metavar="N", help="Courses of each (default 1000).")
-@click.option(
-    "--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Set of courses (default: held out)."
-)
+@click.option("--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Courses (default: held out).")
 @click.option("--tuning-courses", type=WholeNumber(), metavar="N", help="For untuned controllers; 0: do not tune.")
 @click.option("--oracle-courses", type=WholeNumber(), default=0, metavar="N", help="Courses of the oracle (default 0).")
 @click.option("--block", type=WholeNumber(), default=100, metavar="N", help="Courses side by side (default 100).")
@@ -62,20 +58,21 @@ def command(
 
     --changes.KEY VALUE sets a key of the scenario, --settings.NAME.KEY VALUE one of a controller.
     """
-    options = SimpleNamespace(**given)
-    folder = resume or options.out
     chosen = cells.choose(engine, workers, address)
     if resume is None:
-        asked = _asked(options, keys)
-        evaluation.check_controllers(asked)
+        folder, asked = given["out"], _asked(SimpleNamespace(**given), keys)
     else:
         source = click.get_current_context().get_parameter_source
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
-        asked = cells.load_study(Evaluation, resume)
-        evaluation.check_controllers(asked)
+        folder, asked = resume, cells.load_study(Evaluation, resume)
+    evaluation.check_controllers(asked)
     with continued_by(f"soil-env evaluate --resume {folder}"):
-        asked = _begin(asked, folder) if resume is None else _tuned(asked, folder)
+        if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
+            asked = cells.load_study(Evaluation, folder)
+        asked = _tuned(asked, folder)
+        cells.save_study(asked, folder)
+        (folder / _TUNING).unlink(missing_ok=True)
         job = evaluation.Job(asked, None if chosen is cells.in_process else 1, ship=engine == "ray")
         with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
             runs = evaluation.run(asked, folder, chosen, job, lambda count: bar.update(advance=count))
@@ -87,48 +84,28 @@ def command(
 
 def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
     """The evaluation of the command line."""
+    if options.controllers is None or options.out is None:
+        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
     extra = overrides(keys)
-    for key in extra:
+    for key, value in extra.items():
         if key not in ("changes", "settings"):
             known = [str(p.name).replace("_", "-") for p in command.params if p.name != "keys"]
             raise unknown_key(key.replace("_", "-"), [*known, "changes", "settings"], "command line")
-    if options.controllers is None or options.out is None:
-        raise ParameterError("expected --controllers and --out, or --resume (see --help)")
-    for key in ("changes", "settings"):
-        if not isinstance(extra.get(key, {}), dict):
-            raise ParameterError(f"--{key}: expected --{key}.KEY VALUE")
-    settings = extra.get("settings", {})
-    for name, values in settings.items():
-        if not isinstance(values, dict):
-            raise ParameterError(f"--settings.{name}: expected --settings.{name}.KEY VALUE")
-    if options.tuning_courses and options.seed == TUNING_SET:
-        raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+        entries = {key: value} | ({f"settings.{name}": v for name, v in value.items()} if key == "settings" else {})
+        for name, entry in entries.items():
+            if not isinstance(entry, dict):
+                raise ParameterError(f"--{name}: expected --{name}.KEY VALUE")
     tuning = options.tuning_courses
+    if tuning and options.seed == TUNING_SET:
+        raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
     if tuning is None:
         tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
+    same = {name: getattr(options, name) for name in ("courses", "seed", "block", "resamples", "oracle_courses")}
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
-    controllers = contestants.parse(options.controllers, settings)
+    controllers = contestants.parse(options.controllers, extra.get("settings", {}))
+    model = WheelSoilModel.load(options.model).content() if options.model else {}
     with as_options():
-        return Evaluation(
-            scenario=scenario,
-            controllers=controllers,
-            courses=options.courses,
-            seed=options.seed,
-            block=options.block,
-            resamples=options.resamples,
-            tuning_courses=tuning,
-            oracle_courses=options.oracle_courses,
-            model=WheelSoilModel.load(options.model).content() if options.model else {},
-        )
-
-
-def _begin(asked: Evaluation, folder: Path) -> Evaluation:
-    """The evaluation of `folder` if it is the same one, else `asked`, written there; tuned."""
-    if cells.is_begun(asked, folder, ignored=("tuned",)):
-        asked = cells.load_study(Evaluation, folder)
-    else:
-        cells.save_study(asked, folder)
-    return _tuned(asked, folder)
+        return Evaluation(scenario, controllers, tuning_courses=tuning, model=model, **same)
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
@@ -136,9 +113,7 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     if asked.tuned or not asked.tuning_courses:
         return asked
     own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
+    cells.save_study(asked, folder)  # before the work, so that it can be resumed
     names, log = [c.name for c in own], folder / _TUNING
-    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, model=asked.world, log=log)
-    asked = dataclasses.replace(asked, tuned=tuned)
-    cells.save_study(asked, folder)
-    log.unlink(missing_ok=True)
-    return asked
+    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
+    return dataclasses.replace(asked, tuned=tuned)

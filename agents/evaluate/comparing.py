@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,63 +10,30 @@ import numpy as np
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
-from ..controllers import CONTROLLERS, make_controller
-from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from . import statistics as st
-from .driving import MEANINGS, RATES, Runs, run_courses
-from .limit import ORACLE, limit, rows as limit_rows
+from .driving import MEANINGS, RATES, Runs
 from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
 
 RESAMPLES = 2000  # of the bootstraps
+ORACLE = "oracle"  # its name in tables; no contestant may have it
+ORACLE_BLOCK = 10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
 BY_SEED = ("immobilised", "finished", "return")
 
 
-def controllers(scenario: Scenario, settings: Mapping[str, Mapping[str, float]]) -> dict:
-    """All classical controllers of a wheel or of a rover by name, with these settings."""
-    known, make = (
-        (ROVER_CONTROLLERS, make_rover_controller)
-        if isinstance(scenario, RoverScenario)
-        else (CONTROLLERS, make_controller)
-    )
-    return {name: make(name, scenario, **settings.get(name, {})) for name in known}
-
-
-def driven(
-    drivers: Mapping[str, Sequence],
-    scenario: Scenario,
-    seed: int,
-    courses: int,
-    progress: Callable[[int, str], None],
-    model: WheelSoilModel | None = None,
-) -> dict[str, list[Runs]]:
-    """{name: the courses of the set `seed` as each member drives them}, of {name: members}."""
-
-    def drive(driver, name: str) -> Runs:
-        return run_courses(driver, scenario, seed, courses, progress=lambda count: progress(count, name), model=model)
-
-    return {name: [drive(driver, name) for driver in members] for name, members in drivers.items()}
-
-
 def comparison(
-    scenario: Scenario,
-    seed: int,
-    runs: Mapping[str, Runs | Sequence[Runs]],
-    settings: Mapping | None = None,
-    oracle: Runs | None = None,
-    resamples: int = RESAMPLES,
-) -> dict:
+    scenario: Scenario, seed: int, runs: Mapping[str, Runs | Sequence[Runs]], settings: Mapping | None = None,
+    oracle: Runs | None = None, resamples: int = RESAMPLES,
+) -> dict:  # fmt: skip
     """The content of comparison.json; `runs`: for each controller its runs, or those of each training seed.
 
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
     "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
     training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
-    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (`agents.evaluate.limit`) where the
+    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (see `limit`) where the
     `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
     rows = {name: [own] if isinstance(own, Runs) else list(own) for name, own in runs.items()}
@@ -81,8 +48,9 @@ def comparison(
     def difference(a: str, b: str, m: str) -> dict:
         return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
 
-    def iqm(own: np.ndarray, weights: np.ndarray) -> dict:
-        return st.bounds(st.iqm(own), st.iqm_samples(own, weights, drawn.courses))
+    def iqm(name: str) -> dict:
+        own = scores[name]["return"]
+        return st.bounds(st.iqm(own), st.iqm_samples(own, members[name], drawn.courses))
 
     def improvement(a: str, b: str) -> dict:
         x, y = scores[a]["return"], scores[b]["return"]
@@ -99,7 +67,7 @@ def comparison(
         "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
         "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in rows},
         "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in rows},
-        "iqm": {n: iqm(scores[n]["return"], members[n]) for n in rows},
+        "iqm": {n: iqm(n) for n in rows},
         "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
         **({"limit": limit(oracle, rows, _alone(oracle, names, seed, resamples))} if oracle else {}),
@@ -129,14 +97,9 @@ def table(result: Mapping) -> tuple[Table, str]:
     """The main metrics of all controllers, and a line with the meaning of the columns."""
     columns = OF_ROVERS if "fighting" in result["metrics"] else COLUMNS
     title = f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
-    entries = {label(result, name): row for name, row in result["controllers"].items()} | limit_rows(result)
+    seeds = {name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()}
+    entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(result)
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
-
-
-def label(result: Mapping, name: str) -> str:
-    """Name of a controller, with the number of its training seeds where there are several."""
-    count = result["members"][name]
-    return f"{name} ({count} seeds)" if count > 1 else name
 
 
 def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
@@ -147,3 +110,50 @@ def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
         values = [row[m][part] for m in result["metrics"] for part in ("value", "low", "high")]
         rows.append([key, *("" if v is None else f"{v:.6g}" for v in values)])
     save_csv(Path(folder) / f"{name}.csv", rows)
+
+
+# --- limit of the task ------------------------------------------------------------------------------------------------
+# A failure is avoidable where the oracle finished the same course. The oracle (`agents.controllers.oracle`) knows the
+# ground ahead; a controller without that knowledge need not have been able to foresee the failure.
+
+
+def avoidable(oracle: Runs, runs: Sequence[Runs]) -> dict:
+    """{"failures", "value", "low", "high"}: failures of one controller on the oracle's courses, and the share of them
+    that the oracle has finished, with a 95 % interval; None where there was none. `runs`: one entry a member."""
+    passed = oracle.metric("finished") > 0.5
+    failed = [run.metric("finished")[: passed.size] < 0.5 for run in runs]
+    failures = int(sum(f.sum() for f in failed))
+    if failures == 0:
+        return {"failures": 0, "value": None, "low": None, "high": None}
+    count = int(sum((f & passed).sum() for f in failed))
+    low, high = st.wilson(count, failures)
+    return {"failures": failures, "value": count / failures, "low": low, "high": high}
+
+
+def limit(oracle: Runs, runs: Mapping[str, Sequence[Runs]], metrics: Mapping) -> dict:
+    """The entry "limit" of a comparison: {"courses", "metrics", "avoidable": {controller: `avoidable`}}."""
+    return {
+        "courses": int(oracle.cause.size),
+        "metrics": dict(metrics),
+        "avoidable": {name: avoidable(oracle, members) for name, members in runs.items()},
+    }
+
+
+def limit_rows(result: Mapping) -> dict[str, Mapping]:
+    """The oracle's row of a table of controllers, {name: metrics}; none where it has not driven."""
+    entry = result.get("limit")
+    return {f"{ORACLE} (first {entry['courses']} courses)": entry["metrics"]} if entry else {}
+
+
+def limit_lines(result: Mapping) -> list[str]:
+    """One line: the share of each controller's failures that was avoidable; none where the oracle has not driven."""
+    entry = result.get("limit")
+    if not entry:
+        return []
+    parts = [
+        f"{name} {100 * a['value']:.0f} [{100 * a['low']:.0f}, {100 * a['high']:.0f}] % of {a['failures']}"
+        for name, a in entry["avoidable"].items()
+        if a["failures"]
+    ]
+    title = f"Failures on the first {entry['courses']} courses that the oracle, which knows the ground, avoids: "
+    return [title + ("; ".join(parts) or "nobody failed there")]

@@ -16,7 +16,7 @@ from soil_env._io.loading import ParameterError, unknown_key, unknown_value
 
 from ..controllers import CONTROLLERS
 from ..exported import POLICY
-from .limit import ORACLE
+from .comparing import ORACLE
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,8 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
 
     `settings`: {name of a classical controller: keyword arguments of `make_controller`}.
     """
-    settings, out = dict(settings or {}), {}
-    members: dict[str, int] = {}
-    unnamed: set[str] = set()
-    kinds: dict[str, str] = {}
-    first: dict[str, str] = {}
+    settings, out = settings or {}, {}
+    first: dict[str, tuple[str, str, bool]] = {}  # kind, text and explicit naming of the first entry of a name
     items = [item.strip() for item in text.split(",")]
     if not any(items):
         raise ParameterError("controllers: expected at least one, got none")
@@ -71,23 +68,20 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
         if kind == "model" and len(sources) > 1 and not named:
             raise ParameterError(f"controllers: {spec}: {len(sources)} models; name the algorithm: NAME={spec}")
         name = name or _default_name(kind, sources[0])
-        if name in members and (not named or name in unnamed):
+        first_kind, first_spec, first_named = first.setdefault(name, (kind, spec, named))
+        own = [c for c in out.values() if c.name == name]
+        if own and not (named and first_named):
             raise ParameterError(f"controllers: {name!r} twice; give one another name: NAME={spec}")
-        if not named:
-            unnamed.add(name)
-        kinds.setdefault(name, kind)
-        if name in members and (kind != kinds[name] or kind == "classical"):
+        if own and (kind != first_kind or kind == "classical"):
             raise ParameterError(
-                f"controllers: {name!r}: {spec} beside {first[name]}: one name is one algorithm of several training "
+                f"controllers: {name!r}: {spec} beside {first_spec}: one name is one algorithm of several training "
                 "seeds, models alone or classes alone; give another name"
             )
-        first.setdefault(name, spec)
-        for source in sources:
+        for member, source in enumerate(sources, start=len(own)):
             found = digest(source) if kind == "model" else ""
             chosen = dict(settings.get(name, {})) if kind == "classical" else {}
-            contestant = Contestant(name, members.get(name, 0), kind, source, found, chosen)
+            contestant = Contestant(name, member, kind, source, found, chosen)
             out[contestant.key] = contestant
-            members[name] = members.get(name, 0) + 1
     classical = {c.name for c in out.values() if c.kind == "classical"}
     for name in settings:
         if name not in classical:
@@ -140,9 +134,8 @@ def model_files(path: str) -> dict[str, bytes]:
         if beside.is_file() and not exported:
             files[VECNORMALIZE] = beside.read_bytes()
     except OSError as error:
-        raise ParameterError(
-            f"controllers: {path}: cannot be read ({error.strerror}); expected a model, .zip, or a run folder"
-        ) from None
+        expected = "expected a model, .zip, or a run folder"
+        raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); {expected}") from None
     return files
 
 

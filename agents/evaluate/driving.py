@@ -117,12 +117,13 @@ class Runs:
         return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
 
     @classmethod
-    def from_columns(cls, columns: dict[str, list]) -> Runs:
-        """Rebuild runs from `columns`."""
+    def from_columns(cls, columns: dict[str, list], courses: int | None = None) -> Runs:
+        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`, by default of the first."""
         arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
         for name, array in arrays.items():
-            if len(array) != len(arrays["cause"]):
-                raise ValueError(f"{name}: {len(array)} values, expected {len(arrays['cause'])}")
+            expected = len(arrays["cause"]) if courses is None else courses
+            if len(array) != expected:
+                raise ValueError(f"{name}: {len(array)} values, expected {expected}")
         own = [arrays.pop(name) for name in _FIELDS]
         return cls(own[0].astype(np.int64), *own[1:], arrays)
 
@@ -136,17 +137,10 @@ def course_rng(seed: int, course: int) -> np.random.Generator:
 
 
 def run_courses(
-    controller,
-    scenario: Scenario,
-    seed: int,
-    courses: int,
-    first: int = 0,
-    progress: Callable[[int], None] | None = None,
-    batch: int = 500,
-    model: WheelSoilModel | None = None,
-    threads: int | None = None,
-    detailed: bool = False,
-) -> Runs:
+    controller, scenario: Scenario, seed: int, courses: int, first: int = 0,
+    progress: Callable[[int], None] | None = None, batch: int = 500, model: WheelSoilModel | None = None,
+    threads: int | None = None, detailed: bool = False,
+) -> Runs:  # fmt: skip
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
@@ -156,12 +150,11 @@ def run_courses(
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
     bits may depend on how many courses are driven side by side.
     """
-    parts = []
+    parts, kind = [], _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
-        count = min(batch, first + courses - start)
-        sim, taken = _start(controller, scenario, seed, start, count, threads, model, detailed)
-        totals = _totals(sim, taken, count, detailed)
-        for alive in _periods(sim, taken, controller, start, threads, model):
+        count, totals = min(batch, first + courses - start), None
+        for sim, alive in _driven(controller, scenario, seed, start, count, threads, model, detailed):
+            totals = totals or kind(sim, scenario, count)
             totals.add(alive)
         parts.append(totals.runs())
         if progress is not None:
@@ -170,15 +163,9 @@ def run_courses(
 
 
 def drive(
-    controller,
-    scenario: Scenario,
-    seed: int,
-    first: int,
-    count: int,
-    threads: int | None = None,
-    model: WheelSoilModel | None = None,
-    warnings: bool = False,
-) -> Iterator[tuple[Worlds, np.ndarray]]:
+    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
+    model: WheelSoilModel | None = None, warnings: bool = False,
+) -> Iterator[tuple[Worlds, np.ndarray]]:  # fmt: skip
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
     Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and the courses
@@ -188,8 +175,7 @@ def drive(
     `information`: it helps to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
     `worlds.recent`.
     """
-    sim, taken = _start(controller, scenario, seed, first, count, threads, model, warnings)
-    for alive in _periods(sim, taken, controller, first, threads, model):
+    for sim, alive in _driven(controller, scenario, seed, first, count, threads, model, warnings):
         yield sim.worlds, alive
 
 
@@ -202,36 +188,26 @@ def simulate(
     return Simulation(count, scenario, variant, threads, model, warnings)
 
 
-def _start(controller, scenario, seed, first, count, threads, model, warnings):
-    """A simulation at the start of the courses, and the scenario as the controller drives it."""
-    taken = replace(
-        scenario,
-        reward=replace(scenario.reward, information=0.0),
-        control=replace(scenario.control, **getattr(controller, "drives", {})),
-    )
-    stepped = replace(taken, control=replace(taken.control, repeat=1))
+def _driven(controller, scenario, seed: int, first: int, count: int, threads, model, warnings: bool) -> Iterator[tuple]:
+    """Drive to the end of all courses; (simulation, courses under way [count] bool) after each control period."""
+    control = replace(scenario.control, **getattr(controller, "drives", {}))
+    stepped = replace(scenario, reward=replace(scenario.reward, information=0.0), control=replace(control, repeat=1))
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     sim.restart_where(np.ones(count, dtype=bool))
-    return sim, taken
-
-
-def _periods(sim, scenario, controller, first: int, threads, model) -> Iterator[np.ndarray]:
-    """Drive to the end of all courses; the courses under way [count] bool in each control period."""
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
-    worlds, held = sim.worlds, scenario.control.held
-    count = worlds.cause.size
+    worlds, held = sim.worlds, control.held
     alive, what, memory = np.ones(count, dtype=bool), np.full(count, STEP), None
-    for period in range(scenario.periods):
+    for period in range(stepped.periods):
         if period % held == 0:
             action, memory = controller.predict(
                 worlds.observation, state=memory, episode_start=np.full(count, period == 0), deterministic=True
             )
             commands = _commands(action, alive, scenario, f"in step {period // held} of course", first)
         sim.step_all(commands, what)
-        yield alive
+        yield sim, alive
         ended = alive & (worlds.cause != _RUNNING)
         alive = alive & ~ended
         what[ended] = IDLE
@@ -255,11 +231,6 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
 
 
 # --- what is kept of the control periods ------------------------------------------------------------------------------
-
-
-def _totals(sim, scenario: Scenario, count: int, detailed: bool) -> _Totals:
-    kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
-    return kind(sim, scenario, count)
 
 
 class _Totals:
@@ -341,7 +312,10 @@ class _Detailed(_Totals):
 
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
-        self.alarms: dict[str, Alarm] = {"warning": Warnings(scenario, count), "foresight": Foresight(scenario, count)}
+        self.alarms: list[tuple[Alarm, str, str, str]] = [  # and its metrics
+            (Warnings(scenario, count), "warned", "warning", "false_warning"),
+            (Foresight(scenario, count), "foreseen", "foreseen", "false_foresight"),
+        ]
         self.drawbar_work, self.drive_work = np.zeros((2, count))
         self.slips, self.depths, self.drove = [], [], []
 
@@ -353,20 +327,18 @@ class _Detailed(_Totals):
         self.slips.append(s["slip"].copy())
         self.depths.append(1000.0 * s["sinkage"])
         self.drove.append(on)
-        for alarm in self.alarms.values():
+        for alarm, *_ in self.alarms:
             alarm.step(self.worlds, alive)
         return on
 
     def more(self) -> dict[str, np.ndarray]:
         stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
         out = {}
-        for (kind, alarm), name, lead_name in zip(
-            self.alarms.items(), ("warned", "foreseen"), ("warning", "foreseen"), strict=True
-        ):
+        for alarm, name, ahead, false in self.alarms:
             lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
             out[name] = np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)
-            out[f"{lead_name}_distance"], out[f"{lead_name}_time"] = lead.T
-            out[f"false_{kind}"] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
+            out[f"{ahead}_distance"], out[f"{ahead}_time"] = lead.T
+            out[false] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
         out["tractive_efficiency"] = _ratio(self.drawbar_work, self.drive_work)
         drove = np.array(self.drove)
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):
@@ -376,12 +348,8 @@ class _Detailed(_Totals):
 
 def _percentiles(series, mask):
     """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where `mask`."""
-    out = np.full((2, series.shape[1]), math.nan)
-    for k in range(series.shape[1]):
-        x = series[mask[:, k], k]
-        if x.size:
-            out[:, k] = np.percentile(x, [50, 95])
-    return out
+    columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
+    return np.array([np.percentile(x, [50, 95]) if x.size else (math.nan, math.nan) for x in columns]).T
 
 
 def _ratio(a, b):

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
-from soil_env._io.loading import FieldError, ParameterError, quantity
+from soil_env._io.loading import ParameterError, quantity
 from soil_env.parameters import Scenario
 
 from ..cells import Engine, code_version, fill, read_cell
-from ..config import OfWorld
+from ..config import OfWorld, check_oracle
 from ..controllers import make_controller
 from ..controllers.oracle import Oracle
 from . import loading
-from .comparing import comparison
+from .comparing import ORACLE, ORACLE_BLOCK, comparison
 from .contestants import Contestant, digest, model_files
 from .driving import HELD_OUT_SET, Runs, run_courses
-from .limit import BLOCK, ORACLE
 
 
 @dataclass(frozen=True)
@@ -42,24 +42,19 @@ class Evaluation(OfWorld):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.oracle_courses > self.courses:
-            problem = f" = {self.oracle_courses}: expected at most {self.courses}, the courses compared"
-            raise FieldError(self, "oracle_courses", problem)
+        check_oracle(self)
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""
-        return {
-            key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings})
-            for key, c in self.controllers.items()
-        }
+        own = self.controllers.items()
+        return {key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings}) for key, c in own}
 
     def blocks(self) -> list[Block]:
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
         firsts = range(0, self.courses, self.block)
         own = [Block(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
-        return own + [
-            Block(ORACLE, f, min(BLOCK, self.oracle_courses - f)) for f in range(0, self.oracle_courses, BLOCK)
-        ]
+        firsts = range(0, self.oracle_courses, ORACLE_BLOCK)
+        return own + [Block(ORACLE, f, min(ORACLE_BLOCK, self.oracle_courses - f)) for f in firsts]
 
 
 @dataclass(frozen=True)
@@ -98,19 +93,16 @@ class Job:
 
     def __call__(self, block: Block) -> dict[str, list]:
         """The columns of the `Runs` of a block."""
-        asked = self.asked
+        asked, key = self.asked, block.controller
         try:
             runs = run_courses(
-                self._controller(block.controller), asked.scenario, asked.seed, block.count, block.first,
-                batch=block.count, model=asked.world, threads=self.threads, detailed=block.controller != ORACLE,
+                self._controller(key), asked.scenario, asked.seed, block.count, block.first,
+                batch=block.count, model=asked.world, threads=self.threads, detailed=key != ORACLE,
             )  # fmt: skip
         except ParameterError as error:
-            text, label = str(error), block.controller
-            if label in self.controllers:
-                label = self.controllers[label].label
-            raise ParameterError(
-                text if text.startswith("controllers: ") else f"controllers: {label}: {text}"
-            ) from None
+            label = self.controllers[key].label if key in self.controllers else key
+            named = str(error).startswith("controllers: ")
+            raise ParameterError(str(error) if named else f"controllers: {label}: {error}") from None
         return runs.columns()
 
     def _controller(self, key: str):
@@ -132,22 +124,13 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Cal
     fill(job, asked.blocks(), folder, engine, lambda block: progress(block.count))
 
     def of(key: str) -> Runs:
-        return Runs.join([read_cell(folder, b, _parse(b)) for b in asked.blocks() if b.controller == key])
+        own = [b for b in asked.blocks() if b.controller == key]
+        return Runs.join([read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own])
 
     out: dict[str, list[Runs]] = {}
     for key, contestant in asked.controllers.items():
         out.setdefault(contestant.name, []).append(of(key))
     return {**out, ORACLE: [of(ORACLE)]} if asked.oracle_courses else out
-
-
-def _parse(block: Block) -> Callable[[dict], Runs]:
-    def parse(content: dict) -> Runs:
-        runs = Runs.from_columns(content)
-        if runs.cause.size != block.count:
-            raise ValueError(f"{runs.cause.size} courses, expected {block.count}")
-        return runs
-
-    return parse
 
 
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
@@ -169,13 +152,10 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
         for c in asked.controllers.values()
         if settings.get(c.name)
     }
+    same = ("tuning_courses", "block", "resamples", "version", *(["model"] if asked.model else []))
     return {
         **comparison(asked.scenario, asked.seed, own, settings, oracle, asked.resamples),
         "sources": {name: [c.source for c in contestants.values() if c.name == name] for name in own},
         "chosen": chosen,
-        "tuning_courses": asked.tuning_courses,
-        "block": asked.block,
-        "resamples": asked.resamples,
-        "version": asked.version,
-        **({"model": asked.model} if asked.model else {}),
+        **{name: getattr(asked, name) for name in same},
     }

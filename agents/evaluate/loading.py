@@ -7,7 +7,6 @@ import inspect
 import sys
 import tempfile
 import traceback
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -74,13 +73,11 @@ def _takes_one(thing) -> bool:
     return True
 
 
-@dataclass
 class _Wrapped:
     """A controller from elsewhere; an exception in it is an error of one line."""
 
-    thing: object
-    variant: str
-    spec: str
+    def __init__(self, thing, variant: str, spec: str):
+        self.thing, self.variant, self.spec = thing, variant, spec
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As the object's own, with a copy of the observation."""
@@ -110,15 +107,15 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    where = f"controllers: {contestant.label}: predict"
+    where = f"controllers: {contestant.label}: predict gave"
     if not (isinstance(answer, tuple) and len(answer) == 2):
-        raise ParameterError(f"{where} gave a {type(answer).__name__}: expected (action, state)")
+        raise ParameterError(f"{where} a {type(answer).__name__}: expected (action, state)")
     try:
         action = np.asarray(answer[0], dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{where} gave {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
+        raise ParameterError(f"{where} {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
     if action.shape != (3, 1):
-        raise ParameterError(f"{where} gave actions of shape {action.shape} for three wheels: expected (3, 1)")
-    wrong = np.flatnonzero(~np.isfinite(action[:, 0]))
+        raise ParameterError(f"{where} actions of shape {action.shape} for three wheels: expected (3, 1)")
+    wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
-        raise ParameterError(f"{where} gave {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")
+        raise ParameterError(f"{where} {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")

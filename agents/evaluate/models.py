@@ -7,7 +7,6 @@ import multiprocessing
 import pickle
 import sys
 import warnings
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -39,7 +38,7 @@ _ALGORITHMS = (
     ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
     ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
     ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
-    *((f"{package}.asymmetric", {"clip_range"}, ("stable_baselines3", "PPO")) for package in PACKAGE_NAMES),
+    *((f"{package}.agent", {"clip_range"}, ("stable_baselines3", "PPO")) for package in PACKAGE_NAMES),
 )
 
 
@@ -69,16 +68,12 @@ def load_model(path: Path, scenario: Scenario):
 
 def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
     """ParameterError where the actions of a training were other ones than those of the scenario."""
-    control = scenario.control
+    where, control = f"controllers: {path}: trained with action", scenario.control
     if own.action != control.action:
-        raise ParameterError(
-            f"controllers: {path}: trained with action {own.action!r}, scenario {scenario.name!r} takes "
-            f"{control.action!r}"
-        )
+        raise ParameterError(f"{where} {own.action!r}, scenario {scenario.name!r} takes {control.action!r}")
     if own.duration != control.duration:
         raise ParameterError(
-            f"controllers: {path}: trained with actions that last {own.duration:g} s, those of scenario "
-            f"{scenario.name!r} last {control.duration:g} s"
+            f"{where}s that last {own.duration:g} s, those of scenario {scenario.name!r} last {control.duration:g} s"
         )
 
 
@@ -124,11 +119,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
 def _warn(path: str) -> None:
     """Warn once for each file, on stderr and not in worker processes, that loading it runs what is pickled in it."""
     if multiprocessing.parent_process() is None:
-        print(
-            f"warning: {path}: not written by train.py, so parts of it are unpickled, which runs code that is in the "
-            "file; load only what you trust",
-            file=sys.stderr,
-        )
+        said = "not written by train.py, so parts of it are unpickled, which runs its code: load only what you trust"
+        print(f"warning: {path}: {said}", file=sys.stderr)
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
@@ -159,19 +151,12 @@ def _normalisation(path: Path):
     return normalisation
 
 
-@dataclass
 class _Plain:
     """A model of SB3 that reads the observation of `variant`, normalised where it was trained so."""
 
-    model: object
-    variant: str
-    scaling: Scaling
-    normalisation: object | None
-
-    @property
-    def policy(self):
-        """The networks."""
-        return self.model.policy
+    def __init__(self, model, variant: str, scaling: Scaling, normalisation):
+        self.model, self.policy, self.variant = model, model.policy, variant
+        self.scaling, self.normalisation = scaling, normalisation
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""

@@ -13,15 +13,11 @@ from soil_env._io.files import replace_file
 from soil_env.simulation.task import Cause
 
 from ..progress import show
-from . import comparing, limit
+from . import comparing
+from .comparing import ORACLE
 from .driving import RATES, Runs
-from .limit import ORACLE
 from .tables import cell, difference, draw_metrics, png, save_csv
 
-REFERENCE = (
-    "Published: warnings 1.8 m and 2.9 s before complete immobilisation on average, on field data of a four-wheeled "
-    "rover in snow (ASME J. Autonomous Vehicles and Systems 2(3), 031001): another machine, ground, method and course."
-)
 _FILES = ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "return")
 _CHOSEN = {
@@ -34,11 +30,11 @@ _CHOSEN = {
 def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
-    show(*comparing.table(result), *settings(result), *limit.lines(result))
+    show(*comparing.table(result), *settings(result), *comparing.limit_lines(result))
     warned = (f"{name} {cell(rows[name]['warned'], 100.0, 0, bounds=False)} % "
               f"{cell(rows[name]['warning_distance'], bounds=False)} m "
               f"{cell(rows[name]['warning_time'], digits=1, bounds=False)} s" for name in rows)  # fmt: skip
-    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}", REFERENCE)
+    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}")
 
 
 def settings(result: Mapping) -> list[str]:
@@ -81,43 +77,32 @@ def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
 
 def page(result: Mapping) -> str:
     """evaluation.md: controllers, all metrics, differences on the same courses."""
-    names, limits = list(result["controllers"]), limit.rows(result)
-    made = Table(
-        ["controller", "training seeds", "from", "settings"],
-        [
-            [f"`{n}`", result["members"][n], ", ".join(result["sources"][n]), _values(result["settings"].get(n, {}))]
-            for n in names
-        ],
-    )
+    names, limits = list(result["controllers"]), comparing.limit_rows(result)
+    made = [
+        [f"`{n}`", result["members"][n], ", ".join(result["sources"][n]), _values(result["settings"].get(n, {}))]
+        for n in names
+    ]
     metrics = []
     for m, about in result["metrics"].items():
         rate, columns = m in RATES, [*result["controllers"].values(), *limits.values()]
         unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
         metrics.append([f"{m.replace('_', ' ')} [{unit}]", about["meaning"], *cells])
-    metrics.append(
-        ["interquartile mean of return", "", *(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
-    )
-    pairs = [(a, b) for i, a in enumerate(names) for b in names[:i]]
-    shown = ("immobilised", "finished", "return")
-    paired = [
-        [
-            f"`{a}` - `{b}`",
-            *(difference(m, result["paired"][a][b][m]) for m in shown),
-            cell(result["improvement"][a][b]),
-        ]
-        for a, b in pairs
-    ]
+    iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
+    metrics.append(["interquartile mean of return", "", *iqm])
+    shown, paired = ("immobilised", "finished", "return"), []
+    for a, b in ((a, b) for i, a in enumerate(names) for b in names[:i]):
+        cells = (difference(m, result["paired"][a][b][m]) for m in shown)
+        paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
         f"# Controllers on scenario {result['scenario']}",
         f"{result['courses']} courses of set {result['seed']}, the same for all controllers; 95 % intervals.",
-        made.markdown(),
+        Table(["controller", "training seeds", "from", "settings"], made).markdown(),
         *settings(result),
-        *limit.lines(result),
+        *comparing.limit_lines(result),
         "![Metrics](metrics.png)",
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
         "Differences on the same courses, of rates in percentage points, and the probability of the higher return:",
         Table(["controllers", *shown, "P(higher return)"], paired).markdown(),
-        REFERENCE,
     ]
     return "\n\n".join(parts) + "\n"

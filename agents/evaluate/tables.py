@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -32,16 +31,16 @@ class Column(NamedTuple):
 COLUMNS = (
     Column("immobilised", "immobilised [%]", 100.0, 1),
     Column("finished", "finished [%]", 100.0, 1),
-    Column("time_limit", "late [%]", 100.0, 1, bounds=False),
-    Column("time", "time [s]", digits=0, bounds=False),
+    Column("time_limit", "late", 100.0, 1, bounds=False),
+    Column("time", "time", digits=0, bounds=False),
     Column("energy_per_metre", "J/m", digits=0, bounds=False),
     Column("slip", "slip", bounds=False),
     Column("return", "return", bounds=False),
 )
 OF_ROVERS = (
-    *COLUMNS,
-    Column("fighting", "fighting [%]", bounds=False),
-    Column("wheel_force", "force [%]", digits=1, bounds=False),
+    *(c for c in COLUMNS if c.metric not in ("time_limit", "slip")),
+    Column("fighting", "fighting", bounds=False),
+    Column("wheel_force", "force", digits=1, bounds=False),
 )
 
 
@@ -68,13 +67,11 @@ def difference(metric: str, m: Mapping) -> str:
     return points(m) if metric in RATES else cell(m, sign=True)
 
 
-def metric_table(entries: Mapping[str, Mapping], columns: Iterable[Column], caption: str = "") -> Table:
+def metric_table(entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str = "") -> Table:
     """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
-    columns = list(columns)
-    rows = [
-        [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
-        for name, metrics in entries.items()
-    ]
+    rows = []
+    for name, metrics in entries.items():
+        rows.append([name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)])
     return Table(["controller", *(c.heading for c in columns)], rows, caption)
 
 
@@ -83,7 +80,8 @@ def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) ->
     entries = []
     for c in columns:
         unit, meaning = metrics[c.metric]
-        entries.append(f"{c.heading}: {f'{unit}, ' if unit.startswith('share') else ''}{meaning}")
+        unit = "%" if c.factor == 100.0 else unit
+        entries.append(f"{c.heading}: {meaning}" + ("" if unit == "-" or unit in c.heading else f" [{unit}]"))
     return f"Columns: {'; '.join(entries)}"
 
 
@@ -97,36 +95,27 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def draw_intervals(
-    axis: Axes, values: Iterable[Mapping], factor: float = 1.0, colours: Iterable[str] | str = "#0072b2"
-) -> None:
-    """Draw values with their intervals, one above the other from the bottom; those not defined are left out."""
-    values = list(values)
-    colours = [colours] * len(values) if isinstance(colours, str) else colours
-    for y, (m, colour) in enumerate(zip(values, colours, strict=True)):
-        if m["value"] is not None:
-            value, low, high = (factor * m[key] for key in ("value", "low", "high"))
-            bars = [[value - low], [high - value]]
-            axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color=colour, capsize=2)
-    axis.set_ylim(-0.6, len(values) - 0.4)
-    axis.xaxis.set_major_locator(MaxNLocator(3))
-    axis.grid(alpha=0.3)
-
-
 def draw_metrics(
     rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str], colour=lambda name: "#0072b2"
 ) -> Figure:
     """Figure of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each
-    metric, points with their intervals."""
+    metric, points with their intervals from the bottom; those not defined are left out."""
     metrics, most = list(metrics), max(map(len, rows.values()))
     figure = Figure(figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained")
     axes = figure.subplots(len(rows), len(metrics), squeeze=False, sharey="row")
     for line, (group, entries) in zip(axes, rows.items(), strict=True):
         names = list(entries)[::-1]
         for axis, metric in zip(line, metrics, strict=True):
-            rate, colours = metric in RATES, [colour(name) for name in names]
-            draw_intervals(axis, [entries[n][metric] for n in names], 100.0 if rate else 1.0, colours)
-            axis.set_xlabel(f"{metric.replace('_', ' ')} [{'%' if rate else MEANINGS[metric][0]}]")
+            unit, factor = ("%", 100.0) if metric in RATES else (MEANINGS[metric][0], 1.0)
+            for y, name in enumerate(names):
+                if (m := entries[name][metric])["value"] is not None:
+                    value, low, high = (factor * m[key] for key in ("value", "low", "high"))
+                    bars = [[value - low], [high - value]]
+                    axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color=colour(name), capsize=2)
+            axis.set_ylim(-0.6, len(names) - 0.4)
+            axis.xaxis.set_major_locator(MaxNLocator(3))
+            axis.grid(alpha=0.3)
+            axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
         line[0].set_yticks(range(len(names)), names)
         line[0].set_title(group, loc="left", fontsize=9)
     return figure

@@ -8,11 +8,11 @@ sampler of each trial has a seed of its own, so that a tuning that goes on from 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -23,8 +23,8 @@ from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from ..controllers import CONTROLLERS, checked_settings, make_controller
-from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from ..controllers import CONTROLLERS, checked_settings
+from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
 
@@ -32,8 +32,6 @@ SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
 _TIE = 1e-4  # weight of the return beside the share of courses finished
 _COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
-
-Progress = Callable[[int, str], None]
 
 
 # --- spaces -----------------------------------------------------------------------------------------------------------
@@ -51,9 +49,8 @@ class Range(Checked):
     def __post_init__(self):
         super().__post_init__()
         if not self.low < self.high or (self.log and self.low == 0.0):
-            raise ParameterError(
-                f"Range.high = {self.high!r}: expected low {'> 0 and ' if self.log else ''}below high, low = {self.low}"
-            )
+            positive = "> 0 and " if self.log else ""
+            raise ParameterError(f"Range.high = {self.high!r}: expected low {positive}below high, low = {self.low}")
 
     def bounds(self, scenario: Scenario) -> tuple[float, float]:
         """(low, high) in the unit of the setting."""
@@ -83,7 +80,7 @@ class Spaces(Checked):
 
 
 def load_spaces(path: Path | None = None) -> Spaces:
-    """The search spaces of a YAML file, by default those of configs/tuning.yaml; strict."""
+    """The search spaces of a YAML file, by default those of configs/tuning.yaml."""
     path = config_dir() / SPACES if path is None else Path(path)
     return load(Spaces, read_yaml(path), path.name)
 
@@ -114,57 +111,38 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
 
 
 def tuned_settings(
-    scenario: Scenario,
-    courses: int,
-    names: Iterable[str] | None = None,
-    progress: Progress | None = None,
-    model: WheelSoilModel | None = None,
-    log: Path | None = None,
-    anew: bool = False,
-) -> tuple[dict[str, dict], dict[str, list[dict]]]:
+    scenario: Scenario, courses: int, names: Iterable[str] | None = None, model: WheelSoilModel | None = None,
+    log: Path | None = None, anew: bool = False,
+) -> tuple[dict[str, dict], dict[str, list[dict]]]:  # fmt: skip
     """({controller: best settings}, {controller: trials}) on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
-    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. `progress` receives a number of
-    courses and the name of the controller that has driven them; without it a bar is shown. Controllers without settings
-    are left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
+    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. Controllers without settings are
+    left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
     interrupted tuning goes on.
     """
     if courses == 0:
         return {}, {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
-    spaces = _spaces_of(scenario, load_spaces())
+    spaces = load_spaces().controllers
+    if isinstance(scenario, RoverScenario):  # that of the controller of its wheels
+        spaces = {name: spaces[kind.of_wheel] for name, kind in ROVER_CONTROLLERS.items()}
     names = [name for name in (spaces if names is None else names) if name in spaces]
     chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
     missing = [name for name in names if name not in shipped]
     trials = load_spaces().trials_of(courses)
-    with contextlib.ExitStack() as stack:
-        if progress is None and missing:
-            bar = stack.enter_context(Bar("Tuning", courses * trials * len(missing), "courses"))
-            progress = shown_on(bar)
+    with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
         for name in missing:
-            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, progress)
+            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
             best = max(tried[name], key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}, tried
 
 
-def _spaces_of(scenario: Scenario, spaces: Spaces) -> dict[str, dict[str, Range]]:
-    """{controller: its space}; a controller of a rover has that of the controller of its wheels."""
-    if isinstance(scenario, RoverScenario):
-        return {name: spaces.controllers[c.of_wheel] for name, c in ROVER_CONTROLLERS.items()}
-    return spaces.controllers
-
-
-def shown_on(bar: Bar) -> Progress:
-    """Progress that a bar shows."""
-    return lambda count, name: bar.update(advance=count, note=name)
-
-
 def _trials(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
     optuna = _optuna()
-    make = make_rover_controller if isinstance(scenario, RoverScenario) else make_controller
+    _, make = controllers_of(scenario)
     bounds = {key: range_.bounds(scenario) for key, range_ in space.items()}
     task = json.dumps([name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True)
     storage = None
@@ -172,15 +150,13 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
         journal = optuna.storages.journal
         lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
         storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(log), lock_obj=lock))
-    study = optuna.create_study(
-        storage=storage, study_name=hashlib.sha256(task.encode()).hexdigest(), direction="maximize", load_if_exists=True
-    )
-    complete, running = optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.RUNNING
-    for trial in study.get_trials(states=(running,)):  # of a process that was killed
-        study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-    done = len(study.get_trials(states=(complete,)))
+    digest, state = hashlib.sha256(task.encode()).hexdigest(), optuna.trial.TrialState
+    study = optuna.create_study(storage=storage, study_name=digest, direction="maximize", load_if_exists=True)
+    for trial in study.get_trials(states=(state.RUNNING,)):  # of a process that was killed
+        study.tell(trial.number, state=state.FAIL)
+    done = len(study.get_trials(states=(state.COMPLETE,)))
     if done:
-        progress(courses * done, name)
+        progress(courses * done)
     for number in range(done, trials):
         study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
         if number == 0:
@@ -193,8 +169,8 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
         for key, value in score.items():
             trial.set_user_attr(key, value)
         study.tell(trial, score["finished"] + _TIE * score["return"])
-        progress(courses, name)
-    found = study.get_trials(states=(complete,))[:trials]
+        progress(courses)
+    found = study.get_trials(states=(state.COMPLETE,))[:trials]
     return [{**trial.params, **trial.user_attrs} for trial in found]
 
 
@@ -203,8 +179,7 @@ def _optuna():
     try:
         import optuna
     except ImportError:
-        raise ParameterError(
-            "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
-        ) from None
+        said = "tuning needs Optuna; expected: pip install 'soil_env[tune]', or --tuning-courses 0"
+        raise ParameterError(said) from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -113,14 +113,12 @@ class Foresight(Alarm):
         self.probability = np.zeros(count)  # within the longer horizon
 
     def signs(self, worlds, alive):
-        """Wheels whose probability is over the threshold."""
         rows = np.flatnonzero(alive)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         return self.probability >= self.threshold
 
     def keeps(self, looks):
-        """Wheels whose probability is over the lower threshold."""
         return self.probability >= KEPT * self.threshold
 
 
@@ -135,7 +133,6 @@ class Warnings(Alarm):
         self.best_slip, self.best_pull = np.zeros(count), np.zeros(count)  # [-], [of load]
 
     def signs(self, worlds, alive):
-        """Wheels on ground that looks impassable."""
         load = np.maximum(worlds.observation[:, _LOAD].astype(float), LEAST_LOAD) * self.scenario.weight
         self._renew(worlds.ids.estimate, load, alive)
         grade = np.tan(worlds.observation[:, _PITCH].astype(float))

@@ -27,9 +27,7 @@ DESCRIPTION, COURSE, RUNNER = "policy.yaml", "course.npz", "run_policy.py"
 @click.command("export")
 @click.argument("run", type=PATH, metavar="RUN")
 @click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder of the export.")
-@click.option(
-    "--scenario", metavar="NAME", help=f"Of a foreign zip: scenario or YAML file (default {DEFAULT_SCENARIO})."
-)
+@click.option("--scenario", metavar="NAME", help=f"Or YAML, of a foreign zip (default {DEFAULT_SCENARIO}).")
 @click.option("--steps", type=WholeNumber(1), default=1000, metavar="N", help="Steps compared (default 1000).")
 def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.

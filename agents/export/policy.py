@@ -19,8 +19,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
-from .graph import OPSET, Graph, Traced
-from .network import action_of, memory_sizes
+from .graph import OPSET, Graph, Traced, action_of, memory_sizes
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 
@@ -46,8 +45,10 @@ def onnx_model(agent, description: dict):
     inputs = [graph.info(seen, ["n", entries])]
     inputs += [graph.info(fresh, ["n"])] if sizes else []
     inputs += [graph.info(memory[name], ["n", size]) for name, size in sizes.items()]
-    outputs = [graph.info(_named(graph, np.clip(action, -1.0, 1.0), "action"), ["n", 1])]
-    outputs += [graph.info(_named(graph, kept[name], f"next_{name}"), ["n", size]) for name, size in sizes.items()]
+    results = [(np.clip(action, -1.0, 1.0), "action", 1)]
+    results += [(kept[name], f"next_{name}", size) for name, size in sizes.items()]
+    outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
+               for x, name, size in results]  # fmt: skip
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
 
 
@@ -55,10 +56,6 @@ def _states(agent) -> dict[str, int]:
     """{name: numbers} of the hidden states of an agent: of its network, and the readings it keeps."""
     history = getattr(agent, "history", None)
     return memory_sizes(agent.policy) | ({} if history is None else {"history": history.kept})
-
-
-def _named(graph: Graph, x: Traced, name: str) -> Traced:
-    return graph.node("Identity", x, outputs=[name], dtype=x.dtype)
 
 
 def _normalised(x: Traced, agent, entries: int) -> Traced:

@@ -20,7 +20,7 @@ from ..cli import (
     keys_argument,
     needing_training,
     overrides,
-)
+)  # fmt: skip
 from ..progress import show
 from . import config, results, work
 
@@ -33,15 +33,9 @@ from . import config, results, work
 @engine_options
 @keys_argument
 def command(
-    out: Path,
-    file: Path | None,
-    seeds: int | None,
-    report: bool,
-    engine: str,
-    workers: int | None,
-    address: str | None,
-    keys: tuple[str, ...],
-) -> None:
+    out: Path, file: Path | None, seeds: int | None, report: bool, engine: str, workers: int | None,
+    address: str | None, keys: tuple[str, ...],
+) -> None:  # fmt: skip
     """Compare agents and controllers (arms) over training seeds and scenarios.
 
     \b

@@ -91,6 +91,10 @@ class Commissioning(Checked):
     slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
     slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
 
+    def run_in_of(self, scenario: Scenario) -> float:
+        """Length of the run-in [m]."""
+        return self.run_in * scenario.relaxation * scenario.wheel.radius
+
 
 @dataclass(frozen=True, eq=False)
 class Log:
@@ -101,18 +105,6 @@ class Log:
     time: np.ndarray  # [s] within the drive
     ran_in: np.ndarray  # bool: the run-in of the stretch is over
     readings: dict[str, np.ndarray]  # by `READINGS`, SI
-
-
-class _Scheduled(ConstantSpeed):
-    """`constant_speed` with a rim speed of each wheel that can be changed."""
-
-    def __init__(self, scenario: Scenario, wheels: int):
-        super().__init__(scenario)
-        self.speeds = np.zeros(wheels)
-
-    def rim_speed(self, observation, state):
-        """The present set points [m/s]."""
-        return self.speeds
 
 
 def bed_soil(scenario: Scenario, plan: Commissioning, rng: np.random.Generator) -> Soil:
@@ -140,25 +132,22 @@ def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, se
     """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log."""
     rng = np.random.default_rng([seed, 7])
     bed = WheelSoilModel(world.wheel, bed_soil(scenario, plan, rng), world.effects, world.residual, world.gravity)
-    parts, first = [], 0
+    rows, first = [], 0
     with Bar("Commissioning", len(plan.payloads) * len(plan.grades_deg) * plan.repeats, "drives") as bar:
-        for payload in plan.payloads:
-            for grade in plan.grades_deg:
-                part = _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
-                first += plan.repeats
-                if part is not None:
-                    parts.append(part)
-                bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
-    if not parts:
+        for payload, grade in itertools.product(plan.payloads, plan.grades_deg):
+            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
+            first += plan.repeats
+            bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
+    if not rows:
         raise ParameterError("commissioning: the wheel can drive on no grade of the plan; expected milder grades_deg")
-    join = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Log)
-            if f.name != "readings"}  # fmt: skip
-    return Log(**join, readings={n: np.concatenate([p.readings[n] for p in parts]) for n in READINGS})
+    a = np.array(rows)
+    readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
+    return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
 
 
 def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: float) -> Scenario:
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    lengths = [_run_in(scenario, plan) + 1.2 * plan.hold * share * top for share in plan.rim_speeds]
+    lengths = [plan.run_in_of(scenario) + 1.2 * plan.hold * share * top for share in plan.rim_speeds]
     length = sum(lengths) + 1.0
     none = {f: 0.0 for f in ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain")}
     return load_scenario(scenario, {
@@ -171,31 +160,26 @@ def _course(scenario: Scenario, plan: Commissioning, grade: float, payload: floa
     })  # fmt: skip
 
 
-def _run_in(scenario: Scenario, plan: Commissioning) -> float:
-    """Length of the run-in [m]."""
-    return plan.run_in * scenario.relaxation * scenario.wheel.radius
-
-
-def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> Log | None:
-    """`plan.repeats` drives side by side; None where the wheel cannot climb the grade."""
+def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, first: int) -> list[tuple]:
+    """Rows of `plan.repeats` drives side by side: columns of `Log`. None where the wheel cannot climb the grade."""
     count, wheel = len(rngs), scenario.wheel
     try:
         sim = Simulation(count, scenario, "blind", threads=1, model=bed)
     except ParameterError:
-        return None
+        return []
     for k, rng in enumerate(rngs):
         sim.seed(k, rng)
     sim.restart_where(np.ones(count, dtype=bool))
-    w, controller = sim.worlds, _Scheduled(scenario, count)
+    w, controller = sim.worlds, ConstantSpeed(scenario)
     speeds = np.array(plan.rim_speeds) * controller.top_speed
     stretch, what = np.zeros(count, dtype=int), np.full(count, STEP)
     driven, held = np.zeros(count), np.zeros(count)  # [m] of the run-in, by the measured speed, and [s] after it
-    run_in, period = _run_in(scenario, plan), scenario.control.period
+    run_in, period = plan.run_in_of(scenario), scenario.control.period
     memory, fresh, rows = None, np.ones(count, dtype=bool), []
     scale = np.array([1.0, wheel.radius, scenario.weight, scenario.weight, scenario.weight * wheel.radius,
                       controller.top_speed])  # fmt: skip
     for step in range(scenario.steps):
-        controller.speeds = speeds[stretch]
+        controller.settings["speed"] = speeds[stretch]
         action, memory = controller.predict(w.observation, state=memory, episode_start=fresh)
         fresh = np.zeros(count, dtype=bool)
         alive = what == STEP
@@ -213,9 +197,7 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
         driven[done], held[done] = 0.0, 0.0
         if (what == IDLE).all():
             break
-    a = np.array(rows)
-    readings = {name: a[:, 4 + i] for i, name in enumerate(READINGS)}
-    return Log(a[:, 0].astype(int), a[:, 1].astype(int), a[:, 2], a[:, 3] > 0.0, readings)
+    return rows
 
 
 # --- the table ------------------------------------------------------------------------------------------------------
@@ -241,8 +223,7 @@ def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Ste
     """
     size = max(4, round(plan.window / scenario.control.period))
     least = 0.5 * (plan.hold / plan.window)
-    out = []
-    key = log.run * 1000 + log.stretch
+    out, key = [], log.run * 1000 + log.stretch
     for k in np.unique(key):
         rows = np.flatnonzero((key == k) & log.ran_in)
         windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
@@ -251,9 +232,8 @@ def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Ste
         best = max((list(group) for is_good, group in steady_ones if is_good), key=len, default=[])
         if best and len(best) >= least:
             inside = np.concatenate([windows[w] for w in best])
-            mean = {n: float(x[inside].mean()) for n, x in log.readings.items()}
-            run, stretch, time = (float(a[inside[-1]]) for a in (log.run, log.stretch, log.time))
-            out.append(Steady(int(run), int(stretch), time, mean))
+            last, mean = inside[-1], {n: float(x[inside].mean()) for n, x in log.readings.items()}
+            out.append(Steady(int(log.run[last]), int(log.stretch[last]), float(log.time[last]), mean))
     return out
 
 
@@ -342,7 +322,5 @@ def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
             f"commissioning: {len(points)} steady points, too few that repeat each other; expected more grades_deg "
             "that the rover can climb, or more repeats"
         )
-    return {
-        name: float(f"{math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))):.3g}")
-        for name, values in squares.items()
-    }
+    upper = {name: math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))) for name, values in squares.items()}
+    return {name: float(f"{value:.3g}") for name, value in upper.items()}

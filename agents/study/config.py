@@ -35,7 +35,7 @@ from ..cells import code_version
 from ..cli import config_mapping
 from ..config import OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, checked_settings
-from ..controllers.rover import ROVER_CONTROLLERS
+from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..evaluate import HELD_OUT_SET
 from .commissioning import Commissioning
 
@@ -121,7 +121,7 @@ class Study(Checked):
             return
         if arm.train:
             raise ParameterError(f"arms.{name}: expected controller or train, not both")
-        known = ROVER_CONTROLLERS if isinstance(scenario, RoverScenario) else CONTROLLERS
+        known, _ = controllers_of(scenario)
         if arm.controller not in known and ":" not in arm.controller:
             raise unknown_value(arm.controller, known, f"arms.{name}: controller")
         if arm.controller in CONTROLLERS and known is CONTROLLERS:
@@ -175,18 +175,19 @@ def _seed_of(cell: Cell) -> int:
 def read_config(path: Path, changes: dict | None = None) -> Study:
     """The study of a YAML file with `changes` merged over it."""
     content = merge(config_mapping(path), changes or {})
-    known = {"scenarios", "controllers", "train", "changes", *(f.name for f in dataclasses.fields(Study))}
+    own = {f.name for f in dataclasses.fields(Study)} - {"targets", "version"}
+    known = {"scenarios", "controllers", "train", "changes", *own}
     for key in content:
-        if key not in known - {"targets", "version"}:
-            raise unknown_key(key, known - {"targets", "version"}, str(path))
+        if key not in known:
+            raise unknown_key(key, known, str(path))
     for key in ("scenarios", "arms", "worlds", "train", "changes"):
         if not isinstance(content.get(key) or {}, dict):
             raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")
-    scenarios, common = content.pop("scenarios", {}), content.pop("changes", {})
+    scenarios, common = content.pop("scenarios", None) or {}, content.pop("changes", None) or {}
     targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
     rovers = any("vehicle" in target["task"] for target in targets.values())
     chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
-    shared, arms = content.pop("train", {}), {name: {"controller": name} for name in chosen}
+    shared, arms = content.pop("train", None) or {}, {name: {"controller": name} for name in chosen}
     for name, arm in (content.get("arms") or {}).items():
         if isinstance(arm, dict) and "controller" not in arm:
             arm = {**arm, "train": merge(shared, arm.get("train") or {})}
@@ -198,42 +199,47 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
         raise ParameterError(str(error).replace(f"{path}: targets.", f"{path}: scenarios.", 1)) from None
 
 
-def _entry(path: Path, where: str, entry, keys: tuple[str, ...]) -> dict:
-    """The mapping of an entry, its keys checked; ParameterError otherwise."""
-    if not isinstance(entry, dict):
-        raise ParameterError(f"{path}: {where} = {entry!r:.60}: expected a mapping")
-    for key, value in entry.items():
-        if key not in keys:
-            raise unknown_key(key, keys, f"{path}: {where}")
-        kind, expected = (dict, "a mapping") if key == "changes" else (str, "text")
-        if not isinstance(value, kind):
-            raise ParameterError(f"{path}: {where}.{key} = {value!r:.60}: expected {expected}")
-    return entry
+@dataclass(frozen=True)
+class _Scenario(Checked):
+    """Entry of `scenarios` in the file; see above."""
+
+    scenario: str = ""
+    rover: str = ""
+    changes: dict = field(default_factory=dict)
+    trained_on: str = ""
+    model: str = ""
+
+
+@dataclass(frozen=True)
+class _World(Checked):
+    """Entry of `worlds` in the file: model.yaml of the world, or of that of the log."""
+
+    model: str = ""
+    log_of: str = ""
 
 
 def _target(path: Path, name: str, entry, common: dict) -> dict:
     """The mapping of a `Target` of an entry of `scenarios` in the file `path`."""
-    where = f"scenarios.{name}"
-    entry = _entry(path, where, entry, ("scenario", "rover", "changes", "trained_on", "model"))
-    if "scenario" in entry and "rover" in entry:
-        raise ParameterError(f"{path}: {where}: expected scenario or rover, not both")
-    changes, of = merge(common, entry.get("changes", {})), load_rover if "rover" in entry else load_scenario
-    which = entry.get("rover") or entry.get("scenario", name)
+    where = f"{path}: scenarios.{name}"
+    entry = load(_Scenario, entry, where)
+    if entry.scenario and entry.rover:
+        raise ParameterError(f"{where}: expected scenario or rover, not both")
+    of, which = (load_rover, entry.rover) if entry.rover else (load_scenario, entry.scenario or name)
     try:
         of(which)
     except ParameterError as error:
-        raise ParameterError(f"{path}: {where}: {error}") from None
-    scenario = of(which, changes, f"{path}: {where}.changes")
-    model = _model(path, entry["model"], scenario) if "model" in entry else {}
-    return {"task": to_dict(scenario), "trained_on": entry.get("trained_on", ""), "model": model}
+        raise ParameterError(f"{where}: {error}") from None
+    scenario = of(which, merge(common, entry.changes), f"{where}.changes")
+    model = _model(path, entry.model, scenario) if entry.model else {}
+    return {"task": to_dict(scenario), "trained_on": entry.trained_on, "model": model}
 
 
 def _world(path: Path, name: str, entry) -> dict:
     """The mapping of a `World` of an entry of `worlds` in the file `path`."""
-    entry = _entry(path, f"worlds.{name}", entry, ("model", "log_of"))
-    if len(entry) > 1:
+    entry = load(_World, entry, f"{path}: worlds.{name}")
+    if entry.model and entry.log_of:
         raise ParameterError(f"{path}: worlds.{name}: expected model or log_of, not both")
-    return {key: _model(path, file) for key, file in entry.items()}
+    return {key: _model(path, file) for key, file in to_dict(entry).items() if file}
 
 
 def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:

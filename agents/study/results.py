@@ -45,23 +45,24 @@ def result(study: Study, folder: Path) -> dict:
 
 
 def table(content: dict, bounds: bool = True) -> Table:
-    """A row for each scenario and arm; differences are on the same courses."""
+    """A row for each scenario and arm; differences are on the same courses. Narrow without `bounds`."""
     base, rows = content["baseline"], []
     for name, entry in content["scenarios"].items():
         for arm, metrics in entry["controllers"].items():
             difference = probability = ""
             if arm != base and base in entry["controllers"]:
                 difference = points(entry["paired"][arm][base]["finished"])
-                probability = cell(entry["improvement"][arm][base], bounds=bounds)
-            rows.append([
-                name, arm, entry["members"][arm], cell(metrics["immobilised"], 100.0, 1, bounds=bounds),
-                cell(metrics["finished"], 100.0, 1, bounds=bounds), cell(entry["iqm"][arm], bounds=bounds), difference,
-                probability,
-            ])  # fmt: skip
-    difference = f"finished - {base} [points]"
-    header = ("scenario", "arm", "seeds", "immobilised [%]", "finished [%]", "return (IQM)", difference,
-              "P(return higher)")  # fmt: skip
-    return Table(header, rows, f"{content['courses']} held-out courses of each scenario; 95 % intervals")
+                probability = cell(entry["improvement"][arm][base])
+            rates = (cell(metrics[m], 100.0, 1, bounds=bounds) for m in ("immobilised", "finished"))
+            iqm = cell(entry["iqm"][arm], bounds=bounds)
+            rows.append([name, arm, entry["members"][arm], *rates, iqm, difference, probability])
+    caption = f"{content['courses']} held-out courses of each scenario; 95 % intervals"
+    if bounds:
+        header = ("scenario", "arm", "seeds", "immobilised [%]", "finished [%]", "return (IQM)",
+                  f"finished - {base} [points]", "P(return higher)")  # fmt: skip
+        return Table(header, rows, caption)
+    header = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "return", "difference")
+    return Table(header, [row[:-1] for row in rows], f"{caption}; difference: finished - {base} [points]")
 
 
 def write(content: dict, folder: Path) -> list[str]:

@@ -16,11 +16,9 @@ from soil_env._io.files import replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 from .. import cells
-from ..controllers import make_controller
-from ..controllers.rover import ROVER_CONTROLLERS, make_rover_controller
+from ..controllers.rover import controllers_of
 from ..evaluate import run_courses, tuned_settings
 from ..evaluate.contestants import Contestant
 from ..evaluate.driving import Runs
@@ -45,24 +43,19 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
             first = next(t.scenario for t in study.targets.values() if not t.trained_on)
             hidden = WheelSoilModel.from_content(world.log_of, name)
             found_world(first, hidden, study.commissioning, folder / "worlds" / name)
-    work = Work(study, worlds(study, folder), None if elsewhere else folder)
 
     def progress(cell: Cell) -> None:
         nonlocal left
         left -= 1
         show(f"{cell}: done, {left} of {len(todo)} cells left")
 
-    def kept(engine):
-        def run(work, missing):
-            for cell, content in engine(work, missing):
-                files = content.pop("files", {})
-                if files:
-                    replace_files(folder / "trained" / str(cell), files)
-                yield cell, content
+    def kept(work, missing):
+        for cell, content in engine(work, missing):
+            if files := content.pop("files", {}):
+                replace_files(folder / "trained" / str(cell), files)
+            yield cell, content
 
-        return run
-
-    cells.fill(work, todo, folder, kept(engine), progress)
+    cells.fill(Work(study, worlds(study, folder), None if elsewhere else folder), todo, folder, kept, progress)
 
 
 def worlds(study: Study, folder: Path) -> dict[str, WheelSoilModel | None]:
@@ -81,8 +74,10 @@ class Work:
         self.study, self.worlds, self.folder = study, worlds, folder
 
     def __call__(self, cell: Cell) -> dict:
-        """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}; and the files of a training
-        that was made elsewhere."""
+        """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}.
+
+        Without a folder also "files": {name: content} of the run folder of a training.
+        """
         if self.folder is not None:
             return self._done(cell, self.folder)
         with tempfile.TemporaryDirectory() as there:
@@ -92,18 +87,23 @@ class Work:
     def _done(self, cell: Cell, folder: Path) -> dict:
         study, arm, source = self.study, self.study.arms[cell.arm], self.study.targets[cell.source]
         model = self.worlds[arm.world] if arm.world else source.world
-        settings, path = {}, None
-        if arm.controller:
-            settings = self._settings(cell, source.scenario, model, folder)
-        else:
+        settings, contestant = {}, Contestant(cell.arm, 0, "class", arm.controller)
+        if not arm.controller:
             from .. import training  # needs the extra `train`, which --help does not
 
             path = training.trained(study.training(cell, model, folder / "trained"), source.scenario)
+            contestant = Contestant(cell.arm, 0, "model", str(path))
+        elif ":" not in arm.controller:
+            settings = arm.settings or self._tuned(cell, source.scenario, model, folder)
         driven = {}
         for name in study.fed_by(cell.source):
             target = study.targets[name]
-            controller = self._controller(cell, target.scenario, settings, path)
+            known, make = controllers_of(target.scenario)
             try:
+                if arm.controller in known:
+                    controller = make(arm.controller, target.scenario, **settings)
+                else:
+                    controller = load(contestant, target.scenario)
                 runs = run_courses(
                     controller, target.scenario, study.held_out, study.courses, model=target.world, threads=1
                 )
@@ -112,47 +112,30 @@ class Work:
             driven[name] = runs.columns()
         return {"settings": settings, "driven": driven}
 
-    def _settings(self, cell: Cell, scenario: Scenario, model, folder: Path) -> dict[str, float]:
-        """Settings of a classical controller: given, else tuned where it is made."""
-        arm = self.study.arms[cell.arm]
-        if arm.settings or ":" in arm.controller:
-            return arm.settings
-        log = folder / "tuned" / f"{cell}.log"
+    def _tuned(self, cell: Cell, scenario: Scenario, model, folder: Path) -> dict[str, float]:
+        """Settings of a classical controller, tuned where it is made."""
+        name, log = self.study.arms[cell.arm].controller, folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         anew = bool(self.study.worlds)  # as many trials in every world
-        return tuned_settings(
-            scenario, self.study.tuning_courses, (arm.controller,), None, model, log, anew
-        )[0].get(arm.controller, {})  # fmt: skip
-
-    def _controller(self, cell: Cell, scenario: Scenario, settings: dict, path: Path | None):
-        name = self.study.arms[cell.arm].controller
-        if path is not None:
-            from ..evaluate.models import load_model
-
-            return load_model(path, scenario)
-        if isinstance(scenario, RoverScenario) and name in ROVER_CONTROLLERS:
-            return make_rover_controller(name, scenario, **settings)
-        if ":" in name:
-            return load(Contestant(cell.arm, 0, "class", name), scenario)
-        return make_controller(name, scenario, **settings)
+        chosen, _ = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
+        return chosen.get(name, {})
 
 
 def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
     """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell: settings})."""
+
+    def parse(content: dict) -> dict:
+        own = {t: Runs.from_columns(columns, study.courses) for t, columns in content["driven"].items()}
+        return {**content, "driven": own}
+
     runs: dict[str, dict[str, list[Runs]]] = {name: {} for name in study.targets}
     settings = {}
     for cell in study.cells():
         if not cells.cell_file(folder, cell).is_file():
             continue
-        content = cells.read_cell(folder, cell, _parse)
+        content = cells.read_cell(folder, cell, parse)
         if content["settings"]:
             settings[str(cell)] = content["settings"]
         for target, own in content["driven"].items():
-            if own.cause.size != study.courses:
-                raise ParameterError(f"{cells.cell_file(folder, cell)}: {own.cause.size} courses; delete it")
             runs[target].setdefault(cell.arm, []).append(own)
     return {t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own}, settings
-
-
-def _parse(content: dict) -> dict:
-    return {**content, "driven": {t: Runs.from_columns(columns) for t, columns in content["driven"].items()}}

@@ -7,11 +7,11 @@ from gymnasium.spaces import Box
 
 from agents import ppo
 from agents.config import PPOConfig
+from agents.environment import HIDDEN, SeveralWorlds, hidden_worlds
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.history import READINGS, SHARE, History, HistoryVecEnv
 from agents.sb3 import SoilWheelVecEnv, privileged
-from agents.worlds import HIDDEN, SeveralWorlds, hidden_worlds
 from soil_env.parameters import CourseSpec, load_scenario
 from soil_env.simulation.task import layout, truth
 from tests.agents.drivers import Half

@@ -174,7 +174,7 @@ def test_windows_live_and_close_one_by_one(monkeypatch):
         drive(sim_a, a, 1)
         assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
-    off_screen._history, off_screen._angle = a._history, a._angle
+    off_screen._history, off_screen._angles = a._history, a._angles
     assert np.array_equal(shown, off_screen.draw(sim_a, 0))
     pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
     assert b.draw(sim_b, 0) is None  # b takes the event meant for a

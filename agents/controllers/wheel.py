@@ -1,0 +1,206 @@
+"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on its soil."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from soil_env.slip import rim_speeds, travel_speeds
+from soil_env.terramechanics.traversability import best_points
+
+from .base import SPEED, START, Controller, Ramped, Setting
+
+MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
+_CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
+_SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", high=MOST_SLIP, zero=True)
+CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
+
+# --- blind ------------------------------------------------------------------------------------------------------------
+
+
+class FullThrottle(Controller):
+    """Full command, always."""
+
+    name = "full_throttle"
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        shape = (1,) if np.ndim(observation) == 1 else (len(observation), 1)
+        return np.full(shape, self.settings.get("share", 1.0), dtype=np.float32), state
+
+
+class ConstantTorque(FullThrottle):
+    """A constant command, as a share of the largest action."""
+
+    name = "constant_torque"
+    bounds = {"share": Setting(0.4, "of the highest action", "the command", high=1.0)}
+
+
+class ConstantSpeed(Controller):
+    """A constant rim speed."""
+
+    name = "constant_speed"
+    bounds = {"speed": SPEED._replace(default=0.33)}
+
+    def rim_speed(self, observation, state):
+        return np.full(len(observation), self.settings["speed"])
+
+
+class SoftStart(Ramped):
+    """A rim speed that rises evenly from rest, and after every halt, up to a top speed."""
+
+    name = "soft_start"
+    bounds = {**Ramped.bounds, "speed": SPEED._replace(default=0.6)}
+
+    def rim_speed(self, observation, state):
+        return self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
+
+
+# --- by slip ----------------------------------------------------------------------------------------------------------
+
+
+class SlipFollower(Ramped):
+    """Base: the rim speed V/(1 - i) of a target slip i, or that of the ramp where it is lower."""
+
+    bounds = {"start": START, **Ramped.bounds}
+
+    def target_slip(self, observation, state):
+        """Slip not to exceed, [n]."""
+        raise NotImplementedError
+
+    def rim_speed(self, observation, state):
+        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed [m/s], [n]."""
+        ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
+        slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
+        # V from slip and rim speed is less noisy at low speeds than the speed sensor.
+        travel = travel_speeds(np.maximum(rim, 0.0) * self.top_speed, np.maximum(slip, -0.9))
+        target, start = np.minimum(self.target_slip(observation, state), MOST_SLIP), self.settings["start"]
+        return np.minimum(np.maximum(rim_speeds(travel, target) + _CREEP * start, start), ramp)
+
+
+class FixedSlip(Controller):
+    """A rim speed whose acceleration holds a slip, from a creeping start up to a top speed.
+
+    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The acceleration of the rim
+    therefore controls the slip while the rim speed is between start and top.
+    """
+
+    name = "fixed_slip"
+    bounds = {"slip": _SLIP, "start": START._replace(default=0.04), "speed": SPEED}
+    memory = {**Controller.memory, "rim": 0, "gain": 0}
+    step = 1.5  # [m/s2] change of the acceleration per action and unit of slip
+    most = 1.0  # [m/s2]
+
+    def rim_speed(self, observation, state):
+        """The last rim speed plus its change in an action."""
+        start, top = self.settings["start"], self.settings["speed"]
+        error = self.settings["slip"] - observation[:, self.column["slip"]]
+        rest = self.halted(observation)
+        gain = np.clip(np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most)
+        rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
+        state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
+        held = np.where(rim > top, np.minimum(gain, 0.0), gain)  # at its limits the acceleration does not wind up
+        state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
+        return state["rim"]
+
+
+class SlipLimiter(SlipFollower):
+    """A ramp of the rim speed that waits where the slip reaches its limit."""
+
+    name = "slip_limiter"
+    bounds = {"slip": _SLIP._replace(default=0.5), **SlipFollower.bounds}
+
+    def target_slip(self, observation, state):
+        return np.full(len(observation), self.settings["slip"])
+
+
+class ExtremumSeeking(SlipFollower):
+    """A limit of the slip that seeks the highest drawbar pull.
+
+    The limit swings about an estimate of the best slip. The estimate climbs the slope of the measured pull over the
+    measured slip, a regression over the last seconds.
+    """
+
+    name = "extremum_seeking"
+    bounds = {
+        "gain": Setting(0.3, "1/s", "of the estimate by the slope of the pull [of weight, a unit of slip]", high=1e3),
+        "swing": Setting(0.05, "-", "amplitude of the slip about its estimate", high=0.3),
+        **SlipFollower.bounds,
+    }
+    memory = {**SlipFollower.memory, "best": 0, "phase": 0, "slip_mean": 0, "pull_mean": 0, "power": 0, "product": 0}
+    first, low, high = 0.3, 0.05, 0.8  # estimate at the start, and its bounds
+    swing_period = 1.2  # [s]
+    memory_time = 2.4  # [s] of the means and of the slope
+    _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
+
+    def target_slip(self, observation, state):
+        """The estimate with its swing, [n]; advances both."""
+        driving = ~(self.halted(observation) | state["fresh"])
+        slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
+        share = np.where(driving, self.period / self.memory_time, 0.0)
+        a, b = slip - state["slip_mean"], pull - state["pull_mean"]
+        state["slip_mean"], state["pull_mean"] = state["slip_mean"] + share * a, state["pull_mean"] + share * b
+        state["power"] = state["power"] + share * (a * a - state["power"])
+        state["product"] = state["product"] + share * (a * b - state["product"])
+        slope = state["product"] / (state["power"] + self._LITTLE)
+        best = np.where(state["fresh"], self.first, state["best"])
+        step = np.where(driving, self.settings["gain"] * self.period * slope, 0.0)
+        state["best"] = np.clip(best + step, self.low, self.high)
+        state["phase"] = state["phase"] + 2.0 * np.pi / self.swing_period * self.period
+        return state["best"] + self.settings["swing"] * np.sin(state["phase"])
+
+
+# --- by soil ----------------------------------------------------------------------------------------------------------
+
+
+class BestSlipIdentified(SlipFollower):
+    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as identified."""
+
+    name = "best_slip_identified"
+    variant = "identified"
+    memory = {**SlipFollower.memory, "known": 8, "slip": 0}
+
+    def soil_columns(self, observation) -> list:
+        """The columns of `SoilState` read from the observation, each [n] or one number."""
+        read, belief = (lambda name: observation[:, self.column[name]]), self.scenario.belief
+        return [
+            np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
+            1000.0 * read("cohesion"),
+            10.0 ** read("log10_shear_modulus"),
+            10.0 ** read("log10_sinkage_coefficient"),
+            belief.sinkage_exponent,
+            read("dig_gain"),
+            belief.dig_recovery,
+        ]
+
+    def soils(self, observation) -> np.ndarray:
+        """`SoilState` rows [n, 7] read from the observation."""
+        return np.column_stack([np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)])
+
+    def load(self, observation) -> np.ndarray:
+        """Load [N] read from the observation, [n]."""
+        return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
+
+    def target_slip(self, observation, state):
+        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
+        soils, load = self.soils(observation), self.load(observation)
+        known, now = state["known"], np.column_stack([soils, load])
+        rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
+        wheel = self.scenario.wheel
+        best_points(
+            rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["slip"], np.empty(len(load))
+        )
+        known[rows] = now[rows]
+        return state["slip"]
+
+
+class BestSlipTrue(BestSlipIdentified):
+    """The same on the true soil."""
+
+    name = "best_slip_true"
+    variant = "true_soil"
+
+    def soil_columns(self, observation):
+        """The columns of `SoilState` read from the observation, each [n]."""
+        out = super().soil_columns(observation)
+        for i, name in ((4, "sinkage_exponent"), (6, "dig_recovery")):
+            out[i] = observation[:, self.column[name]]
+        return out

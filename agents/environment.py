@@ -1,0 +1,110 @@
+"""Environment of a training: wheels or rovers in one or several worlds, with a history and running normalisation.
+
+Some worlds may have effects that the model of the identifier does not have (`hidden_worlds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+from soil_env.parameters import Scenario
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import Effect, EffectParameter
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.vehicle import RoverScenario
+
+from .config import PPOConfig
+from .history import History, HistoryVecEnv
+from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
+
+#: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
+World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
+#: Effects that act in the simulated world on a course driven once; the others need a measuring rig or a second pass.
+HIDDEN = (
+    "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "penetration_rate", "shear_rate", "shear_softening",
+)  # fmt: skip
+_HEIGHT = 0.07  # of lugs, as a share of the radius
+
+
+def normalised(
+    scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, world: World = None
+) -> VecNormalize:
+    """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
+    worlds = list(world) if isinstance(world, Sequence) else [world]
+    shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
+    parts = [_courses(share, scenario, observation, config, one) for share, one in zip(shares, worlds, strict=True)]
+    wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
+    if config.history:
+        wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
+    env = VecNormalize(wheels, gamma=config.gamma)
+    env.seed(seed)
+    return env
+
+
+def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
+    """The vector environment of `count` wheels or rovers."""
+    if isinstance(scenario, RoverScenario):
+        return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
+    return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world, critic=config.critic)
+
+
+class SeveralWorlds(NativeVecEnv):
+    """Vector environments of one observation and action space as one; their wheels follow each other."""
+
+    def __init__(self, parts: Sequence[VecEnv]):
+        self.parts = list(parts)
+        self._owner = [part for part in self.parts for _ in range(part.num_envs)]
+        super().__init__(len(self._owner), self.parts[0].observation_space, self.parts[0].action_space)
+        self._starts = np.cumsum([0, *(part.num_envs for part in self.parts)])[:-1].tolist()
+
+    def owners(self, indices=None) -> list[VecEnv]:
+        """The part of each of these wheels."""
+        return [self._owner[k] for k in self._get_indices(indices)]
+
+    def reset(self) -> np.ndarray:
+        return np.concatenate([p.reset() for p in self.parts])
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed wheel k with seed + k, from the next reset on."""
+        seeds = [None if seed is None else seed + k for k in self._starts]
+        return [s for part, own in zip(self.parts, seeds, strict=True) for s in part.seed(own)]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        for part, own in zip(self.parts, np.split(np.asarray(actions), self._starts[1:]), strict=True):
+            part.step_async(own)
+
+    def step_wait(self):
+        observation, rewards, dones, infos = zip(*(p.step_wait() for p in self.parts), strict=True)
+        together = [info for some in infos for info in some]
+        return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together
+
+
+# --- worlds with a hidden effect --------------------------------------------------------------------------------------
+
+
+def hidden_worlds(scenario: Scenario, count: int, seed: int) -> list[WheelSoilModel]:
+    """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
+
+    Sizes are drawn from the prior of the catalogue, cut at one standard deviation, so that most are of the size of the
+    disagreement between published laws.
+    """
+    rng = np.random.default_rng([seed, count, 7])
+    return [_drawn(scenario, CATALOGUE[HIDDEN[k % len(HIDDEN)]], rng) for k in range(count)]
+
+
+def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
+    form = effect.forms[rng.integers(len(effect.forms))]
+    values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
+    wheel, height = scenario.wheel, _HEIGHT * scenario.wheel.radius if effect.name == "grousers" else 0.0
+    return WheelSoilModel(ModelWheel(wheel.radius, wheel.width, height), effects={effect.name: values})
+
+
+def _size(p: EffectParameter, rng: np.random.Generator) -> float:
+    share = rng.uniform(-1.0, 1.0)
+    if p.centre is not None:
+        return float(np.clip(p.centre * np.exp(p.scale * share), p.low, p.high))
+    low = max(p.low, p.neutral - p.scale)
+    return float(rng.uniform(low, min(p.high, p.neutral + p.scale)))
