@@ -8,7 +8,7 @@ import pytest
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.controllers.oracle import COUNT, Oracle
 from agents.evaluate import Runs, drive as evaluation_drive, driving, run_courses
-from agents.evaluate.limit import avoidable
+from agents.evaluate.comparing import avoidable
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation
