@@ -20,7 +20,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, compiled_root
-from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
+from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
 from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
@@ -36,7 +36,6 @@ from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilStat
 from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import steady_state
-from soil_env.terramechanics.traversability import best_working_point
 
 __all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "largest_readings", "slips"]
 
@@ -206,11 +205,7 @@ class OnlineIdentifier:
         twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._start, self._observe, self._best = (
-            FastCall(_start),
-            FastCall(observe_values),
-            FastCall(best_working_point),
-        )
+        self._start, self._observe, self._assess = FastCall(_start), FastCall(observe_values), FastCall(assess_ground)
         self._numbers = identifier_numbers(scenario)
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
@@ -282,10 +277,11 @@ class OnlineIdentifier:
             raise ParameterError(f"pitch = {pitch!r}: expected a finite number")
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
-        load = float(self._weight * math.cos(pitch) if load is None else max(load, LEAST_LOAD * self._weight))
-        ids = self._ids
-        found = traversability(ids.estimate[0], ids.best_pull[0], load, pitch, self.scenario, self._best)
-        return Traversability(*found)
+        seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
+        ids, out = self._ids, np.empty((1, 6))
+        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, ground_numbers(self.scenario), out)
+        found = Traversability(*out[0].tolist())
+        return found._replace(passable=found.passable > 0.0)
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""

@@ -332,8 +332,8 @@ def load_scenario_as(
     if isinstance(which, kind):
         mapping, where = to_dict(which), f"{singular} {which.name!r}"
         _check_kind(mapping, {}, folder, where)
-    elif not isinstance(which, (str, Path)):
-        expected = f"expected a name, the path of a YAML file, or a {kind.__name__}"
+    elif not isinstance(which, (str, Path)) or which == "":
+        expected = f"expected a name or the path of a YAML file, or a {kind.__name__}"
         raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
     else:
         path = Path(which)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,11 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.driving.wheels import Simulation, Worlds
 from soil_env.identification import Status
-from soil_env.identification.online.estimate import LEAST_LOAD, published, traversability
+from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WheelState
-from soil_env.terramechanics.traversability import best_working_point
 
 #: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat numbers; what costs next to
 #: nothing; nothing. "full" and "numeric" ask for an estimate of the soil.
@@ -80,7 +79,7 @@ class Infos:
         self.scenario: Scenario = simulation.scenario
         self.kind: str = kind
         self._simulation, wheels = simulation, simulation.count
-        self._best: Callable[..., Any] = FastCall(best_working_point)
+        self._assess, self._ground = FastCall(assess_ground), ground_numbers(self.scenario)
         self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
@@ -125,8 +124,9 @@ class Infos:
             ids, gain = worlds.ids, self.scenario.belief.dig_gain
             known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain)
             info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
-            warning = dict(zip(_WARNING, self._warning(worlds, k).tolist(), strict=True))
-            foreseen = self._foreseen(worlds, np.array([k], dtype=np.intp))[0].tolist()
+            only = np.array([k])
+            warning = dict(zip(_WARNING, self._renewed(worlds, only)[k].tolist(), strict=True))
+            foreseen = self._foreseen(worlds, only)[0].tolist()
             info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
             info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
         info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
@@ -136,17 +136,14 @@ class Infos:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
         return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
 
-    def _warning(self, worlds: Worlds, k: int) -> np.ndarray:
-        """Traversability (paper, Section 6) of the ground as identified, at the measured load and pitch; `_WARNING`."""
-        if self._stale[k]:
-            self._stale[k] = False
-            load, pitch = self._seen[k].tolist()
-            load = max(load, LEAST_LOAD) * self.scenario.weight
+    def _renewed(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+        """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
+        rows = rows[self._stale[rows]]
+        if rows.size:
             ids = worlds.ids
-            self._warnings[k] = traversability(
-                ids.estimate[k], ids.best_pull[k], load, pitch, self.scenario, self._best
-            )
-        return self._warnings[k]
+            self._assess(rows, ids.estimate, ids.best_pull, self._seen, self._ground, self._warnings)
+            self._stale[rows] = False
+        return self._warnings
 
     # --- many wheels --------------------------------------------------------------------------------------------------
 
@@ -179,11 +176,9 @@ class Infos:
         groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
         if not identified:
             return groups
-        for k in np.flatnonzero(which & self._stale):
-            self._warning(worlds, int(k))
-        warning = dict(zip(_WARNING, self._warnings.T.copy(), strict=True))
-        warning["passable"] = warning["passable"] > 0.0
         foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
+        warning = dict(zip(_WARNING, self._renewed(worlds, rows).T.copy(), strict=True))
+        warning["passable"] = warning["passable"] > 0.0
         foreseen[rows] = self._foreseen(worlds, rows)
         warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
         return {"estimate": estimates(worlds.ids, self.scenario), "traversability": warning, **groups}

@@ -120,7 +120,8 @@ class RoverRenderer(CourseView):
         profile = self._ground(simulation, k, width, beyond, False)
         bounds, rows = friction_range(self.scenario, simulation), simulation.wheels[k]
         shown = [_COLOURS[name] for name in self._axles]
-        _draw_scene(canvas, simulation, k, profile, bounds, self._angles, [dark for dark, _ in shown])
+        angles = np.broadcast_to(self._angles, len(shown))  # 0 before the first record
+        _draw_scene(canvas, simulation, k, profile, bounds, angles, [dark for dark, _ in shown])
         _draw_readings(canvas, simulation, k)
         status = [self._status(known, row) for row in rows.tolist()]
         _draw_table(canvas, simulation, k, self._axles, bounds, status)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, uncompiled
+from soil_env._numba.compiling import compiled_inline, compiled_root, uncompiled
 from soil_env.parameters import Belief, Scenario, SoilState
+from soil_env.terramechanics.traversability import best_working_point
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
 MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for
@@ -49,25 +49,47 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
     }
 
 
-def traversability(
-    estimate: np.ndarray,
-    pull: np.ndarray,
-    load: float,
-    pitch: float,
-    scenario: Scenario,
-    best_point: Callable[..., Any],
-) -> tuple[float, float, float, float, float, bool]:
-    """(best slip, drawbar margin and its sd, torque required, torque available, whether passable) of the ground.
+class GroundNumbers(NamedTuple):
+    """Numbers of a `Scenario` that traversability needs."""
 
-    By an estimate [5] and its best drawbar pull [2], under `load` [N] at `pitch` [rad]; `best_point`:
-    `best_working_point`.
+    radius: float  # [m]
+    width: float  # [m]
+    stall_torque: float  # [N m]
+    weight: float  # [N]
+    dig_gain: float
+    sinkage_exponent: float
+    dig_recovery: float
+
+
+def ground_numbers(scenario: Scenario) -> GroundNumbers:
+    """Pack the wheel and the belief of a scenario."""
+    wheel, belief = scenario.wheel, scenario.belief
+    return GroundNumbers(
+        wheel.radius, wheel.width, wheel.stall_torque, scenario.weight, belief.dig_gain, belief.sinkage_exponent,
+        belief.dig_recovery,
+    )  # fmt: skip
+
+
+@compiled_root(nogil=True)
+def assess_ground(rows, estimate, pull, seen, numbers, out):
+    """Write the traversability of the ground as identified under the wheels `rows` [n] into `out` [wheels, 6].
+
+    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen` [wheels, 2], load [of
+    weight] and pitch [rad]. Columns of `out`: best slip, drawbar margin and its sd [of load], torques required and
+    available [N m], 1 if the ground is passable (source paper, Section 6).
     """
-    wheel = scenario.wheel
-    soil = soil_as_identified(estimate, scenario.belief)
-    best = best_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-    turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
-    margin, sd = max(float(pull[0]) - math.tan(pitch), -1.0) if turns else -1.0, float(pull[1])
-    return best.slip, margin, sd, best.torque, wheel.stall_torque, margin > 0.0
+    for k in rows:
+        x = estimate[k]
+        phi = math.radians(math.degrees(x[0]))  # to the bit as published, in degrees
+        soil = soil_of_estimate(
+            (phi, x[1], x[2], x[3], x[4]), numbers.dig_gain, numbers.sinkage_exponent, numbers.dig_recovery
+        )
+        load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
+        best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque)
+        turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
+        margin = max(pull[k, 0] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = best.slip, margin, pull[k, 1], best.torque
+        out[k, 4], out[k, 5] = numbers.stall_torque, 1.0 if margin > 0.0 else 0.0
 
 
 def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:
