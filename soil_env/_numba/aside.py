@@ -5,6 +5,7 @@ The function and its signature come pickled on stdin; the code goes to the cache
 
 from __future__ import annotations
 
+import gc
 import importlib
 import pickle
 import sys
@@ -12,6 +13,7 @@ import sys
 
 def main() -> None:
     """Compile the function that the parent process asks for."""
+    gc.disable()  # the process ends before it would pay
     module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`
     getattr(importlib.import_module(module), name).compile(signature)
 
