@@ -87,7 +87,7 @@ class TrainConfig(OfWorld):
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
     oracle_courses: int | None = quantity(
-        "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: at most 50, none for a rover"
+        "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, no rover"
     )
     ppo: PPOConfig = PPOConfig()
 

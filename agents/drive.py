@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,13 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 
 
 @click.command("drive")
-@click.option("--controller", default="best_slip_identified", metavar="NAME", help="Or run folder, .onnx, m:Class.")
+@click.option(
+    "--controller",
+    default="best_slip_identified",
+    metavar="NAME",
+    show_default=True,
+    help="Or run folder, .onnx, m:Class.",
+)
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @seed_option("the course")
 @click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
@@ -38,6 +45,8 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     if out is not None:
         if out.suffix not in _SUFFIXES:
             raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
+        if out.suffix == ".mp4" and importlib.util.find_spec("moviepy") is None:
+            raise ParameterError(f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif')
         check_outputs(out.parent, [out.name])
     contestants = list(parse(controller).values())
     if len(contestants) != 1:

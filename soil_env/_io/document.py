@@ -13,6 +13,7 @@ from importlib import resources
 
 import jinja2
 
+WIDTH = 100  # characters of a line on the terminal
 _NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a column of numbers begins
 
 
@@ -42,10 +43,19 @@ class Table:
     __html__ = html  # a template takes {{ table }} as HTML
 
     def text(self, indent: int = 0) -> str:
-        """Aligned columns for the terminal, the caption above; every line begins with `indent` spaces."""
+        """Aligned columns for the terminal, the caption above; every line begins with `indent` spaces.
+
+        The longest cells of text are cut where a line would be longer than `WIDTH`.
+        """
         lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        numbers = self._numbers()
+        widths, numbers = [max(map(len, column)) for column in zip(*lines, strict=True)], self._numbers()
+        over = indent + sum(widths) + 2 * (len(widths) - 1) - WIDTH
+        if over > 0 and not all(numbers):
+            longest = max((k for k, number in enumerate(numbers) if not number), key=widths.__getitem__)
+            most = widths[longest] = max(widths[longest] - over, len(lines[0][longest]), 12)
+            for line in lines:
+                cell = line[longest]
+                line[longest] = cell if len(cell) <= most else cell[: most - 3] + "..."
         aligned = [
             "  ".join(
                 cell.rjust(width) if number else cell.ljust(width)
@@ -98,13 +108,20 @@ def render(template: str, **values: object) -> str:
 
 @cache
 def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
+    made = jinja2.Environment(
         loader=jinja2.FunctionLoader(_source),
         autoescape=jinja2.select_autoescape(("html",)),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["hanging"] = _hanging
+    return made
+
+
+def _hanging(text: str) -> str:
+    """Text in lines of at most `WIDTH` characters; all but the first are indented."""
+    return textwrap.fill(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def _source(name: str) -> str:

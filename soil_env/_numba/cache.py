@@ -19,7 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
 if sys.platform == "win32":
@@ -62,6 +62,22 @@ class _Index(IndexDataCacheFile):
             _tell(f"compiled code cannot be kept ({error}): every process will compile anew")
 
 
+def _places(installed: bool) -> list[type]:
+    """Where numba looks for a folder, in turn: beside the sources last if the package is `installed`.
+
+    Files beside an installed package outlive it: pip leaves them, and the folder with them hides an editable install.
+    """
+    return sorted(CompileResultCacheImpl._locator_classes, key=lambda c: installed and "InTree" in c.__name__)
+
+
+class _Place(CompileResultCacheImpl):
+    _locator_classes = _places(not {"site-packages", "dist-packages"}.isdisjoint(Path(__file__).parts))
+
+
+class _Cache(FunctionCache):
+    _impl_class = _Place
+
+
 def _nothing():
     pass
 
@@ -69,7 +85,7 @@ def _nothing():
 def _folder() -> Path | None:
     """The folder where numba keeps compiled code of this package; None where it finds none that it could write."""
     try:
-        return Path(FunctionCache(_nothing)._cache_path)
+        return Path(_Cache(_nothing)._cache_path)
     except RuntimeError:
         return None
 
@@ -90,8 +106,7 @@ def keep(dispatcher):
     """Turn on the cache of a dispatcher, valid for its options, its own file and the sources of all compiled rooms."""
     if CACHE:
         with suppress(RuntimeError):  # a function of no file
-            dispatcher.enable_caching()
-            store = dispatcher._cache
+            store = dispatcher._cache = _Cache(dispatcher.py_func)
             own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
             store._cache_file = _Index(
                 cache_path=store._cache_path,
@@ -208,7 +223,7 @@ def _tell(line: str) -> None:
 
 def _announcement() -> str:
     wanted = os.environ.get("NUMBA_CACHE_DIR")
-    line = "compiling, at the first use only: about 30 s for each kind of environment, less for other parts"
+    line = "compiling, at the first use only: about half a minute for each kind of environment"
     if _FOLDER is None or (wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents):
         line += f" (NUMBA_CACHE_DIR={wanted} cannot be written; {place()})"
     return line

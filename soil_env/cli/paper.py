@@ -17,7 +17,9 @@ from soil_env.paper.compare import compute
 
 @click.command("paper")
 @out_option("paper.md and its figures")
-@click.option("--draws", type=WholeNumber(1), default=1000, metavar="N", help="Draws of that noise (default 1000).")
+@click.option(
+    "--draws", type=WholeNumber(1), default=1000, metavar="N", help="Draws of the noise in Table 5 (default 1000)."
+)
 @seed_option("the noise in Table 5")
 def command(out: Path | None, draws: int, seed: int) -> None:
     """Recompute every number that the source paper prints.
@@ -35,4 +37,4 @@ def command(out: Path | None, draws: int, seed: int) -> None:
         print(f"written: {out / 'paper.md'}, figures in {out / 'paper'}")
     else:
         text = page.markdown(results, asked)
-        Console().print(Markdown(text)) if sys.stdout.isatty() else print(text)
+        Console(width=None if sys.stdout.isatty() else 100).print(Markdown(text, hyperlinks=False))

@@ -82,3 +82,11 @@ def test_code_that_cannot_be_saved_is_one_line_and_runs(tmp_path, monkeypatch, c
     monkeypatch.delenv("PYTEST_CURRENT_TEST")
     assert compiled_root(tripled)(2.0) == 6.0
     assert sum("No space left" in line for line in capsys.readouterr().err.splitlines()) == 1
+
+
+def test_compiled_code_does_not_lie_beside_an_installed_package():
+    """Pip would leave it there, and the folder with it would hide an editable install."""
+    names = [[place.__name__ for place in cache._places(installed)] for installed in (False, True)]
+    assert sorted(names[0]) == sorted(names[1])
+    in_tree = [[("InTree" in name) for name in found] for found in names]
+    assert in_tree[1] == sorted(in_tree[1]) != in_tree[0]
