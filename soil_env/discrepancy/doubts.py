@@ -20,11 +20,11 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
 from soil_env.discrepancy.data import Data, prepare
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.table import in_radians
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
@@ -214,7 +214,7 @@ def of_lone_rows(
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
     rows = ", line ".join(f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
-    named = " and ".join(CATALOGUE[name].title for name in found.names) or "nothing"
+    named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
     one = alone.size == 1
     return (
         f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "

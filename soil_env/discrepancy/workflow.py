@@ -15,6 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.next_tests import law_tests, next_tests
@@ -23,7 +24,6 @@ from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen
@@ -171,7 +171,8 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     soil = {**problem.known, **fit.parameters()}
     names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
     values = {name: float(soil[name]) for name in names}
-    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in fit.choices}
+    acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
+    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
     if problem.data.setup.load == "vertical":  # the load of a model presses normal to the ground but for this share
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
@@ -196,8 +197,10 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the table set."""
+    if choice.effect in INSTRUMENT:
+        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
     numbers, out = problem.effects((choice,), values), {}
-    for p in CATALOGUE[choice.effect].parameters:
+    for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
         if full in choice.free or full in choice.fixed or p.name == "reference_speed":
             out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
@@ -209,13 +212,11 @@ def _effects(problem: Problem, finding: Finding, fit: Fit, intervals: dict[str, 
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
-        parameters = {
-            p: intervals.get(f"{name}_{p}", Interval(value, value, value))
-            for p, value in _parameters(problem, choice, fit.parameters()).items()
-        }
-        form = CATALOGUE[name].forms[choice.form].name
+        fitted = _parameters(problem, choice, fit.parameters())
+        parameters = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
+        form = LISTED[name].forms[choice.form].name
         probability, others = finding.share(name), finding.alternatives(name)
-        out.append(EffectFound(name, form, parameters, probability, shares[name], others))
+        out.append(EffectFound(name, form, parameters, fitted, probability, shares[name], others))
     return tuple(out)
 
 

@@ -20,10 +20,10 @@ from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_outputs, plain, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report import equations, sentences, tables
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.effects import CATALOGUE
 
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 
@@ -112,9 +112,9 @@ def content(report: Report) -> dict[str, Any]:
         "summary": sentences.summary(report),
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
+             "in_model": report.model.effects.get(e.name), "probability": e.probability, "share": e.share,
              "alternatives": e.alternatives,
-             "symbols": {p.name: p.symbol for p in CATALOGUE[e.name].parameters if p.symbol}, **block}
+             "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol}, **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
@@ -130,7 +130,7 @@ def content(report: Report) -> dict[str, Any]:
         "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
         "detectable": {name: d.size for name, d in report.finding.detectable.items()},
         "detectable_as": {
-            name: {"form": d.form, "parameter": d.parameter, "unit": CATALOGUE[name].parameter(d.parameter).unit,
+            name: {"form": d.form, "parameter": d.parameter, "unit": LISTED[name].parameter(d.parameter).unit,
                    "power": d.power}
             for name, d in report.finding.detectable.items()
         },
