@@ -282,6 +282,10 @@ _STRESSES = (
     "place of the shear stress",
 )
 Pattern = tuple[str, float]  # where and with what, and its size
+#: What a listed effect is about, in whatever form: no anonymous contribution.
+_OWNED = {
+    "normal stress": ("pass", "speed"), "shear stress": ("pass", "speed"), "drawbar_pull": ("grade_deg",),
+}  # fmt: skip
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 
@@ -300,6 +304,8 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             continue
         places = channels if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True)) | channels
         for place, change in places.items():
+            if names[-1] in _OWNED.get(place, ()):
+                continue
             errors = change[:, :, None] * process.at_points[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
     return out

@@ -31,8 +31,8 @@ RIG_ODDS = 0.05
 #: twenty mechanisms.
 UNLISTED_ODDS = ODDS * len(CATALOGUE) / 19.0
 #: Odds that what goes with the same conditions as listed effects and moves the same channels is none of them, but
-#: something that resembles them (`evidence.resembling`).
-ALIKE = 0.5
+#: something that resembles them (`evidence.resembling`). Less where an effect goes with a speed, pass or grade, which hardly anything else does.
+ALIKE, ALIKE_VARIED = 0.3, 0.1
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
 #: Chosen on cases of the development seed 100901 of `benchmarks.discovery`; no command compares temperatures.
@@ -246,7 +246,8 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, log_prior(s, True)) for s, e in free.items()]
     for s in filter(None, order):
         alike = resembling(problem, sets.best(s))
-        entries.append(((), s, True, alike, alike.log, log_prior(s) + math.log(ALIKE)))
+        odds = ALIKE_VARIED if any(LISTED[n].varies for n in s) else ALIKE
+        entries.append(((), s, True, alike, alike.log, log_prior(s) + math.log(odds)))
     total = [log / TEMPERATURE + prior for *_, log, prior in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
