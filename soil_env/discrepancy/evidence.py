@@ -282,10 +282,13 @@ _STRESSES = (
     "place of the shear stress",
 )
 Pattern = tuple[str, float]  # where and with what, and its size
-#: What a listed effect is about, in whatever form: no anonymous contribution.
+#: What a listed effect is about, in whatever form, and so no anonymous contribution: a stress that goes with the pass,
+#: its size with the speed, the pull with the grade.
 _OWNED = {
-    "normal stress": ("pass", "speed"), "shear stress": ("pass", "speed"), "drawbar_pull": ("grade_deg",),
-}  # fmt: skip
+    **dict.fromkeys(_STRESSES, ("pass",)),
+    **dict.fromkeys(_STRESSES[:2], ("pass", "speed")),
+    "drawbar_pull": ("grade_deg",),
+}
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 

@@ -25,14 +25,14 @@ from soil_env.terramechanics.effects import CATALOGUE
 #: one with 38 %, two with 18 %, and something unlisted with 5 %. A table is examined because something is suspected,
 #: but many suspicions are noise, an ordinary form error or a wrong soil.
 ODDS = 0.08
-#: The same of each error of the instrument beyond its calibration: of six, one with 20 %.
-RIG_ODDS = 0.05
+#: The same of each error of the instrument beyond its calibration: of six, one with 19 %.
+RIG_ODDS = 0.04
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter, nineteen of
 #: twenty mechanisms.
 UNLISTED_ODDS = ODDS * len(CATALOGUE) / 19.0
-#: Odds that what goes with the same conditions as listed effects and moves the same channels is none of them, but
-#: something that resembles them (`evidence.resembling`). Less where an effect goes with a speed, pass or grade, which hardly anything else does.
-ALIKE, ALIKE_VARIED = 0.3, 0.1
+#: Odds that what moves the channels of listed effects under their conditions is none of them, but resembles them
+#: (`evidence.resembling`).
+ALIKE = 0.25
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
 #: Chosen on cases of the development seed 100901 of `benchmarks.discovery`; no command compares temperatures.
@@ -246,8 +246,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, log_prior(s, True)) for s, e in free.items()]
     for s in filter(None, order):
         alike = resembling(problem, sets.best(s))
-        odds = ALIKE_VARIED if any(LISTED[n].varies for n in s) else ALIKE
-        entries.append(((), s, True, alike, alike.log, log_prior(s) + math.log(odds)))
+        entries.append(((), s, True, alike, alike.log, log_prior(s) + math.log(ALIKE)))
     total = [log / TEMPERATURE + prior for *_, log, prior in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
