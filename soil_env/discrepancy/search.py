@@ -72,12 +72,17 @@ class Finding:
     refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that predicted held-out rows worse than the base model
 
     def without(self, names: tuple[str, ...]) -> Finding:
-        """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1."""
-        left = [h for h in self.hypotheses if not {*names} <= {*h.names}]
-        total = sum(h.probability for h in left)
-        share = [h.probability / total for h in left] if total > 0.0 else [1.0 / len(left)] * len(left)
-        kept = tuple(replace(h, probability=p) for h, p in zip(left, share, strict=True))
-        return replace(self, hypotheses=kept, refuted=(*self.refuted, names))
+        """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1.
+
+        Without names the base model is refuted; it stays as a hypothesis, as what the others are compared with.
+        """
+        left = [h for h in self.hypotheses if not names or not {*names} <= {*h.names}]
+        share = np.array([h.probability if names or h.names or h.free else 0.0 for h in left])
+        total = float(share.sum())
+        share = share / total if total > 0.0 else np.full(len(left), 1.0 / len(left))
+        kept = [replace(h, probability=float(p)) for h, p in zip(left, share, strict=True)]
+        kept.sort(key=lambda h: -h.probability)
+        return replace(self, hypotheses=tuple(kept), refuted=(*self.refuted, names))
 
     def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""
