@@ -114,11 +114,9 @@ class Finding:
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Effects that are missing with a probability of `TOLD` where none is stated, or that resemble what is."""
-        share = {n: self.share(n) for n in self.tried}
-        like = {n: sum(h.probability for h in self.hypotheses if n in h.like) for h in self.hypotheses for n in h.like}
-        near = {n: max(share.get(n, 0.0), like.get(n, 0.0)) for n in {**share, **like}}
-        return tuple(sorted((n for n, p in near.items() if p >= TOLD and n not in self.names), key=lambda n: -near[n]))
+        """Where no effect is stated: those that are missing, or that something missing resembles, with `TOLD`."""
+        near = {n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like)) for n in self.tried}
+        return () if self.names else tuple(sorted((n for n in near if near[n] >= TOLD), key=lambda n: -near[n]))
 
     @property
     def tried(self) -> tuple[str, ...]:
