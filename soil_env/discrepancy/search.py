@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Choice, Problem
 from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, resembling, settle
-from soil_env.discrepancy.instrument import LISTED, exact
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, exact
 
 #: Prior odds that a listed effect is missing, each independent of the others: of 13 effects none is missing with 47 %,
 #: one with 37 %, two with 13 %. A table is examined because something is suspected, but many suspicions are noise, an
@@ -257,7 +257,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     ]
     threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base
-    seen = {n: detectable(problem, usual, forms(problem, n), threshold) for n in names}
+    seen = {n: detectable(problem, usual, forms(problem, n), threshold) for n in names if n not in INSTRUMENT}
     return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
 
 
