@@ -120,8 +120,12 @@ def _environment() -> jinja2.Environment:
 
 
 def _hanging(text: str) -> str:
-    """Text in lines of at most `WIDTH` characters; all but the first are indented."""
-    return textwrap.fill(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    """Text in lines of at most `WIDTH` characters; all but the first are indented by two more."""
+    first = " " * (len(text) - len(text.lstrip()))
+    return textwrap.fill(
+        text.lstrip(), WIDTH, initial_indent=first, subsequent_indent=first + "  ", break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def _source(name: str) -> str:

@@ -26,7 +26,8 @@ def command(data: Path, setup: Path, out: Path, seed: int, quiet: bool) -> None:
     """Locate where model and measurement disagree, name the missing effect, show the gap shrink.
 
     Calibrates the base model to the table, refits every effect of the catalogue with the soil, and judges it on
-    held-out conditions. The result is an effect, "undecided", "unlisted" or "nothing".
+    held-out conditions. The verdict is named, partly, ambiguous, unlisted,
+    none or undetermined.
     """
     with _progress(quiet) as progress:
         report = run(data, setup, out, seed=seed, progress=progress)
