@@ -140,6 +140,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
         if not forced and not (able[g] and gain[g] > LEAST):
             break
+        able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
         sure = float(sureness(of.share, overlap)[g])
@@ -156,7 +157,6 @@ def _described(
     mean[:, seen] = of.mean[:, g] * size[seen]
     spread = [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
     sd[:, seen] = np.sqrt(spread) * size[seen]
-    rival = 0 if len(of.names) < 2 else 1
     off = np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2))
     off = np.where(np.isnan(off), 0.0, off)
     rival = int(np.argmax(of.share * off.max(axis=1)))
@@ -257,7 +257,9 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     levels = {n: x if n in known else [usual[n]] for n, x in _levels(problem).items()}
     wheels = np.unique(problem.data.rows.wheels, axis=0)
     if rig.wheels:
-        wheels = np.array([(w.radius, w.width, w.grouser_height or 0.0) for w in rig.wheels])
+        unknown = problem.data.wheel.grouser_height
+        heights = [unknown if w.grouser_height is None else w.grouser_height for w in rig.wheels]
+        wheels = np.array([(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)])
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
