@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -62,18 +63,18 @@ class Rig(NamedTuple):
 
     def problem(self, rows: list[int]) -> Problem:
         """The problem of a table of these runs."""
-        lines = [",".join((*COLUMNS, *CHANNELS))]
-        lines += [",".join(f"{x:.8g}" for x in (*self.value[g], *self.y[g])) for g in rows]
-        setup = setup_of(self.setup, "setup")
-        with tempfile.TemporaryDirectory() as folder:
-            (Path(folder) / "data.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
-            data = prepare(read_table(Path(folder) / "data.csv", setup.wheel, ()), setup)
+        setup, values = setup_of(self.setup, "setup"), np.column_stack([self.value, self.y])[rows]
+        with tempfile.NamedTemporaryFile("w+", suffix=".csv") as file:
+            np.savetxt(file, values, "%.8g", ",", header=",".join((*COLUMNS, *CHANNELS)), comments="")
+            file.flush()
+            data = prepare(read_table(file.name, setup.wheel, ()), setup)
         return Problem(data, np.array([self.setup["noise"][n] for n in CHANNELS]), data.measured)
 
-    def everywhere(self, problem: Problem) -> Problem:
-        """The problem at every run."""
-        columns = *self.value.T, *np.tile(problem.data.rows.wheels[0], (len(self.y), 1)).T
-        return at_grid(problem, Grid(dict(zip((*COLUMNS, *WHEEL), columns, strict=True)), COLUMNS))
+
+def everywhere(rig: Rig, problem: Problem) -> Problem:
+    """The problem at every run."""
+    columns = *rig.value.T, *np.tile(problem.data.rows.wheels[0], (len(rig.y), 1)).T
+    return at_grid(problem, Grid(dict(zip((*COLUMNS, *WHEEL), columns, strict=True)), COLUMNS))
 
 
 def draw(seed: int, index: int) -> Rig:
@@ -107,22 +108,21 @@ class Known:
         self.rig, self.rows, self.fitted, self.whole = rig, rows, len(rows), whole
         self.problem = problem = rig.problem(rows)
         self.names = (None, *(e.name for e in CATALOGUE.values() if not e.hidden(problem.bench)))
-        self.fits = {} if before is None else dict(before.fits)
+        self.fits, logs, best, base = {} if before is None else dict(before.fits), [], [], None
         far = np.log(before.share) < np.log(before.share).max() - FAR if before else np.zeros(len(self.names), bool)
-        logs, best, base = [], [], None
         for name, one in zip(self.names, far, strict=True):
-            found = []
-            for choices in [()] if name is None else [(c,) for c in forms(problem, name)][: 1 if one else None]:
-                start = self.fits[choices].fit.parameters() if choices in self.fits else None
-                if whole or base is None:
-                    found.append(settle(problem, choices, base, start))
-                else:
-                    found.append(weigh(problem, problem.fit(choices, start, base.sizes, base.fit)))
-                self.fits[choices], base = found[-1], base or found[-1]
-            logs.append(logsumexp([e.log for e in found]) - np.log(len(found)))
-            best.append(max(found, key=lambda e: e.log))
+            of = [(c,) for c in forms(problem, name)][: 1 if one else None] if name else [()]
+            for c in of:
+                start = self.fits[c].fit.parameters() if c in self.fits else None
+                full = whole or base is None
+                self.fits[c] = settle(problem, c, base, start) if full else weigh(
+                    problem, problem.fit(c, start, base.sizes, base.fit)
+                )  # fmt: skip
+                base = base or self.fits[c]
+            logs.append(logsumexp([self.fits[c].log for c in of]) - np.log(len(of)))
+            best.append(max((self.fits[c] for c in of), key=lambda e: e.log))
         self.score = np.array(logs) / TEMPERATURE + np.log([ODDS if n else 1.0 for n in self.names])
-        there = rig.everywhere(problem)
+        there = everywhere(rig, problem)
         mean, root, own, able = zip(*(predicted(problem, there, e) for e in best), strict=True)
         self.able, self.of = np.all(able, axis=0), Candidates((), self.score, np.stack(mean), root, np.stack(own))
         self._update()
@@ -136,13 +136,9 @@ class Known:
         log = -0.5 * (np.einsum("ki,kij,kj->k", off, inverse, off) - np.linalg.slogdet(inverse)[1])
         score, gain = self.score + log / TEMPERATURE, cov[:, :, m:, :m] @ inverse[:, None]
         self.share = np.exp(score - logsumexp(score))
+        self.sure = self.names[np.argmax(self.share)] if self.share.max() > SURE else None
         self.mean = mean[:, :, m:] + np.einsum("kgij,kj->kgi", gain, off)
         self.cov = cov[:, :, m:, m:] - gain @ cov[:, :, :m, m:]
-
-    def sure(self) -> str | None:
-        """The effect with more than `SURE`."""
-        k = int(np.argmax(self.share))
-        return self.names[k] if self.share[k] > SURE else None
 
     def add(self, g: int) -> Known:
         """Make a run."""
@@ -154,64 +150,43 @@ class Known:
         return out
 
 
-# --- strategies -------------------------------------------------------------------------------------------------------
+CRITERIA = ("information", "box_hill", "buzzi_ferraris", "jensen_renyi")
+PLANS = ("random", "grid", "d_optimal")
 
 
-def _square(off: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    return np.einsum("gi,gij,gj->g", off, matrix, off)
+def value(of: str, p: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """[G] value of each run: `information` of `soil-env discover --next`, or by
+
+    Box & Hill (1967) for several channels (Hill & Hunter 1969); Buzzi-Ferraris, Forzatti, Emig & Hofmann (1984) weighed
+    by P_i P_j, the noise being 1; the quadratic Jensen-Renyi divergence (Olofsson et al. 2019).
+    """
+    if of == "information":
+        return information(p, overlaps(mean, cov))
+    out, mixture, inverse = np.zeros(mean.shape[1]), [], np.linalg.inv(cov)
+    for i, j in product(range(len(p)), repeat=2):
+        off, both, weight = mean[i] - mean[j], np.linalg.inv(cov[i] + cov[j]), p[i] * p[j] * (i != j)
+        if of == "box_hill":
+            both = inverse[i] + inverse[j]
+            out += weight * (np.einsum("gij,gji->g", cov[i], inverse[j]) + np.einsum("gij,gji->g", cov[j], inverse[i]))
+        square = np.einsum("gi,gij,gj->g", off, both, off)
+        if of == "jensen_renyi":
+            log = -0.5 * (square - np.linalg.slogdet(both)[1])
+            mixture.append(np.log(p[i] * p[j]) + log)
+            out += p[i] * (i == j) * log
+        else:
+            out += weight * (square + (of == "buzzi_ferraris") * 2.0 * np.trace(both, axis1=1, axis2=2))
+    return out - logsumexp(mixture, axis=0) if mixture else out
 
 
-def _pairs(p: np.ndarray, of: Callable[[int, int], np.ndarray]) -> np.ndarray:
-    return sum(p[i] * p[j] * of(i, j) for i in range(len(p)) for j in range(i))
-
-
-def box_hill(p, mean, cov):
-    """Box & Hill (1967), of several channels by Hill & Hunter (1969)."""
-    inverse = np.linalg.inv(cov)
-
-    def of(i, j):
-        both = np.einsum("gij,gji->g", cov[i], inverse[j]) + np.einsum("gij,gji->g", cov[j], inverse[i])
-        return 0.5 * (both + _square(mean[i] - mean[j], inverse[i] + inverse[j]))
-
-    return _pairs(p, of)
-
-
-def buzzi_ferraris(p, mean, cov):
-    """Buzzi-Ferraris, Forzatti, Emig & Hofmann (1984), weighed by P_i P_j; the noise is 1."""
-
-    def of(i, j):
-        inverse = np.linalg.inv(cov[i] + cov[j])
-        return _square(mean[i] - mean[j], inverse) + 2.0 * np.trace(inverse, axis1=1, axis2=2)
-
-    return _pairs(p, of)
-
-
-def jensen_renyi(p, mean, cov):
-    """Quadratic Jensen-Renyi divergence of normal predictions (Olofsson et al. 2019)."""
-
-    def log(i, j):
-        total = cov[i] + cov[j]
-        return -0.5 * (_square(mean[i] - mean[j], np.linalg.inv(total)) + np.linalg.slogdet(total)[1])
-
-    k = range(len(p))
-    mixture = logsumexp([np.log(p[i] * p[j]) + log(i, j) for i in k for j in k], axis=0)
-    return sum(p[i] * log(i, i) for i in k) - mixture
-
-
-#: `information` is that of `soil-env discover --next`.
-CRITERIA = {"information": lambda p, mean, cov: information(p, overlaps(mean, cov)), "box_hill": box_hill,
-            "buzzi_ferraris": buzzi_ferraris, "jensen_renyi": jensen_renyi}  # fmt: skip
-
-
-def proposing(criterion: Callable, known: Known) -> int:
+def proposing(of: str, known: Known) -> int:
     """The run, not made yet, that a criterion prefers for the hypotheses within reach."""
     able = known.able & ~np.isin(np.arange(len(known.able)), known.rows)
     k = known.share >= min(WITHIN_REACH, np.sort(known.share)[-3])
-    value = criterion(known.share[k] / known.share[k].sum(), known.mean[k], known.cov[k])
-    return int(np.argmax(np.where(able, value, -np.inf)))
+    values = value(of, known.share[k] / known.share[k].sum(), known.mean[k], known.cov[k])
+    return int(np.argmax(np.where(able, values, -np.inf)))
 
 
-def plans(rig: Rig, known: Known, rng: np.random.Generator) -> dict[str, list[int]]:
+def plans(rig: Rig, known: Known, rng: np.random.Generator) -> tuple[list[int], ...]:
     """Runs that no result changes: random, a grid of the ends in random order, and D-optimal.
 
     The last are of a model with the soil and every mechanism in its first form, linear about the first fit.
@@ -223,14 +198,14 @@ def plans(rig: Rig, known: Known, rng: np.random.Generator) -> dict[str, list[in
     choices, fit = tuple(forms(known.problem, n)[0] for n in known.names if n), known.fits[()].fit
     unknowns = known.problem.unknowns(choices)
     u = np.concatenate([fit.u, np.zeros(len(unknowns) - fit.u.size)])
-    slopes = rig.everywhere(known.problem).derivatives(unknowns, u, choices, np.zeros(len(rig.y)))
+    slopes = everywhere(rig, known.problem).derivatives(unknowns, u, choices, np.zeros(len(rig.y)))
     slopes = slopes.reshape(len(rig.y), 3, -1)
     normal, best = np.eye(u.size) + sum(slopes[g].T @ slopes[g] for g in rig.plain), []
     for _ in range(MOST - FIRST):
         gain = np.linalg.slogdet(np.eye(3) + slopes @ np.linalg.inv(normal) @ slopes.transpose(0, 2, 1))[1]
         best.append(max((g for g in more if g not in best), key=lambda g: gain[g]))
         normal += slopes[best[-1]].T @ slopes[best[-1]]
-    return {"random": more, "grid": sorted(more, key=lambda g: not ends[g]), "d_optimal": best}
+    return more, sorted(more, key=lambda g: not ends[g]), best
 
 
 def follow(known: Known, choose: Callable[[Known], int]) -> tuple[dict, Known]:
@@ -238,12 +213,12 @@ def follow(known: Known, choose: Callable[[Known], int]) -> tuple[dict, Known]:
     out: dict = {"runs": None, "wrong": None, "wrong_name": None, "seconds": 0.0}
     while True:
         right = known.rig.mechanism
-        if known.sure() == right or (known.sure() and out["wrong"] is None):
+        if known.sure == right or (known.sure and out["wrong"] is None):
             known = known if known.whole else Known(known.rig, known.rows, known)
-            if known.sure() == right:
+            if known.sure == right:
                 return out | {"runs": len(known.rows)}, known
-            if known.sure() and out["wrong"] is None:
-                out |= {"wrong": len(known.rows), "wrong_name": known.sure()}
+            if known.sure and out["wrong"] is None:
+                out |= {"wrong": len(known.rows), "wrong_name": known.sure}
         if len(known.rows) == MOST:
             return out, known
         begun = time.perf_counter()
@@ -256,8 +231,8 @@ def one(seed: int, index: int) -> dict:
     """Runs that each strategy needs on a rig."""
     rig = draw(seed, index)
     start = Known(rig, rig.plain)
-    found = {name: follow(start, lambda now, c=c: proposing(c, now)) for name, c in CRITERIA.items()}
-    for name, order in plans(rig, start, np.random.default_rng([seed, index])).items():
+    found = {name: follow(start, partial(proposing, name)) for name in CRITERIA}
+    for name, order in zip(PLANS, plans(rig, start, np.random.default_rng([seed, index])), strict=True):
         found[name] = follow(start, lambda now, order=order: order[len(now.rows) - FIRST])
     end = search(rig.problem(found["information"][1].rows))
     return {"mechanism": rig.mechanism, "form": rig.form, "size": rig.size, "verdict": end.verdict,
@@ -266,20 +241,18 @@ def one(seed: int, index: int) -> dict:
 
 
 def figures(records: list[dict]) -> dict:
-    """Figures of every strategy, runs beyond 40 as 41; intervals by a bootstrap of 95 % over rigs."""
-    drawn = np.random.default_rng(0).integers(0, len(records), (4000, len(records)))
-    runs = {s: np.array([r["strategies"][s]["runs"] or MOST + 1 for r in records]) for s in records[0]["strategies"]}
-    out = {}
+    """Figures of every strategy, runs beyond 40 as 41; ratios of medians with a bootstrap of 95 % over rigs."""
+    drawn, out = np.random.default_rng(0).integers(0, len(records), (4000, len(records))), {}
+    runs = {s: np.array([r["strategies"][s]["runs"] or MOST + 1 for r in records]) for s in (*CRITERIA, *PLANS)}
+    median = {s: np.median(n[drawn], axis=1) for s, n in runs.items()}
     for name, n in runs.items():
-        of, medians = [r["strategies"][name] for r in records], np.median(n[drawn], axis=1)
-        out[name] = {"median": np.median(n), "interval": np.quantile(medians, (0.025, 0.975)), "mean": n.mean(),
+        of = [r["strategies"][name] for r in records]
+        out[name] = {"median": np.median(n), "interval": np.quantile(median[name], (0.025, 0.975)), "mean": n.mean(),
                      "reached": share(r["runs"] is not None for r in of), "seconds": max(r["seconds"] for r in of),
                      "wrong": share(r["wrong"] is not None for r in of)}  # fmt: skip
-        for other in ("random", "grid", "d_optimal"):
-            off, ratio = (n - runs[other])[drawn].mean(axis=1), medians / np.median(runs[other][drawn], axis=1)
-            both = [np.quantile(x, (0.025, 0.975)) for x in (ratio, off)]
-            out[name][f"to_{other}"] = {"ratio": np.median(n) / np.median(runs[other]), "interval": both[0],
-                                        "more": (n - runs[other]).mean(), "interval_of_more": both[1]}  # fmt: skip
+        for other in PLANS:
+            ratio = np.quantile(median[name] / median[other], (0.025, 0.975))
+            out[name][f"over_{other}"] = [np.median(n) / np.median(runs[other]), *ratio]
     return out
 
 
@@ -287,9 +260,8 @@ def figures(records: list[dict]) -> dict:
 @click.option("--seed", type=int, default=2036)
 @click.option("--rigs", type=int, default=48)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of a file for each rig; resumes.")
-@click.option("--publish", type=click.Path(path_type=Path), default=RESULTS, help="Folder of next_runs.json.")
-def command(seed: int, rigs: int, out: Path, publish: Path) -> None:
-    """Follow all strategies on each rig."""
+def command(seed: int, rigs: int, out: Path) -> None:
+    """Follow all strategies on each rig; write docs/results/next_runs.json."""
     make_folder(out)
     for file in (files := [out / f"{seed}-{index:03d}.json" for index in range(rigs)]):
         if not file.exists():
@@ -299,7 +271,7 @@ def command(seed: int, rigs: int, out: Path, publish: Path) -> None:
             write_json(file, short(found | {"cpu_seconds": time.process_time() - begun}))
             print(file.stem, found["mechanism"], {k: v["runs"] for k, v in found["strategies"].items()}, flush=True)
     records = [read_json(file) for file in files]
-    write_json(publish / "next_runs.json", short({"seed": seed, "figures": figures(records), "records": records}))
+    write_json(RESULTS / "next_runs.json", short({"seed": seed, "figures": figures(records), "records": records}))
 
 
 if __name__ == "__main__":

@@ -48,8 +48,8 @@ class Predicted(NamedTuple):
 
     name: str
     probability: float
-    mean: tuple[float, float, float]  # as CHANNELS, SI
-    sd: tuple[float, float, float]
+    mean: list[float]  # as CHANNELS, SI; NaN where not measured
+    sd: list[float]
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ class NextTest:
     separates: tuple[str, str]  # candidates that it separates most
     channel: str  # in which
     expected_sigma: float  # difference of their predictions there over its standard deviation
-    now: float  # probability that the right candidate has on average before the first run
-    sure: float  # and at least, once this run and those before it are made
+    sure: float  # least probability of the right candidate, on average, once this run and those before it are made
     cost: float
     repeat: bool = False  # of the run that the model misses most
 
@@ -121,9 +120,9 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
-    worst, _ = _worst(problem, evidence[0].fit)
-    again = {n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
-    grid, last = grid._replace(value=again), grid.value["slip"].size
+    missed = np.where(problem.used, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
+    worst, last = int(np.argmax(missed.max(axis=1))), grid.value["slip"].size
+    grid = grid._replace(value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()})
     there, seen = at_grid(problem, grid), problem.used.any(axis=0)
     mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
     able = np.all(feasible, axis=0)
@@ -143,39 +142,23 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
+        point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
-        out.append(_described(problem, grid, of, g, sure, float(cost[g]), forced))
+        out.append(NextTest(point, *_said(problem, of, g), sure, float(cost[g]), forced))
     return tuple(out)
 
 
-def _described(
-    problem: Problem, grid: Grid, of: Candidates, g: int, sure: float, cost: float, repeat: bool
-) -> NextTest:
-    """`NextTest` of a run of the grid."""
-    seen, size = problem.used.any(axis=0), problem.noise
-    mean, sd = np.full((len(of.names), 3), np.nan), np.full((len(of.names), 3), np.nan)
-    mean[:, seen] = of.mean[:, g] * size[seen]
-    spread = [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
-    sd[:, seen] = np.sqrt(spread) * size[seen]
-    off = np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2))
-    off = np.where(np.isnan(off), 0.0, off)
+def _said(problem: Problem, of: Candidates, g: int) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
+    """Predictions of a run, and what it separates, as in `NextTest`."""
+    seen, mean, sd = problem.used.any(axis=0), *np.full((2, len(of.names), 3), np.nan)
+    mean[:, seen] = of.mean[:, g]
+    sd[:, seen] = np.sqrt([np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)])
+    off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
     rival = int(np.argmax(of.share * off.max(axis=1)))
     j = int(np.argmax(off[rival]))
-    said = tuple(
-        Predicted(name, float(p), *(tuple(float(v) for v in row) for row in pair))  # type: ignore[arg-type]
-        for name, p, *pair in zip(of.names, of.share, mean, sd, strict=True)
-    )
-    point = {name: float(grid.value[name][g]) for name in grid.asked}
-    now = float(np.sum(of.share**2))
-    pair = (of.names[0], of.names[rival])
-    return NextTest(point, said, pair, CHANNELS[j], float(off[rival, j]), now, sure, cost, repeat)
-
-
-def _worst(problem: Problem, fit: Fit) -> tuple[int, float]:
-    """(row that a fit misses most, by how many noise sd)."""
-    off = np.where(problem.used, np.nan_to_num(problem.data.y - fit.output) / problem.noise, 0.0)
-    row = int(np.argmax(np.abs(off).max(axis=1)))
-    return row, float(np.abs(off[row]).max())
+    values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
+    said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
+    return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])
 
 
 # --- what runs are worth ----------------------------------------------------------------------------------------------
@@ -265,8 +248,8 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
     names = (*levels, *WHEEL)
     value = dict(zip(names, points.T, strict=True))
-    told = {n for n in names if n in varied or np.ptp(value[n]) > 0.0} | {"slip", "load"} | ({"speed"} if timed else set())
-    return Grid(value, tuple(n for n in names if n in told))
+    always = ("slip", "load", "speed") if timed else ("slip", "load")
+    return Grid(value, tuple(n for n in names if n in always or n in varied or np.ptp(value[n]) > 0.0))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:

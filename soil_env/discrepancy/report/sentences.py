@@ -145,10 +145,10 @@ def next_test(report: Report, t: NextTest) -> str:
 
 def after_next(report: Report) -> str:
     """How sure one will be after the next runs."""
-    first, last = report.next_tests[0], report.next_tests[-1]
+    now = sum(p.probability**2 for p in report.next_tests[0].predicted)
     return (
-        f"Make the runs in this order and add their rows. The right one of the candidates below has {percent(first.now)} "
-        f"on average now, and at least {percent(last.sure)} after them"
+        "Make the runs in this order and add their rows. The right one of the candidates below has a probability of "
+        f"{percent(now)} on average now, and of at least {percent(report.next_tests[-1].sure)} after them"
     )
 
 
