@@ -16,7 +16,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.evidence import Evidence, settle
 from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
-from soil_env.identification.table.form_error import INPUTS, LAW_LENGTHS, Process
+from soil_env.identification.table.form_error import INPUTS, LAW_LENGTHS, LENGTHS, Process
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import rows_of
 
@@ -179,12 +179,14 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least information [nat] about which candidate is right."""
-    return -np.einsum("i,ig->g", share, np.log(np.einsum("j,ijg->ig", share, overlap)))
+    after: np.ndarray = np.log(np.einsum("j,ijg->ig", share, overlap))
+    return -share @ after
 
 
 def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least probability that the right candidate has afterwards, on average (by Jensen's inequality)."""
-    return np.einsum("i,ig->g", share**2, 1.0 / np.einsum("j,ijg->ig", share, overlap))
+    after: np.ndarray = 1.0 / np.einsum("j,ijg->ig", share, overlap)
+    return share**2 @ after
 
 
 def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
@@ -275,10 +277,10 @@ def at_grid(problem: Problem, grid: Grid) -> Problem:
     table, ours = problem.data.conditions | problem.data.elapsed, _conditions(there)
     both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
 
-    def over(names: Sequence[str], **options) -> Process:
+    def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
         known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
-        return Process.over(dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, **options)
+        return Process.over(dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths)
 
     there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
     there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
@@ -301,7 +303,13 @@ def predicted(
     fit, p = candidate.fit, candidate.fit.u.size
     sizes = candidate.sizes._replace(law=candidate.typical("law"), effect=candidate.typical("effect"))
 
-    def blocks(of: Problem, values: dict[str, float], output: np.ndarray, added, at) -> list[np.ndarray]:
+    def blocks(
+        of: Problem,
+        values: dict[str, float],
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: dict[str, np.ndarray],
+    ) -> list[np.ndarray]:
         stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
         law, effect = there.form_errors(fit.choices, stresses, added, at)
         return [sizes.law * law[sizes.span], sizes.effect * effect]
