@@ -39,9 +39,9 @@ from threadpoolctl import threadpool_limits
 import soil_env
 from benchmarks.common import write
 from benchmarks.discovery import score
-from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
+from benchmarks.discovery.cases import GROUPS, SETS, UNLISTED, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
-from benchmarks.discovery.forms import FORMS, UNLISTED
+from benchmarks.discovery.forms import FORMS
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
 from soil_env.cli.running import PATH, WholeNumber, leave, run
@@ -127,11 +127,14 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def _names(of: str, limit: int | None, groups: tuple[str, ...]) -> list[str]:
-    return [t.name for t in tasks(of, limit) if not groups or t.group in groups]
+def _names(of: str, limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
+    held = [g for g in groups if GROUPS[g].sort == "held"]
+    if held and not held_out:
+        raise ParameterError(f"--group {held[0]}: kinds that are held back from development: expected --held-out too")
+    return [t.name for t in tasks(of, limit, held_out) if not groups or t.group in groups]
 
 
-def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...]) -> None:
+def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...], held_out: bool) -> None:
     """Score the answers in a folder and write figures and page."""
     about = read_json(out / "study.json")
     labels = sorted(p.name for p in (out / "answers").glob("*") if p.is_dir())
@@ -139,7 +142,7 @@ def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: t
         raise ParameterError(f"{out}: no answers; expected those of a run")
     entrants = {}
     for label in labels:
-        if records := score.read_records(out, label, _names(about["set"], limit, groups)):
+        if records := score.read_records(out, label, _names(about["set"], limit, groups, held_out)):
             entrants[label] = read_json(out / "answers" / f"{label}.json") | score.figures(records)
     place = publish or out
     make_folder(place)
@@ -166,6 +169,7 @@ _of_cases = _options(
     click.option("--limit", type=WholeNumber(1), metavar="N", help="Only the first N cases, a fair sample."),
     click.option("--group", "groups", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP",
                  help="Only this group."),
+    click.option("--held-out", is_flag=True, help="With the unlisted kinds that no development may use."),
 )  # fmt: skip
 _publish = click.option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out).")
 
@@ -176,24 +180,24 @@ _publish = click.option("--publish", type=PATH, metavar="DIR", help="Folder of t
 @_publish
 @_of_drawing
 @_of_cases
-def run_command(who, label, publish, of, seed, jobs, out, limit, groups) -> None:
+def run_command(who, label, publish, of, seed, jobs, out, limit, groups, held_out) -> None:
     """Ask an entrant and score it; resumes."""
     label = label or re.sub(r"\W+", "_", who)[:40]
     entrant(who)  # before the work: that there is one
     begin(out, of, seed)
     describe(out, label, who)
-    left = [n for n in _names(of, limit, groups) if not (out / "answers" / label / f"{n}.json").exists()]
+    left = [n for n in _names(of, limit, groups, held_out) if not (out / "answers" / label / f"{n}.json").exists()]
     each(partial(ask, who, label, seed, out), left, jobs)
-    publish_scores(out, publish, limit, groups)
+    publish_scores(out, publish, limit, groups, held_out)
 
 
 @command.command("draw")
 @_of_drawing
 @_of_cases
-def draw_command(of, seed, jobs, out, limit, groups) -> None:
+def draw_command(of, seed, jobs, out, limit, groups, held_out) -> None:
     """Write the cases."""
     begin(out, of, seed)
-    names = _names(of, limit, groups)
+    names = _names(of, limit, groups, held_out)
     each(partial(draw, seed, out), names, jobs)
     print(f"{out}: {len(names)} cases of seed {seed}")
 

@@ -12,7 +12,7 @@ import csv
 import hashlib
 import zlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -21,15 +21,17 @@ import numpy as np
 import yaml
 
 from benchmarks.common import short
-from benchmarks.discovery.forms import CHANNELS, MECHANISMS, UNLISTED, VARIES, Form, Hidden, forms_of
-from benchmarks.discovery.laws import BASE_LAWS, StressError, log_slip, regimes, smooth
-from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
+from benchmarks.discovery.forms import CHANNELS, MECHANISMS, VARIES, Form, Hidden, forms_of
+from benchmarks.discovery.laws import BASE_LAWS, log_slip, regimes, smooth
+from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
+from benchmarks.discovery.unlisted import INSTRUMENT, NEW, PUBLISHED
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
-KINDS = ("one", "two", "unlisted", "none")
+KINDS = ("one", "two", "unlisted", "none", "instrument")
 LEAST = 2.0  # detection limits from which a case counts for the targets
 SEEN, WEAK = (LEAST, 8.0), (0.5, LEAST)  # sizes that are sought, in detection limits
+UNLISTED = [*PUBLISHED, *NEW]
 PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 LAWS = tuple(law for law in BASE_LAWS if law != "reece")  # that differ for one wheel, too
@@ -48,19 +50,14 @@ class Group:
     design: str  # rich, wheels, poor, few: of `plan`
     error: float  # size of the law errors
     count: int
-    sort: str = ""  # laws, outliers or weak
-    prefix: str = ""  # of the set
+    sort: str = ""  # laws, outliers, weak; held: unlisted kinds that are held back
     of_slip: Callable = smooth  # kind of the law errors
 
     @property
-    def base(self) -> str:
-        """Name of the group of set `laws` that has the same effects and conditions."""
-        return "-".join(filter(None, (self.kind, self.design, self.sort, f"{100 * self.error:.0f}")))
-
-    @property
     def name(self) -> str:
-        """Prefix of the set, kind, design, sort and error, as in the names of the cases."""
-        return self.prefix + self.base
+        """Kind, design, sort and error, as in the names of the cases."""
+        error = f"{100 * self.error:.0f}" + ("" if self.of_slip is smooth else f"-{self.of_slip.__name__}")
+        return "-".join(filter(None, (self.kind, self.design, self.sort, error)))
 
     def law(self, index: int) -> str | None:
         """Return the base law of a case, None for the paper's."""
@@ -70,11 +67,12 @@ class Group:
 
     def hidden(self, index: int) -> list[Form]:
         """Return the forms that are hidden in a case: mechanisms and forms take turns."""
-        index += zlib.crc32(self.base.encode()) % 1009  # groups do not all begin with the same ones
+        index += zlib.crc32(self.name.encode()) % 1009  # groups do not all begin with the same ones
         if self.kind == "none":
             return []
-        if self.kind == "unlisted":
-            return [UNLISTED[index % len(UNLISTED)]]
+        if self.kind in ("unlisted", "instrument"):
+            kinds = INSTRUMENT if self.kind == "instrument" else _unlisted(held=self.sort == "held")
+            return [kinds[index % len(kinds)]]
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
         else:
@@ -84,17 +82,23 @@ class Group:
         return [forms_of(n)[(turn + k) % len(forms_of(n))] for k, n in enumerate(names)]
 
 
+def _unlisted(held: bool) -> list[Form]:
+    """Return the kinds that are held back, or those of development."""
+    return [f for f in NEW if f.name in HELD_BACK] if held else [f for f in UNLISTED if f.name not in HELD_BACK]
+
+
 def _groups(kind: str, counts: dict[float, int], design: str = "rich", sort: str = "", **of_set) -> list[Group]:
     return [Group(kind, design, error, count, sort, **of_set) for error, count in counts.items()]
 
 
-_MAIN = {"one": 156, "two": 78, "none": 60, "unlisted": 63}  # cases at law errors of 10 %
 SETS: dict[str, list[Group]] = {
     "laws": [
-        *_groups("one", {0.0: 78, 0.05: 39, 0.1: _MAIN["one"], 0.2: 39}),
-        *_groups("two", {0.0: 39, 0.1: _MAIN["two"]}),
-        *_groups("none", {0.0: 40, 0.05: 20, 0.1: _MAIN["none"], 0.2: 20}),
-        *_groups("unlisted", {0.0: 36, 0.1: _MAIN["unlisted"], 0.2: 18}),
+        *_groups("one", {0.0: 78, 0.05: 39, 0.1: 156, 0.2: 39}),
+        *_groups("two", {0.0: 39, 0.1: 78}),
+        *_groups("none", {0.0: 40, 0.05: 20, 0.1: 60, 0.2: 20}),
+        *_groups("unlisted", {0.0: 36, 0.1: 63, 0.2: 18}),
+        *_groups("unlisted", {0.1: 60}, sort="held"),
+        *_groups("instrument", {0.0: 30, 0.1: 60}),
         *_groups("one", {0.1: 39}, sort="weak"),
         *_groups("one", {0.0: 28, 0.1: 28}, sort="laws"),
         *_groups("none", {0.0: 14, 0.1: 14}, sort="laws"),
@@ -107,9 +111,14 @@ SETS: dict[str, list[Group]] = {
         *_groups("none", {0.1: 30}, "poor"),
         *_groups("none", {0.1: 20}, "few"),
     ],
-    "log_slip": [g for k, n in _MAIN.items() for g in _groups(k, {0.1: n}, prefix="log-slip-", of_slip=log_slip)],
-    "regimes": [g for k, n in _MAIN.items() for g in _groups(k, {0.1: n}, prefix="regimes-", of_slip=regimes)],
-}
+    "ten": [  # law errors of 10 % of all three kinds
+        group
+        for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 7),
+                                  ("unlisted", "held", 12), ("instrument", "", 18))
+        for of_slip in (smooth, log_slip, regimes)
+        for group in _groups(kind, {0.1: count}, sort=sort, of_slip=of_slip)
+    ],
+}  # fmt: skip
 GROUPS = {group.name: group for groups in SETS.values() for group in groups}
 
 
@@ -125,9 +134,13 @@ class Task(NamedTuple):
         return f"{self.group}-{self.index:03d}"
 
 
-def tasks(of: str, limit: int | None = None) -> list[Task]:
-    """Return the first `limit` cases of a set; every beginning of the list has its share of each group."""
-    found = [((i + 0.5) / g.count, Task(g.name, i)) for g in SETS[of] for i in range(g.count)]
+def tasks(of: str, limit: int | None = None, held_out: bool = False) -> list[Task]:
+    """Return the first `limit` cases of a set; every beginning of the list has its share of each group.
+
+    Groups of kinds that are held back from development come only with `held_out`.
+    """
+    groups = [g for g in SETS[of] if held_out or g.sort != "held"]
+    found = [((i + 0.5) / g.count, Task(g.name, i)) for g in groups for i in range(g.count)]
     return [task for _, task in sorted(found, key=lambda pair: pair[0])][:limit]
 
 
@@ -141,7 +154,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "laws", "listed", "plan", "world")
+    names = ("cases", "forms", "laws", "plan", "unlisted", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 
@@ -163,12 +176,12 @@ class Case:
 def draw_case(seed: int, task: Task) -> Case:
     """Draw the case of a seed, group and number."""
     group = GROUPS[task.group]
-    rng = np.random.default_rng([seed, zlib.crc32(group.base.encode()), task.index])
+    rng = np.random.default_rng([seed, zlib.crc32(group.name.encode()), task.index])
     forms, law = group.hidden(task.index), group.law(task.index)
     lugs = any(form.effect == "grousers" for form in forms)
     best, measure, effects, sizes = None, None, (), ()
     for _ in range(ATTEMPTS):
-        bench = draw_bench(rng, group.design, group.error, law, lugs)
+        bench = draw_bench(rng, group.design, group.error, law, lugs, group.of_slip)
         measure = Measure(bench)
         effects, sizes = _strengths(rng, measure, forms, group)
         if sizes is None:
@@ -179,26 +192,7 @@ def draw_case(seed: int, task: Task) -> Case:
             break
     if best is None:
         raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
-    case = _measured(rng, seed, task, *best)
-    return case if group.of_slip is smooth else _with_other_errors(case, seed, task)
-
-
-def _with_other_errors(case: Case, seed: int, task: Task) -> Case:
-    """Draw errors that change otherwise with slip, and noise, for a case; its truth and limits stay."""
-    rng, bench = np.random.default_rng([seed, zlib.crc32(task.group.encode()), task.index]), case.bench
-    for _ in range(ATTEMPTS):
-        kind = GROUPS[task.group].of_slip
-        drawn = replace(bench, error=StressError.draw(rng, bench.error.size, bench.pressure, bench.load, kind))
-        clean = drawn.truth(case.effects)
-        if np.all(np.isfinite(clean)) and np.max(clean[0] / bench.wheel.radius) <= DEEPEST:
-            break
-    else:
-        raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
-    values = clean + np.array(bench.noise)[:, None] * rng.standard_normal(clean.shape)
-    measured = {name: [float(f"{v:.6g}") for v in row] for name, row in zip(CHANNELS, values, strict=True)}
-    return replace(
-        case, columns=case.columns | measured, truth=case.truth | {"case": task.name}, clean=clean, bench=drawn
-    )
+    return _measured(rng, seed, task, *best)
 
 
 def _strengths(rng, measure: Measure, forms, group: Group):
@@ -206,6 +200,10 @@ def _strengths(rng, measure: Measure, forms, group: Group):
     bench = measure.bench
     context = bench.context
     effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, context)) for f in forms]
+    if group.kind == "instrument":
+        cap, floor = forms[0].cap(context), forms[0].floor
+        effects = [effects[0].at(effects[0].strength * float(rng.uniform(floor, cap)))]
+        return tuple(effects), (measure.size(effects[0]),)
     low, high = WEAK if group.sort == "weak" else SEEN
     wanted = [low * (high / low) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
@@ -267,10 +265,10 @@ def _described(measure: Measure, effects, sizes) -> dict:
             "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),
             "strength": effect.strength, "unit": effect.form.strength,
             "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
-            "size": measure.size(effect, others), "own_left": left.get(effect.form.effect), "rival": best,
-            "rival_left": rivals[best] if best else None, "left": left,
+            "size": measure.size(effect, others), "rival": best, "rival_left": rivals[best] if best else None,
+            "left": rivals,
         })  # fmt: skip
-        seen = sizes[k] if effect.form.effect in MECHANISMS else out[-1]["rival_left"]
+        seen = out[-1]["rival_left"] if effect.form in UNLISTED else sizes[k]
         counts = counts and seen >= 0.97 * LEAST
     return {"effects": out, "counts": bool(counts)}
 

@@ -128,10 +128,8 @@ def lugs(rng, ctx) -> dict:
 
 
 FORMS: list[Form] = []
-UNLISTED: list[Form] = []
 _form = partial(enter, FORMS)
 _late = partial(_form, order=2)  # these read the soil that others alter
-_unlisted = partial(enter, UNLISTED, "")
 #: Columns that must vary in a table for a mechanism to show; the others can be seen in every design.
 VARIES = {"multipass": "pass", "penetration_rate": "speed", "shear_rate": "speed", "grade": "grade_deg"}
 
@@ -648,108 +646,6 @@ def zeroed_each_run(contact, s, side):
     change = (np.diff(rows.load) != 0) | (np.diff(rows.speed) != 0) | (np.diff(rows.passes) != 0)
     run = np.concatenate([[0], np.cumsum(change)])
     _read_sinkage(contact, s * np.asarray(side["spread"])[run % 400])
-
-
-# --- in no catalogue --------------------------------------------------------------------------------------------------
-
-
-@_unlisted("fall of phi for each decade of pressure [deg]", 14.0,
-           side=lambda rng, ctx: {"pressure": ctx.load / (ctx.wheel.width * 0.5 * ctx.wheel.radius)})  # fmt: skip
-def stress_dependent_friction(contact, s, side):
-    """Friction angle falls with the normal stress, phi - s log10(sigma/sigma0) (Bolton 1986, crushing and dilatancy).
-
-    Listed effects change the strength with slip, speed, pass or shear displacement; none with the stress itself.
-    """
-
-    def hook(limit, sigma, theta):
-        decade = np.log10(np.maximum(sigma, 1e-3 * side["pressure"]) / side["pressure"])
-        angle = np.clip(contact.phi - np.radians(s) * decade, 0.0, np.radians(60.0))
-        return contact.cohesion + (limit - contact.cohesion) * np.tan(angle) / contact.tan_phi
-
-    contact.strength.append(hook)
-
-
-@_unlisted("relative growth of the radius at the mean load [-]", 0.6, side=drawn("load"))
-def flexible_wheel(contact, s, side):
-    """The rim flattens under load: effective radius r (1 + s W/W0) (Bekker's equivalent rigid wheel; Schmid 1995).
-
-    Listed effects keep the radius, or change it by a constant (lugs, rolling radius).
-    """
-    factor = 1.0 + s * (column(contact.rows.load) / side["load"] - 0.3)
-    contact.radius = contact.radius * factor
-    contact.shear_radius = contact.shear_radius * factor
-
-
-@_unlisted("share of pull and torque lost at the worst slip [-]", 0.5, (PULL, TORQUE),
-           side=drawn(slip=(0.2, 0.45), width=(0.05, 0.09)))  # fmt: skip
-def power_hop(contact, s, side):
-    """Stick-slip of the drive in a band of slip takes a share of pull and torque ("power hop", Wong 2008).
-
-    Listed effects are monotonic in slip, or a hump in shear displacement that loads and sinkage shift; none is a band.
-    """
-    band = 1.0 - s * np.exp(-0.5 * ((contact.rows.slip - side["slip"]) / side["width"]) ** 2)
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull * band, torque=out.torque * band))
-
-
-@_unlisted("share of the drawbar pull that comes on the wheel [-]", 0.3, signs=(1, -1))
-def load_transfer(contact, s, side):
-    """A hinged arm of the rig turns drawbar pull into load: W + s DP on the wheel, the table holds W.
-
-    Listed effects leave the load alone (grade by a cosine); slip-sinkage moves the sinkage without the thrust.
-    """
-    contact.reaction.append(lambda pull, torque: s * pull)
-
-
-@_unlisted("rise of cohesion at a depth of 0.1 r over the mean cohesion [-]", 6.0)
-def cohesion_with_depth(contact, s, side):
-    """Cohesion grows with depth, c (1 + s z/(0.1 r)): soil that is moister below (Wong 1989, on layered terrain)."""
-
-    def hook(limit, sigma, theta):
-        depth = contact.radius * np.maximum(np.cos(theta) - np.min(np.cos(theta), axis=1, keepdims=True), 0.0)
-        return limit + contact.cohesion * s * depth / (0.1 * contact.radius)
-
-    contact.strength.append(hook)
-
-
-@_unlisted("pressure of the crust over the mean contact pressure [-]", 1.5, side=drawn("pressure", depth=(0.02, 0.05)))
-def brittle_crust(contact, s, side):
-    """A crust bears until it breaks: pressure that rises and falls within a small depth (Wong 1989, on muskeg)."""
-    thick = side["depth"] * contact.radius
-
-    def hook(sigma, depth):
-        return sigma + s * side["pressure"] * (depth / thick) * np.exp(1.0 - depth / thick)
-
-    contact.pressure.append(hook)
-
-
-@_unlisted("pull of the cable at the end of a run over the mean load [-]", 0.3, (PULL,), side=drawn("load"))
-def umbilical(contact, s, side):
-    """A cable that the carriage drags pulls the harder the further it has come in its run."""
-    rows = contact.rows
-    change = (np.diff(rows.load) != 0) | (np.diff(rows.speed) != 0) | (np.diff(rows.passes) != 0)
-    run = np.concatenate([[0], np.cumsum(change)])
-    first = np.array([np.argmax(run == k) for k in range(run[-1] + 1)])[run]
-    length = np.array([np.sum(run == k) for k in range(run[-1] + 1)])[run]
-    share = (np.arange(run.size) - first + 0.5) / length
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull - s * side["load"] * share))
-
-
-@_unlisted("share of pull x radius in the torque [-]", 0.4, (TORQUE,), signs=(1, -1))
-def crosstalk(contact, s, side):
-    """The torque sensor reads a share of the drawbar pull: T + s DP r."""
-    arm = contact.radius[:, 0]
-    contact.sensors.append(lambda out: replace(out, torque=out.torque + s * out.drawbar_pull * arm))
-
-
-@_unlisted("fall of S and tan phi at the middle of a band of rim speed [-]", 0.5,
-           side=lambda rng, ctx: {"rim": float(ctx.speed / rng.uniform(0.3, 0.9)),
-                                  "width": float(rng.uniform(0.3, 0.6))})  # fmt: skip
-def resonance(contact, s, side):
-    """The rig shakes in a band of rim speed and the soil yields: S and tan phi fall there, and nowhere else."""
-    rim = column(contact.rows.speed) / np.maximum(1.0 - contact.slip, 0.05)
-    band = 1.0 - s * np.exp(-0.5 * (np.log(rim / side["rim"]) / side["width"]) ** 2)
-    contact.stiffness = contact.stiffness * band
-    contact.tan_phi = contact.tan_phi * band
 
 
 MECHANISMS = tuple(dict.fromkeys(form.effect for form in FORMS))  # names of the catalogue

@@ -37,11 +37,12 @@ from soil_env._io.loading import read_json
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import WHEEL, prepare
 from soil_env.discrepancy.evidence import settle, weigh
-from soil_env.discrepancy.next_tests import WITHIN_REACH, Candidates, Grid, at_grid, information, overlaps, predicted
-from soil_env.discrepancy.search import ODDS, TEMPERATURE, forms, search
+from soil_env.discrepancy.instrument import LISTED, exact
+from soil_env.discrepancy.next_tests import WITHIN_REACH, Candidates, information, overlaps
+from soil_env.discrepancy.predictive import predicted, problem_at
+from soil_env.discrepancy.search import TEMPERATURE, forms, log_prior, search
 from soil_env.measurement.setup import setup_of
 from soil_env.measurement.table import read_table
-from soil_env.terramechanics.effects import CATALOGUE
 
 NOISE = (0.012, 0.015, 0.015)  # sinkage / r, pull / load, torque / (load r): repeats of the CMU rig, torque as pull
 SURE, FIRST, MOST, REFIT = 0.9, 6, 40, (8, 12, 18, 26, 34)
@@ -74,7 +75,7 @@ class Rig(NamedTuple):
 def everywhere(rig: Rig, problem: Problem) -> Problem:
     """The problem at every run."""
     columns = *rig.value.T, *np.tile(problem.data.rows.wheels[0], (len(rig.y), 1)).T
-    return at_grid(problem, Grid(dict(zip((*COLUMNS, *WHEEL), columns, strict=True)), COLUMNS))
+    return problem_at(problem, dict(zip((*COLUMNS, *WHEEL), columns, strict=True)))
 
 
 def draw(seed: int, index: int) -> Rig:
@@ -107,7 +108,8 @@ class Known:
     def __init__(self, rig: Rig, rows: list[int], before: Known | None = None, whole: bool = True) -> None:
         self.rig, self.rows, self.fitted, self.whole = rig, rows, len(rows), whole
         self.problem = problem = rig.problem(rows)
-        self.names = (None, *(e.name for e in CATALOGUE.values() if not e.hidden(problem.bench)))
+        out = exact(problem.data.setup)
+        self.names = (None, *(n for n, e in LISTED.items() if n not in out and not e.hidden(problem.bench)))
         self.fits, logs, best, base = {} if before is None else dict(before.fits), [], [], None
         far = np.log(before.share) < np.log(before.share).max() - FAR if before else np.zeros(len(self.names), bool)
         for name, one in zip(self.names, far, strict=True):
@@ -121,7 +123,7 @@ class Known:
                 base = base or self.fits[c]
             logs.append(logsumexp([self.fits[c].log for c in of]) - np.log(len(of)))
             best.append(max((self.fits[c] for c in of), key=lambda e: e.log))
-        self.score = np.array(logs) / TEMPERATURE + np.log([ODDS if n else 1.0 for n in self.names])
+        self.score = np.array(logs) / TEMPERATURE + [log_prior((n,) if n else ()) for n in self.names]
         there = everywhere(rig, problem)
         mean, root, own, able = zip(*(predicted(problem, there, e) for e in best), strict=True)
         self.able, self.of = np.all(able, axis=0), Candidates((), self.score, np.stack(mean), root, np.stack(own))

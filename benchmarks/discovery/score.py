@@ -118,7 +118,6 @@ def figures(records: list[Record]) -> dict:
         "errors": sum(r.answer.verdict == "error" for r in records),
         "contradicted": sum(contradicted(r.answer) for r in records),
         "targets": targets(main),
-        "nearest": targets([r for r in main if _nearest(r)]),
         "by_law": {f"{size:g}": targets(r for r in plain if r.truth["law_error"] == size) for size in sizes},
         "by_design": {d: targets(r for r in records if r.truth["design"] == d) for d in designs},
         "mechanisms": {m: {"first": share(r.judged.first for r in named if r.truth["effects"][0]["name"] == m)}
@@ -126,14 +125,6 @@ def figures(records: list[Record]) -> dict:
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records))},
         "seconds": {"median": float(np.median(seconds)), "most": max(seconds)} if seconds else None,
     }  # fmt: skip
-
-
-def _nearest(r: Record) -> bool:
-    """True if the best listed form of every hidden mechanism leaves less than that of any other."""
-    return bool(r.truth["effects"]) and all(
-        e["own_left"] is not None and (e["rival_left"] is None or e["own_left"] < e["rival_left"])
-        for e in r.truth["effects"]
-    )
 
 
 # --- calibration ------------------------------------------------------------------------------------------------------

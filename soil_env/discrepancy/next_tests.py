@@ -13,34 +13,28 @@ other, each by the information that it adds to those before it for its cost.
 
 from __future__ import annotations
 
-import copy
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import truncnorm
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.evidence import Evidence, settle
+from soil_env.discrepancy.instrument import LISTED
+from soil_env.discrepancy.predictive import predicted, problem_at
 from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
-from soil_env.identification.table.form_error import INPUTS, LAW_LENGTHS, LENGTHS, Process
-from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.model import rows_of
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
 WITHIN_REACH = 0.01  # least probability of a candidate
 CANDIDATES = 14
-DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
-_FUNCTIONS = 60  # of a form error over table and grid, at most
 
 
 class Predicted(NamedTuple):
@@ -105,9 +99,10 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     """
     share: dict[tuple[str, ...], float] = {}
     for h in finding.hypotheses:
-        share[h.names] = share.get(h.names, 0.0) + h.probability
+        if h.names or not h.free:  # what is unlisted predicts nothing
+            share[h.names] = share.get(h.names, 0.0) + h.probability
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
-    unseen = [e.name for e in CATALOGUE.values() if e.name in finding.untestable and _could_show(problem, e.name)]
+    unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
         share[name,], found[name,] = share[()] * ODDS, settle(problem, (forms(problem, name)[0],))
     order = sorted((s for s in found if share[s] >= WITHIN_REACH), key=lambda s: -share[s])[:CANDIDATES]
@@ -123,7 +118,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     missed = np.where(problem.used, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
     worst, last = int(np.argmax(missed.max(axis=1))), grid.value["slip"].size
     grid = grid._replace(value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()})
-    there, seen = at_grid(problem, grid), problem.used.any(axis=0)
+    there, seen = problem_at(problem, grid.value), problem.used.any(axis=0)
     mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
     able = np.all(feasible, axis=0)
     names = tuple(" and ".join(e.names) or BASE for e in evidence)
@@ -221,7 +216,7 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
 
 def _could_show(problem: Problem, name: str) -> bool:
     """True if the rig can vary the condition that an effect needs."""
-    effect = CATALOGUE[name]
+    effect = LISTED[name]
     able = not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
     return able and bool(forms(problem, name)) and effect.varies not in problem.data.varied
 
@@ -234,7 +229,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     column, varied, rig = problem.data.conditions, problem.data.varied, problem.data.setup.rig
     grade, timed = column["grade_deg"], bool(np.all(column["speed"] > 0.0))
     choices = [choice for c in candidates for choice in c.fit.choices]
-    known = {"slip", "load"} | {CATALOGUE[c.effect].varies for c in choices}
+    known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         known.add("speed")
     usual = {"speed": float(np.median(column["speed"])), "pass": float(column["pass"].min()),
@@ -263,91 +258,3 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
 
 def _round(x: float) -> float:
     return float(f"{x:.2g}")
-
-
-# --- predictions ------------------------------------------------------------------------------------------------------
-
-
-def at_grid(problem: Problem, grid: Grid) -> Problem:
-    """The problem with the grid for rows, every channel in use, and form errors over table and grid."""
-    there = copy.copy(problem)
-    rows = rows_of(grid.value, problem.data.wheel)
-    there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
-    there.used, there.offset = np.ones((rows.slip.size, 3), dtype=bool), None
-    table, ours = problem.data.conditions | problem.data.elapsed, _conditions(there)
-    both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
-
-    def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
-        known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
-        unique = np.unique(np.stack([both[n] for n in known]), axis=1)
-        return Process.over(dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths)
-
-    there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
-    there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
-    return there
-
-
-def _conditions(there: Problem) -> dict[str, np.ndarray]:
-    """Conditions of a grid, after the end of the campaign where the table has times."""
-    ended = {n: np.ones(there.data.rows.slip.size) for n in there.data.elapsed}
-    return there.data.conditions | ended
-
-
-def predicted(
-    problem: Problem, there: Problem, candidate: Evidence
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `Candidates`, feasible [G]) of a candidate.
-
-    In units of the noise, at the rows of `there`, from `at_grid`. Form errors have their typical sizes.
-    """
-    fit, p = candidate.fit, candidate.fit.u.size
-    sizes = candidate.sizes._replace(law=candidate.typical("law"), effect=candidate.typical("effect"))
-
-    def blocks(
-        of: Problem,
-        values: dict[str, float],
-        output: np.ndarray,
-        added: Sequence[np.ndarray],
-        at: dict[str, np.ndarray],
-    ) -> list[np.ndarray]:
-        stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
-        law, effect = there.form_errors(fit.choices, stresses, added, at)
-        return [sizes.law * law[sizes.span], sizes.effect * effect]
-
-    table = problem.data.conditions | problem.data.elapsed
-    known = [problem.block(b) for b in blocks(problem, fit.parameters(), fit.output, fit.added, table)]
-    a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
-    start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
-    covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
-    off, covariance = _within_bounds(fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance)
-
-    u, guess, at = fit.u + off[:p], np.zeros(there.data.rows.slip.size), _conditions(there)
-    values = {k.name: k.value(x) for k, x in zip(fit.unknowns, u, strict=True)}
-    out = there.predict(values, fit.choices, guess)
-    feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
-    out = np.where(np.isfinite(out), out, 0.0)
-    added = there.added(values, fit.choices, out, guess)
-    ours = [there.block(b) for b in blocks(there, values, out, added, at)]
-    top = np.concatenate([there.derivatives(fit.unknowns, u, fit.choices, guess), *ours], axis=1)
-    mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
-    root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
-    own = np.full(mean.shape, sizes.scatter**2)
-    for choice, x in zip(fit.choices, added, strict=True):
-        own += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
-    return mean, root.reshape(*mean.shape, -1), own, feasible
-
-
-def _within_bounds(fit: Fit, off: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one after the other."""
-    for k, unknown in enumerate(fit.unknowns):
-        mean, sd = fit.u[k] + off[k], math.sqrt(covariance[k, k])
-        low, high = ((end - mean) / sd for end in unknown.bounds)
-        if min(-low, high) < 4.0:
-            if low > 8.0 or high < -8.0:  # far outside: at the bound
-                moved, left = (low if low > 0.0 else high), 1e-4
-            else:
-                moved, left = (float(x) for x in truncnorm.stats(low, high, moments="mv"))
-            along = covariance[:, k] / sd
-            off = off + along * moved
-            covariance = covariance + np.outer(along, along) * (min(max(left, 1e-4), 1.0) - 1.0)
-    return off, covariance

@@ -13,18 +13,15 @@ from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
 from soil_env.discrepancy.next_tests import (
-    DEEPEST,
     LEAST,
     SLIPS,
-    Grid,
-    at_grid,
     information,
     next_tests,
     overlaps,
-    predicted,
     proposed,
     sureness,
 )
+from soil_env.discrepancy.predictive import DEEPEST, predicted, problem_at
 from soil_env.discrepancy.search import ODDS, Finding, Hypothesis
 from soil_env.discrepancy.workflow import model_of
 from soil_env.measurement.setup import Rig, SetupWheel, setup_of
@@ -65,7 +62,7 @@ def test_uncertainty_of_the_predictions_is_the_spread_of_refits(case):
     truth = model(p, candidate.fit)
     at = {"slip": np.array([0.1, 0.5]), "load": np.array([300.0, 75.0]), "speed": np.full(2, 0.06)}
     grid = {n: at.get(n, np.full(2, x[0])) for n, x in p.data.conditions.items()}
-    _, root, own, _ = predicted(p, at_grid(p, Grid(grid, ())), candidate)
+    _, root, own, _ = predicted(p, problem_at(p, grid), candidate)
     sd = np.sqrt(np.sum(root**2, axis=2) + own - 1.0)
     base = np.stack(truth.predict(p.data.table)[:3], axis=1)
     centre = {k.name: k.at(v) for k, v in zip(p.soil, candidate.fit.parameters().values(), strict=False)}
@@ -163,7 +160,7 @@ def test_who_is_left():
     assert proposed(p, (a,), (1.0,)) == ()
     again = next_tests(p, finding(0.2, 0.0, 0.0, 0.1, free=0.7))  # something unlisted
     assert again[0].repeat and not any(t.repeat for t in again[1:])
-    off = np.abs(p.data.y - base.fit.output) / NOISE
+    off = np.abs(p.data.y - a.fit.output) / NOISE  # by the most probable candidate
     assert again[0].conditions["slip"] == p.data.rows.slip[np.argmax(off.max(axis=1))]
     # The table has one pass: an effect that no pass could show has its prior odds, and runs of another pass.
     unseen = next_tests(p, finding(0.1, 0.0, 0.0, 0.9, untestable=("multipass", "grade")))
