@@ -174,14 +174,14 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least information [nat] about which candidate is right."""
-    after: np.ndarray = np.log(np.einsum("j,ijg->ig", share, overlap))
-    return -share @ after
+    out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
+    return out
 
 
 def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least probability that the right candidate has afterwards, on average (by Jensen's inequality)."""
-    after: np.ndarray = 1.0 / np.einsum("j,ijg->ig", share, overlap)
-    return share**2 @ after
+    out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
+    return out
 
 
 def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:

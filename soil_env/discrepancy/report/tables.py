@@ -93,7 +93,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             cells = []
             for name in report.channels:
                 j, scale = CHANNELS.index(name), UNITS[name][1]
-                cells.append(f"{scale * p.mean[j]:.3g} +- {scale * p.sd[j]:.2g}")
+                cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
             rows.append((k, title(p.name).replace(" and ", " + "), fixed(p.probability, 2), *cells))
     channels = (f"{TITLES[n].split()[-1]} [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "candidate", "p", *channels), rows)
