@@ -33,7 +33,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
     """Soil unknowns are far within their bounds; a one-sided strength has its share of the prior beside."""
     p = problem(data, np.random.default_rng(0))
     fit = p.fit(() if effect is None else (Choice(effect, 0),))
-    sizes, log_prior = evidence.grid(effect is not None)
+    sizes, log_prior = evidence.grid((effect,) if effect else ())
     result = evidence.weigh(p, fit)
     logs = np.array([density(fit, s) for s in sizes]) + log_prior
     allowed = np.zeros(len(sizes))
