@@ -1,6 +1,6 @@
 """Value of proposed runs: how many a simulated rig needs until the mechanism that its laws lack is sure.
 
-    python -m benchmarks.discovery.next_runs --seed 2036 --rigs 48 --out DIR
+    python -m benchmarks.discovery.next_runs --seed 2036 --rigs 24 --out DIR
 
 A rig of this benchmark (law errors of 10 %, noise of the CMU rig) hides one mechanism of 2 to 8 detection limits of a
 full plan. After six runs over slip at one load and speed, runs are added one at a time, none twice, until the right
@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from benchmarks.common import RESULTS, share, short
+from benchmarks.common import share, short
 from benchmarks.discovery.cases import DEEPEST, SEEN, _setup
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS, Hidden, forms_of
 from benchmarks.discovery.plan import Measure, draw_bench
@@ -260,10 +260,10 @@ def figures(records: list[dict]) -> dict:
 
 @click.command()
 @click.option("--seed", type=int, default=2036)
-@click.option("--rigs", type=int, default=48)
+@click.option("--rigs", type=int, default=24)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of a file for each rig; resumes.")
 def command(seed: int, rigs: int, out: Path) -> None:
-    """Follow all strategies on each rig; write docs/results/next_runs.json."""
+    """Follow all strategies on each rig; write OUT/next_runs.json, a study of docs/results/next_runs.json."""
     make_folder(out)
     for file in (files := [out / f"{seed}-{index:03d}.json" for index in range(rigs)]):
         if not file.exists():
@@ -273,7 +273,7 @@ def command(seed: int, rigs: int, out: Path) -> None:
             write_json(file, short(found | {"cpu_seconds": time.process_time() - begun}))
             print(file.stem, found["mechanism"], {k: v["runs"] for k, v in found["strategies"].items()}, flush=True)
     records = [read_json(file) for file in files]
-    write_json(RESULTS / "next_runs.json", short({"seed": seed, "figures": figures(records), "records": records}))
+    write_json(out / "next_runs.json", short({"seed": seed, "figures": figures(records), "records": records}))
 
 
 if __name__ == "__main__":
