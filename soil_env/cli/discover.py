@@ -21,8 +21,15 @@ from soil_env.discrepancy.workflow import run
 @click.command("discover")
 @out_option("report.html, report.json and model.yaml (the corrected model)", required=True)
 @seed_option("everything random; same seed, same report")
-@click.option("--next", "runs", type=WholeNumber(0), default=MOST, metavar="N", show_default=True,
-              help="Runs to propose: conditions, predictions of each candidate, and how sure one will be.")
+@click.option(
+    "--next",
+    "runs",
+    type=WholeNumber(0),
+    default=MOST,
+    metavar="N",
+    show_default=True,
+    help="Runs to propose: conditions, predictions of each candidate, and how sure one will be.",
+)
 @click.option("--quiet", is_flag=True, help="Print only the conclusion, in one line.")
 @table_arguments
 def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: bool) -> None:
