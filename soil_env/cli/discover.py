@@ -10,8 +10,9 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from soil_env.cli.running import out_option, seed_option
+from soil_env.cli.running import WholeNumber, out_option, seed_option
 from soil_env.cli.table_files import table_arguments
+from soil_env.discrepancy.next_tests import MOST
 from soil_env.discrepancy.report import FILES, show
 from soil_env.discrepancy.report.sentences import summary
 from soil_env.discrepancy.workflow import run
@@ -20,9 +21,18 @@ from soil_env.discrepancy.workflow import run
 @click.command("discover")
 @out_option("report.html, report.json and model.yaml (the corrected model)", required=True)
 @seed_option("everything random; same seed, same report")
+@click.option(
+    "--next",
+    "runs",
+    type=WholeNumber(0),
+    default=MOST,
+    metavar="N",
+    show_default=True,
+    help="Runs to propose: conditions, predictions of each candidate, and how sure one will be.",
+)
 @click.option("--quiet", is_flag=True, help="Print only the conclusion, in one line.")
 @table_arguments
-def command(data: Path, setup: Path, out: Path, seed: int, quiet: bool) -> None:
+def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: bool) -> None:
     """Locate where model and measurement disagree, name the missing effect, show the gap shrink.
 
     Calibrates the base model to the table, refits every effect of the catalogue with the soil, and judges it on
@@ -30,7 +40,7 @@ def command(data: Path, setup: Path, out: Path, seed: int, quiet: bool) -> None:
     none or undetermined.
     """
     with _progress(quiet) as progress:
-        report = run(data, setup, out, seed=seed, progress=progress)
+        report = run(data, setup, out, seed=seed, next_runs=runs, progress=progress)
     if quiet:
         first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
         print(f"{report.verdict}: {first}{summary(report)}")

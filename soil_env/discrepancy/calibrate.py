@@ -376,10 +376,6 @@ class Problem:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
         return (errors / (self.noise * self.data.relative_sd)[..., None])[self.used]
 
-    def whiten_all(self, errors: np.ndarray) -> np.ndarray:
-        """[3 N, R] of form errors [N, 3, R], whitened, of every value."""
-        return (errors / self.noise[..., None]).reshape(3 * len(errors), errors.shape[2])
-
 
 def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:
     """Parameters at whitened unknowns."""

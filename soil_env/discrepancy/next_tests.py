@@ -1,62 +1,63 @@
-"""Design of the next tests: conditions that discriminate best between the remaining candidates, or test a law.
+"""Design of the next runs: those that are expected to say most about which candidate is right.
 
-Every candidate predicts a grid of feasible conditions, with its uncertainty: the covariance C = (I + J'J)^-1 of its
-parameters and form errors, carried to the grid. A single extra run separates candidates a and b in a channel by
+Every candidate predicts a grid of conditions that the rig can make, jointly normal: mean and covariance follow from its
+fit and its form errors. The information that a set of runs is expected to give about the candidates i of probability
+P_i is at least
 
-    |f_a - f_b| / sqrt(sigma^2 + g_a'C_a g_a + g_b'C_b g_b)
+    I = -sum_i P_i ln sum_j P_j exp(-B_ij),   B_ij the Bhattacharyya distance of what i and j predict there together
 
-standard deviations (Box & Hill 1967, Technometrics 9:57-71; Atkinson & Fedorov 1975, Biometrika 62:57-70).
-
-A law without a name is a guess at a form. The run in which it adds most, made again, shows if there is anything to
-explain. Runs in which one of its conditions goes beyond the table show if the law goes on or stays as at its end.
+(Kolchinsky & Tracey 2017, Entropy 19:361). exp(-B_ij) is also the factor by which the odds of j against i are expected
+to change if i is right, with the evidence tempered as in `search` (its square root). Runs are chosen one after the
+other, each by the information that it adds to those before it for its cost.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env.discrepancy.calibrate import Fit, Problem
-from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
-from soil_env.discrepancy.evidence import Evidence
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.data import CHANNELS, WHEEL
+from soil_env.discrepancy.evidence import Evidence, settle
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.predictive import predicted, problem_at
-from soil_env.discrepancy.search import Finding
-from soil_env.discrepancy.symbolic import ResidualFit
-from soil_env.terramechanics.model import Prediction, WheelSoilModel
-from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
 
-MOST = 4  # tests proposed
-LEAST = 1.0  # [sd] below which a test separates nothing
-ENOUGH = 8.0  # [sd] beyond which a test is not better
-WITHIN_REACH = 0.01  # least probability of a set of effects that a test is to separate
-CANDIDATES = 5
-DEEPEST = 0.6  # [radii] deepest sinkage of a feasible test
+MOST = 4  # runs proposed
+LEAST = 1e-3  # [nat] of information below which no run is proposed
+WITHIN_REACH = 0.01  # least probability of a candidate
+CANDIDATES = 14
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-_GAIN_OUTSIDE = 0.3  # [sd] that a test must gain for each half span by which it lies outside the table
-_HALF_SPAN = {"slip": 0.1, "load": 0.35, "speed": 0.35, "pass": 0.35, "grade_deg": 5.0, "wheel_radius": 0.2,
-              "wheel_width": 0.2, "grouser_height": 0.01}  # at least; logarithmic  # fmt: skip
-_SAME_WITHIN = 0.7  # distance, in half spans, below which two tests are much the same
+BASE = "base model"
+_LARGEST = 3000  # points of a grid
+
+
+class Predicted(NamedTuple):
+    """A candidate at one run: its probability before it, and what it predicts, with noise."""
+
+    name: str
+    probability: float
+    mean: list[float]  # as CHANNELS, SI; NaN where not measured
+    sd: list[float]
 
 
 @dataclass(frozen=True)
 class NextTest:
-    """One run to make: the conditions, and the two models or hypotheses that it separates."""
+    """One run to make."""
 
     conditions: dict[str, float]  # slip, load [N] and what else matters, as the columns of a table
-    channel: str
-    separates: tuple[str, str]
-    expected_sigma: float  # difference over noise and uncertainty of the two predictions
-    purpose: str = (
-        "separate"  # "repeat" the run with the largest misfit, or go beyond the table in one "extend"ed condition
-    )
-    extended: str = ""  # that condition
+    predicted: tuple[Predicted, ...]  # by every candidate, the most probable first
+    separates: tuple[str, str]  # candidates that it separates most
+    channel: str  # in which
+    expected_sigma: float  # difference of their predictions there over its standard deviation
+    sure: float  # least probability of the right candidate, on average, once this run and those before it are made
+    cost: float
+    repeat: bool = False  # of the run that the model misses most
 
 
 class Grid(NamedTuple):
@@ -64,86 +65,188 @@ class Grid(NamedTuple):
 
     value: dict[str, np.ndarray]  # by column
     asked: tuple[str, ...]  # columns that matter
-    scaled: np.ndarray  # [G, K] in half spans of the table, from its middle
 
 
-def next_tests(problem: Problem, finding: Finding) -> tuple[NextTest, ...]:
-    """The tests that would best separate the most probable set of effects from the others that are within reach."""
-    plain = [h for h in finding.hypotheses if not h.free]
-    first = next((h for h in plain if {*h.names} == {*finding.names}), plain[0])
-    rest = [h for h in plain if {*h.names} != {*first.names} and h.probability >= WITHIN_REACH]
-    return separating(problem, [h.evidence for h in (first, *rest[: CANDIDATES - 1])])
+class Candidates(NamedTuple):
+    """Candidates and their joint predictions [G, C] of the measured channels on a grid, in units of the noise."""
+
+    names: tuple[str, ...]
+    share: np.ndarray  # [K] probability
+    mean: np.ndarray  # [K, G, C]
+    root: tuple[np.ndarray, ...]  # K of [G, C, R], (root root') is the covariance
+    own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
+
+    def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+        """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the grid."""
+        (count, points, channels), chosen = self.mean.shape, list(chosen)
+        before = len(chosen) * channels
+        mean = np.empty((count, points, before + channels))
+        cov = np.zeros((count, points, before + channels, before + channels))
+        for k, root in enumerate(self.root):
+            first = root[chosen].reshape(before, root.shape[2])
+            mean[k, :, :before], mean[k, :, before:] = self.mean[k, chosen].ravel(), self.mean[k]
+            cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
+            cov[k, :, before:, :before] = cross = root @ first.T
+            cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
+            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + self.own[k][:, :, None] * np.eye(channels)
+        return mean, cov
 
 
-def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTest, ...]:
-    """A handful of different tests, the most telling first."""
-    if len(candidates) < 2:
+def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
+    """At most `most` runs that would tell the sets of effects within reach apart, in the order to make them.
+
+    Effects whose condition the table does not vary, and the rig could, are within reach with their prior odds.
+    """
+    share: dict[tuple[str, ...], float] = {}
+    for h in finding.hypotheses:
+        if h.names or not h.free:  # what is unlisted predicts nothing
+            share[h.names] = share.get(h.names, 0.0) + h.probability
+    found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
+    unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
+    for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
+        share[name,], found[name,] = share[()] * ODDS, settle(problem, (forms(problem, name)[0],))
+    order = sorted((s for s in found if share[s] >= WITHIN_REACH), key=lambda s: -share[s])[:CANDIDATES]
+    return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
+
+
+def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[float], most: int = MOST,
+             repeat: bool = False) -> tuple[NextTest, ...]:  # fmt: skip
+    """The runs for candidates of these probabilities; `repeat`: the run that the first one misses most comes first."""
+    if len(evidence) < 2 and not repeat:
         return ()
-    grid = conditions(problem, candidates)
-    names = [" and ".join(c.names) or "base model" for c in candidates]
-    there = problem_at(problem, grid.value)
-    means, variances, feasible = zip(*(predicted(there, c) for c in candidates), strict=True)
-    pairs = list(combinations(range(len(candidates)), 2))
-    sigma = np.stack([np.abs(means[a] - means[b]) / np.sqrt(1.0 + variances[a] + variances[b]) for a, b in pairs])
-    sigma[:, :, ~problem.used.any(axis=0)] = 0.0
-    sigma[:, ~np.all(feasible, axis=0)] = 0.0
-    sigma[~np.isfinite(sigma)] = 0.0
-    outside = np.maximum(np.abs(grid.scaled) - 1.0, 0.0).sum(axis=1)
-    rivals = np.array([1.0 if a == 0 else 0.5 for a, _ in pairs])  # the best against another first
-    odd = _GAIN_OUTSIDE * outside + 0.02 * np.abs(grid.scaled).sum(axis=1)
-    score = np.maximum(np.minimum(sigma, ENOUGH) - odd[None, :, None], 1e-3) * rivals[:, None, None]
-    score[sigma < LEAST] = 0.0
+    grid = conditions(problem, evidence)
+    missed = np.where(problem.used, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
+    worst, last = int(np.argmax(missed.max(axis=1))), grid.value["slip"].size
+    grid = grid._replace(value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()})
+    there, seen = problem_at(problem, grid.value), problem.used.any(axis=0)
+    mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
+    able = np.all(feasible, axis=0)
+    names = tuple(" and ".join(e.names) or BASE for e in evidence)
+    of = Candidates(names, np.array(share) / sum(share), np.stack(mean)[:, :, seen],
+                    tuple(r[:, seen] for r in root), np.stack(own)[:, :, seen])  # fmt: skip
+    chosen: list[int] = []
     out: list[NextTest] = []
-    while len(out) < MOST and score.any():
-        p, g, j = np.unravel_index(int(np.argmax(score)), score.shape)
-        pair = (names[pairs[p][0]], names[pairs[p][1]])
+    before = 0.0
+    while len(out) < most:
+        overlap = overlaps(*of.joint(chosen))
+        gain, cost = information(of.share, overlap) - before, _costs(problem, grid, chosen)
+        forced = repeat and not chosen
+        g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
+        if not forced and not (able[g] and gain[g] > LEAST):
+            break
+        able[g] = False  # once each: a repeat says nothing of how far the laws err
+        chosen.append(g)
+        before += gain[g]
         point = {name: float(grid.value[name][g]) for name in grid.asked}
-        out.append(NextTest(point, CHANNELS[j], pair, float(sigma[p, g, j])))
-        same = np.linalg.norm(grid.scaled - grid.scaled[g], axis=1) < _SAME_WITHIN
-        score[p] *= 0.5
-        score[p, same] = 0.0
-        score[p, :, j] *= 0.5
+        sure = float(sureness(of.share, overlap)[g])
+        out.append(NextTest(point, *_said(problem, of, g), sure, float(cost[g]), forced))
     return tuple(out)
+
+
+def _said(problem: Problem, of: Candidates, g: int) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
+    """Predictions of a run, and what it separates, as in `NextTest`."""
+    seen, mean, sd = problem.used.any(axis=0), *np.full((2, len(of.names), 3), np.nan)
+    mean[:, seen] = of.mean[:, g]
+    sd[:, seen] = np.sqrt([np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)])
+    off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
+    rival = int(np.argmax(of.share * off.max(axis=1)))
+    j = int(np.argmax(off[rival]))
+    values = ((mean * problem.noise).tolist(), (sd * problem.noise).tolist())
+    said = tuple(Predicted(*row) for row in zip(of.names, of.share.tolist(), *values, strict=True))
+    return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])
+
+
+# --- what runs are worth ----------------------------------------------------------------------------------------------
+
+
+def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov` [K, G, m, m]."""
+    count, points = mean.shape[:2]
+    out, size = np.ones((count, count, points)), np.linalg.slogdet(cov)[1]
+    for i in range(count):
+        for j in range(i):
+            middle, off = 0.5 * (cov[i] + cov[j]), mean[i] - mean[j]
+            square = np.sum(off * np.linalg.solve(middle, off[:, :, None])[:, :, 0], axis=1)
+            distance = square / 8.0 + 0.5 * (np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j]))
+            out[i, j] = out[j, i] = np.exp(-np.maximum(distance, 0.0))
+    return out
+
+
+def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
+    """[G] least information [nat] about which candidate is right."""
+    out: np.ndarray = -share @ np.log(np.einsum("j,ijg->ig", share, overlap))
+    return out
+
+
+def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
+    """[G] least probability that the right candidate has afterwards, on average (by Jensen's inequality)."""
+    out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
+    return out
+
+
+def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
+    """[G] cost of each run after the last chosen one, or the last of the table, by the setup's rig."""
+    rig, table = problem.data.setup.rig, problem.data.conditions
+    last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
+    changed = {n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()}
+    changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
+    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)  # on fresh soil they have to be made first
+    cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
+    return cost + sum((price * changed[name] for name, price in rig.cost.items() if name != "run"), np.zeros_like(cost))
 
 
 # --- the grid ---------------------------------------------------------------------------------------------------------
 
 
+def _levels(problem: Problem) -> dict[str, list[float]]:
+    """Values of each condition but the wheel: the rig's, else around those of the table."""
+    rig, column = problem.data.setup.rig, problem.data.conditions
+    passes, grade, timed = column["pass"], column["grade_deg"], bool(np.all(column["speed"] > 0.0))
+    around = {
+        "slip": list(SLIPS),
+        "load": _around(column["load"], 0.5, 2.0),
+        "speed": _around(column["speed"], 0.3, 3.0) if timed else [0.0],
+        "pass": sorted({1.0, 2.0, 3.0, float(passes.max())}),
+        "grade_deg": [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))] if np.ptp(grade) else [0.0],
+    }
+    listed = {"slip": rig.slips, "load": rig.loads, "speed": rig.speeds if timed else (), "pass": rig.passes,
+              "grade_deg": rig.grades_deg}  # fmt: skip
+    return {name: sorted(map(float, listed[name])) or values for name, values in around.items()}
+
+
+def _could_show(problem: Problem, name: str) -> bool:
+    """True if the rig can vary the condition that an effect needs."""
+    effect = LISTED[name]
+    able = not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
+    return able and bool(forms(problem, name)) and effect.varies not in problem.data.varied
+
+
 def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
-    """Slips to 0.7, half to twice the loads of the table, its wheels, and speeds, passes and grades that matter.
+    """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or about the table.
 
     What no candidate knows is the middle speed, the first pass and the least grade of the table.
     """
-    column, varied = problem.data.conditions, problem.data.varied
-    speed, passes, grade = column["speed"], column["pass"], column["grade_deg"]
+    column, varied, rig = problem.data.conditions, problem.data.varied, problem.data.setup.rig
+    grade, timed = column["grade_deg"], bool(np.all(column["speed"] > 0.0))
     choices = [choice for c in candidates for choice in c.fit.choices]
-    known = {LISTED[c.effect].varies for c in choices}
+    known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         known.add("speed")
-    timed = bool(np.all(speed > 0.0))
-    if not timed:
-        known.discard("speed")
+    usual = {"speed": float(np.median(column["speed"])), "pass": float(column["pass"].min()),
+             "grade_deg": min(max(0.0, float(grade.min())), float(grade.max()))}  # fmt: skip
+    levels = {n: x if n in known else [usual[n]] for n, x in _levels(problem).items()}
     wheels = np.unique(problem.data.rows.wheels, axis=0)
-    levels = {name: [float(np.median(x))] for name, x in column.items() if name not in WHEEL}
-    levels["pass"] = [float(passes.min())]
-    levels["grade_deg"] = [min(max(0.0, float(grade.min())), float(grade.max()))]
-    levels["slip"], levels["load"] = list(SLIPS), _around(column["load"], 0.5, 2.0)
-    if "speed" in known:
-        levels["speed"] = _around(speed, 0.3, 3.0)
-    if "pass" in known:
-        levels["pass"] = sorted({1.0, 2.0, 3.0, float(passes.max())})
-    if "grade_deg" in known:
-        levels["grade_deg"] = [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))]
+    if rig.wheels:
+        unknown = problem.data.wheel.grouser_height
+        heights = [unknown if w.grouser_height is None else w.grouser_height for w in rig.wheels]
+        wheels = np.array([(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)])
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
+    if len(points) > _LARGEST:
+        points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
     names = (*levels, *WHEEL)
-    asked = [n for n in names if n in varied or n in known or n in ("slip", "load") or (n == "speed" and timed)]
-    scaled = []
-    for k, name in enumerate(names):
-        x, t = points[:, k], column[name]
-        if name in LOGARITHMIC:
-            x, t = np.log(np.maximum(x, 1e-9)), np.log(np.maximum(t, 1e-9))
-        scaled.append((x - 0.5 * (t.min() + t.max())) / max(0.5 * np.ptp(t), _HALF_SPAN[name]))
-    return Grid(dict(zip(names, points.T, strict=True)), tuple(asked), np.stack(scaled, axis=1))
+    value = dict(zip(names, points.T, strict=True))
+    always = ("slip", "load", "speed") if timed else ("slip", "load")
+    return Grid(value, tuple(n for n in names if n in always or n in varied or np.ptp(value[n]) > 0.0))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
@@ -155,82 +258,3 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
 
 def _round(x: float) -> float:
     return float(f"{x:.2g}")
-
-
-# --- a law without a name ---------------------------------------------------------------------------------------------
-
-LAW, BASE, GOES_ON, STAYS = "the law", "the base model", "the law goes on", "it stays as at the end of the table"
-#: The condition of a table that moves a group of the law.
-_CONDITION = {"slip": "slip", "grip": "slip", "sinkage": "load", "load": "load", "speed": "speed", "pass": "pass",
-              "grade": "grade_deg"}  # fmt: skip
-
-
-def law_tests(problem: Problem, base: Fit, law: ResidualFit, model: WheelSoilModel) -> tuple[NextTest, ...]:
-    """At most `MOST` tests, the repetition first, then those beyond the table, the most telling first."""
-    off = (law.offset if law.terms else problem.data.y - base.output) / problem.noise
-    off, cells = np.where(problem.used, np.nan_to_num(off), 0.0), problem.data.cell
-    mean = np.array([off[cells == k].mean(axis=0) for k in range(int(cells.max()) + 1)])
-    cell, channel = np.unravel_index(int(np.argmax(np.abs(mean))), mean.shape)
-    row = int(np.argmax(cells == cell))
-    point = {name: float(column[row]) for name, column in problem.data.conditions.items()}
-    known = {"slip", "load", *problem.data.varied} | ({"speed"} if point["speed"] > 0.0 else set())
-    point = {name: value for name, value in point.items() if name in known}
-    pair = (LAW, BASE) if law.terms else ("a missing effect", "a slip of the rig")
-    first = NextTest(point, CHANNELS[channel], pair, float(abs(mean[cell, channel])), "repeat")
-    return (first, *_beyond(problem, law, model, point)[: MOST - 1])
-
-
-def _beyond(problem: Problem, law: ResidualFit, model: WheelSoilModel, point: dict[str, float]) -> list[NextTest]:
-    """Tests with one condition of the law beyond the table, `point` for the rest."""
-    out, asked = [], dict.fromkeys(_CONDITION[g] for t in law.terms for g in t.powers)
-    for name in (n for n in asked if n in point):
-        tried = []
-        for value in _steps(problem, name):
-            there = point | {name: value}
-            sigma, channel = _difference(problem, law, model, there, name)
-            tried.append(NextTest(there, channel, (GOES_ON, STAYS), sigma, "extend", name))
-        best = max(tried, key=lambda t: t.expected_sigma, default=None)
-        if best is not None and best.expected_sigma >= LEAST:
-            out.append(best)
-    return sorted(out, key=lambda t: -t.expected_sigma)
-
-
-def _difference(
-    problem: Problem, law: ResidualFit, model: WheelSoilModel, there: dict[str, float], name: str
-) -> tuple[float, str]:
-    """(difference of the law going on and staying, over noise and uncertainty; channel); 0 where not feasible."""
-    groups = [g for g, c in _CONDITION.items() if c == name]
-    free = [dataclasses.replace(t, ranges={g: r for g, r in t.ranges.items() if g not in groups}) for t in law.terms]
-
-    def predicted(*terms: ResidualTerm) -> Prediction:
-        return dataclasses.replace(model, validity={}, residual=terms).predict(there)
-
-    on, stays, spread = predicted(*free), predicted(*model.residual), law.covariance()
-    if not on.supported or not -0.1 < on.sinkage[0] / model.wheel.radius < DEEPEST:
-        return 0.0, ""
-    best = (0.0, CHANNELS[0])
-    for j, channel in enumerate(CHANNELS):
-        if not problem.used[:, j].any():
-            continue
-        slopes = np.zeros(len(free))
-        for k, (a, b) in enumerate(zip(free, law.terms, strict=True)):
-            if a.channel == channel and a.coefficient != 0.0:
-                ends = [float(getattr(predicted(t), channel)[0]) for t in (a, b)]
-                slopes[k] = (ends[0] - ends[1]) / a.coefficient
-        off = abs(float(getattr(on, channel)[0] - getattr(stays, channel)[0]))
-        sd = math.sqrt(problem.noise[j] ** 2 + float(slopes @ spread @ slopes))
-        best = max(best, (off / sd, channel), key=lambda pair: pair[0])
-    return best
-
-
-def _steps(problem: Problem, name: str) -> list[float]:
-    """Values of a condition beyond the table."""
-    x = problem.data.conditions[name]
-    low, high = float(x.min()), float(x.max())
-    if name == "slip":
-        return [s for s in (high + 0.1, high + 0.2, low - 0.1) if 0.0 <= s <= 0.8]
-    if name == "pass":
-        return [high + 1.0, high + 2.0]
-    if name == "grade_deg":
-        return [low - 5.0, high + 5.0]
-    return [_round(f * x0) for f, x0 in ((1.5, high), (2.0, high), (0.5, low)) if x0 > 0.0]

@@ -8,57 +8,106 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import truncnorm
 
-from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import nuisances
+from soil_env.identification.table.form_error import INPUTS, LAW_LENGTHS, LENGTHS, Process
 from soil_env.terramechanics.model import rows_of
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run
+_FUNCTIONS = 60  # of a form error over table and other rows, at most
 
 
 def problem_at(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Problem:
-    """The problem with conditions [G], by the columns of a table, for rows; every channel in use."""
+    """The problem with conditions [G], by the columns of a table, for rows: every channel in use.
+
+    Form errors are over the rows of the table and these.
+    """
     there = copy.copy(problem)
-    there.data = dataclasses.replace(
-        problem.data, rows=rows_of(conditions, problem.data.wheel), relative_sd=np.ones((1, 3))
-    )
-    there.used, there.offset = np.ones((conditions["slip"].size, 3), dtype=bool), None
+    rows = rows_of(conditions, problem.data.wheel)
+    there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
+    there.used, there.offset = np.ones((rows.slip.size, 3), dtype=bool), None
+    table, ours = problem.data.conditions | problem.data.elapsed, _conditions(there)
+    both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
+
+    def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
+        known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
+        unique = np.unique(np.stack([both[n] for n in known]), axis=1)
+        return Process.over(dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths)
+
+    there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
+    there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
     return there
 
 
-def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`.
+def _conditions(there: Problem) -> dict[str, np.ndarray]:
+    """Conditions of a grid, after the end of the campaign where the table has times."""
+    ended = {n: np.ones(there.data.rows.slip.size) for n in there.data.elapsed}
+    return there.data.conditions | ended
 
-    With the form errors as far as the table determines them; beyond its reach they count with their prior variance.
+
+def predicted(
+    problem: Problem, there: Problem, candidate: Evidence
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a candidate.
+
+    In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical sizes.
     """
-    fit, guess, values = candidate.fit, np.zeros(there.data.rows.slip.size), candidate.fit.parameters()
-    sizes, at = candidate.sizes, there.data.conditions | {"elapsed": np.ones(guess.size)}  # when the campaign has ended
+    fit, p = candidate.fit, candidate.fit.u.size
+    sizes = candidate.sizes._replace(law=candidate.typical("law"), effect=candidate.typical("effect"))
+
+    def blocks(
+        of: Problem,
+        values: dict[str, float],
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: dict[str, np.ndarray],
+    ) -> list[np.ndarray]:
+        stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
+        law, effect = there.form_errors(fit.choices, stresses, added, at)
+        rig = nuisances(of.data.setup, of.bench, of.data.rows.load, output, tuple(c.effect for c in fit.choices))
+        return [sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig]
+
+    table = problem.data.conditions | problem.data.elapsed
+    known = [problem.block(b) for b in blocks(problem, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)]
+    a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
+    start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
+    covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
+    off, covariance = _within_bounds(fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance)
+
+    u, guess, at = fit.u + off[:p], np.zeros(there.data.rows.slip.size), _conditions(there)
+    values = {k.name: k.value(x) for k, x in zip(fit.unknowns, u, strict=True)}
     out = there.predict(values, fit.choices, guess)
     feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
-    stresses = there.stresses(values, fit.choices, out, guess)
+    out = np.where(np.isfinite(out), out, 0.0)
     added = there.added(values, fit.choices, out, guess)
-    law, effect = there.form_errors(fit.choices, stresses, added, at)
-    a, e = fit.linearised(sizes)
-    inside = fit.free_unknowns
-    columns = [
-        there.derivatives(fit.unknowns, fit.u, fit.choices, guess)[:, inside],
-        sizes.law * there.whiten_all(law[sizes.span]),
-    ]
-    if sizes.effect > 0.0:
-        columns.append(sizes.effect * there.whiten_all(effect))
-    named = tuple(c.effect for c in fit.choices)
-    rig = nuisances(there.data.setup, there.bench, there.data.rows.load, np.where(np.isfinite(out), out, 0.0), named)
-    columns.append(sizes.rig * there.whiten_all(rig))
-    top = np.concatenate(columns, axis=1)
-    covariance = np.linalg.inv(a.T @ a)
-    mean = out / there.noise + (top @ (covariance @ (a.T @ e))).reshape(-1, 3)
-    variance = np.sum((top @ covariance) * top, axis=1).reshape(-1, 3)
-    left = there.law_processes[sizes.span].left(at)[:, None]
-    variance += sizes.law**2 * left * sum((s / there.noise) ** 2 for s in stresses)
+    ours = [there.block(b) for b in blocks(there, values, out, added, at)]
+    top = np.concatenate([there.derivatives(fit.unknowns, u, fit.choices, guess), *ours], axis=1)
+    mean = out / there.noise + (top[:, p:] @ off[p:]).reshape(-1, 3)
+    root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
+    own = np.full(mean.shape, sizes.scatter**2)
     for choice, x in zip(fit.choices, added, strict=True):
-        variance += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
-    return mean, variance, feasible
+        own += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
+    return mean, root.reshape(*mean.shape, -1), own, feasible
+
+
+def _within_bounds(fit: Fit, off: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one after the other."""
+    for k, unknown in enumerate(fit.unknowns):
+        mean, sd = fit.u[k] + off[k], math.sqrt(covariance[k, k])
+        low, high = ((end - mean) / sd for end in unknown.bounds)
+        if min(-low, high) < 4.0:
+            if low > 8.0 or high < -8.0:  # far outside: at the bound
+                moved, left = (low if low > 0.0 else high), 1e-4
+            else:
+                moved, left = (float(x) for x in truncnorm.stats(low, high, moments="mv"))
+            along = covariance[:, k] / sd
+            off = off + along * moved
+            covariance = covariance + np.outer(along, along) * (min(max(left, 1e-4), 1.0) - 1.0)
+    return off, covariance

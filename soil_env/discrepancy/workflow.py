@@ -19,7 +19,7 @@ from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
-from soil_env.discrepancy.next_tests import law_tests, next_tests
+from soil_env.discrepancy.next_tests import MOST, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.setup import Setup, read_setup
@@ -36,13 +36,14 @@ def run(
     out: str | Path | None = None,
     *,
     seed: int = 0,
+    next_runs: int = MOST,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
-    written at the end, all of them or none; `seed` of the simulated null distributions; `progress` is called with what
-    is being done, "stage: step".
+    written at the end, all of them or none; `seed` of the simulated null distributions; `next_runs`, how many are
+    proposed; `progress` is called with what is being done, "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -64,7 +65,7 @@ def run(
         None if isinstance(setup, Setup) else _digest(setup),
     )
     with threadpool_limits(1):  # the matrices are small: threads of the BLAS cost more than they give
-        report = _conclude(rows, read, settings, say)
+        report = _conclude(rows, read, settings, say, next_runs)
     if out is not None:
         say("writing")
         write(report, Path(out))
@@ -75,7 +76,7 @@ def _digest(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str], None]) -> Report:
+def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int) -> Report:
     data = prepare(table, setup)
     say("calibrating the base model")
     problem, noise = calibrate(data)
@@ -102,7 +103,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
             law = law.without(final)
     gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
-    say("choosing the next tests")
+    say("choosing the next runs")
     model = model_of(problem, final, () if law is None else tuple(law.terms))
     intervals = judgement.intervals(finding, own)
     return Report(
@@ -116,7 +117,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         gap=gap,
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
-        next_tests=next_tests(problem, finding) if law is None else law_tests(problem, plain, law, model),
+        next_tests=next_tests(problem, finding, next_runs),
         fit=final,
         base_model=model_of(problem, plain),
         model=model,

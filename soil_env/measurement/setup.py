@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, number, quantity, read_yaml
+from soil_env._io.loading import Checked, ParameterError, load, number, quantity, read_yaml, unknown_key
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
+COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")  # of a run and of what is changed for it
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
@@ -125,6 +126,30 @@ class NoiseLevels(Checked):
 
 
 @dataclass(frozen=True)
+class Rig(Checked):
+    """Conditions that a rig can make, for the next runs; an empty list is not known. `cost` by `COSTS`.
+
+    A run costs `run` and what it changes from the run before. `pass` is the cost of each earlier pass on its soil.
+    """
+
+    slips: tuple[float, ...] = quantity("", -1.0, 0.95, default=())
+    loads: tuple[float, ...] = quantity("N", 1e-3, default=())
+    speeds: tuple[float, ...] = quantity("m/s", 1e-6, default=())
+    passes: tuple[int, ...] = quantity("", 1, 1000, default=())
+    grades_deg: tuple[float, ...] = quantity("deg", -45.0, 45.0, default=())
+    wheels: tuple[SetupWheel, ...] = ()
+    cost: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, value in self.cost.items():
+            if name not in COSTS:
+                raise unknown_key(name, COSTS, "cost")
+            if not 0.0 <= value < math.inf or (name == "run" and value == 0.0):
+                raise ParameterError(f"cost.{name} = {value:g}: expected a number {'> 0' if name == 'run' else '>= 0'}")
+
+
+@dataclass(frozen=True)
 class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
@@ -158,6 +183,7 @@ class Setup(Checked):
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
     ignore_columns: tuple[str, ...] = ()  # of the table, passed over
+    rig: Rig = Rig()
     source: str = field(default="setup", init=False, compare=False)  # the file, for messages
 
     def __post_init__(self) -> None:
@@ -195,7 +221,7 @@ def read_setup(path: str | Path) -> Setup:
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for messages."""
     mapping = dict(mapping)
-    for section in ("soil", "noise", "calibration", "tilt_deg", "ignore_columns"):
+    for section in ("soil", "noise", "calibration", "tilt_deg", "ignore_columns", "rig"):
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):

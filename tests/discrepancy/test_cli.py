@@ -1,5 +1,6 @@
 """`soil-env discover`: exit status, messages, files, and nothing half written."""
 
+import json
 import re
 
 import pytest
@@ -23,9 +24,17 @@ def names(folder):
 
 
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
-    write_files(tmp_path, TABLE)
-    assert call(tmp_path) == 0
+    write_files(tmp_path, TABLE, SETUP + "rig: {slips: [0.2, 0.4], loads: [150]}\n")
+    assert call(tmp_path, "--next", "2") == 0
     shown = capsys.readouterr()
+    content = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert 0 < len(content["next_tests"]) <= 2 and "Runs to make next" in shown.out
+    for k, said in enumerate(content["next_tests"], start=1):
+        point = said["conditions"]
+        assert point["slip"] in (0.2, 0.4) and point["load"] == 150
+        assert re.search(rf"^ +{k} +{point['slip']} +150 ", shown.out, re.M)
+        assert {"name", "probability", "mean", "sd"} == {*said["predicted"][0]}
+    assert "Predictions of the most probable candidates" in (tmp_path / "out" / "report.html").read_text()
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
         assert f"written: {tmp_path / 'out' / name}" in shown.out

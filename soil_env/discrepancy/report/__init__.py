@@ -141,7 +141,8 @@ def content(report: Report) -> dict[str, Any]:
         },
         "next_tests": [
             {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
-             "expected_sigma": t.expected_sigma, "words": sentences.next_test(report, t)}
+             "expected_sigma": t.expected_sigma, "sure": t.sure, "cost": t.cost, "repeat": t.repeat,
+             "predicted": [p._asdict() for p in t.predicted], "words": sentences.next_test(report, t)}
             for t in report.next_tests
         ],
         "residual": _law(report, shown),

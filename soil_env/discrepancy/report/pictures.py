@@ -23,16 +23,20 @@ CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
     "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
     "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
+    "next": "Predictions of the most probable candidates at the next runs, with two standard deviations. A run decides "
+    "between candidates whose bars do not overlap.",
     "ranking": "Probability of each effect, and that nothing listed is missing. Dark: stated; light: alternatives.",
 }
+COLOURS = (AFTER, BEFORE, "#6b4c9a", "#7a7a7a")  # of candidates
 _STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
           "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
 
 
 def pictures(report: Report) -> dict[str, bytes]:
-    """{name: SVG} of "predicted", "slip" and "ranking"."""
+    """{name: SVG} of "predicted", "slip", "ranking" and, where runs are proposed, "next"."""
     with matplotlib.rc_context(_STYLE):
         drawn = {"predicted": _predicted, "slip": _slip, "ranking": _ranking}
+        drawn |= {"next": _next} if report.next_tests else {}
         return {name: _saved(draw(report)) for name, draw in drawn.items()}
 
 
@@ -146,6 +150,22 @@ def _slip(report: Report) -> Figure:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _next(report: Report) -> Figure:
+    """Predictions of the most probable candidates at the next runs."""
+    names = [p.name for p in report.next_tests[0].predicted][:CURVES]
+    figure, axes = _columns(report, 3.4)
+    for name, ax in zip(report.channels, axes[0], strict=True):
+        j, (unit, scale) = CHANNELS.index(name), UNITS[name]
+        for k, said in enumerate(names):
+            of = [t.predicted[k] for t in report.next_tests]
+            at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
+            mean, sd = (scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd"))
+            ax.errorbar(at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said))
+        ax.set(title=TITLES[name], xlabel="next run", ylabel=f"predicted [{unit}]", xticks=range(1, len(of) + 1))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 

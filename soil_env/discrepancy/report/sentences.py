@@ -136,16 +136,20 @@ def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
 
 def next_test(report: Report, t: NextTest) -> str:
     """A test in a sentence."""
-    at, sd = _place(t.conditions), f"{t.expected_sigma:.1f} sd"
-    if t.purpose == "repeat":
-        size = amount(t.channel, t.expected_sigma * report.problem.noise[CHANNELS.index(t.channel)])
-        most = "the law adds most here" if report.model.residual else "the model misses most here"
-        return f"{at}, three times again: {most}, {size} of {TITLES[t.channel]} ({sd})"
-    if t.purpose == "extend":
-        said = f"{CONDITIONS[t.extended][0]} alone beyond the table: {t.separates[0]}, or {t.separates[1]}"
-        return f"{at}, {said}, expected to differ by {sd} in {TITLES[t.channel]}"
+    at = _place(t.conditions)
+    if t.repeat:
+        return f"{at}, again: the model misses most here, which may be a slip of the rig"
     against = f"{title(t.separates[0])} against {title(t.separates[1])}"
-    return f"{at}: {against}, expected to differ by {sd} in {TITLES[t.channel]}"
+    return f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
+
+
+def after_next(report: Report) -> str:
+    """How sure one will be after the next runs."""
+    now = sum(p.probability**2 for p in report.next_tests[0].predicted)
+    return (
+        "Make the runs in this order and add their rows. The right one of the candidates below has a probability of "
+        f"{percent(now)} on average now, and of at least {percent(report.next_tests[-1].sure)} after them"
+    )
 
 
 def _place(point: Mapping[str, float]) -> str:

@@ -3,9 +3,22 @@
 from __future__ import annotations
 
 from soil_env._io.document import Table
+from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Interval
-from soil_env.discrepancy.report.sentences import SOIL, TITLES, amount, figures, fixed, not_tiny, percent, times, title
+from soil_env.discrepancy.report.sentences import (
+    CONDITIONS,
+    SOIL,
+    TITLES,
+    UNITS,
+    amount,
+    figures,
+    fixed,
+    not_tiny,
+    percent,
+    times,
+    title,
+)
 from soil_env.discrepancy.result import Report
 
 
@@ -59,6 +72,31 @@ def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
     rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
     return Table(("effect", "makes the table more probable", "probability"), rows)
+
+
+def next_runs(report: Report) -> Table:
+    """The runs to make next, in their order."""
+    names = list(report.next_tests[0].conditions)
+    head = [f"{label} [{unit.strip()}]" if unit else label for label, unit in (CONDITIONS[n] for n in names)]
+    rows = [
+        (k, *(f"{t.conditions[n]:.4g}" for n in names), figures(t.cost, 2), percent(t.sure))
+        for k, t in enumerate(report.next_tests, start=1)
+    ]
+    return Table(("run", *head, "cost", "right one then"), rows)
+
+
+def next_predictions(report: Report, most: int | None = None) -> Table:
+    """Predictions of the candidates, the first `most` of them, at each of these runs, with one standard deviation."""
+    rows = []
+    for k, test in enumerate(report.next_tests, start=1):
+        for p in test.predicted[:most]:
+            cells = []
+            for name in report.channels:
+                j, scale = CHANNELS.index(name), UNITS[name][1]
+                cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
+            rows.append((k, title(p.name).replace(" and ", " + "), fixed(p.probability, 2), *cells))
+    channels = (f"{TITLES[n].split()[-1]} [{UNITS[n][0]}]" for n in report.channels)
+    return Table(("run", "candidate", "p", *channels), rows)
 
 
 def untestable(report: Report) -> Table:
