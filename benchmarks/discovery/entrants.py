@@ -116,32 +116,23 @@ class Chosen(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Least-squares fit: sums of squares of the channels over the noise variance if that is stated."""
+    """Least-squares fit of soil and effects."""
 
     chosen: tuple[Chosen, ...]
-    squares: np.ndarray  # [channels], priors left out
-    counts: np.ndarray  # values of each channel
     penalty: float  # priors of the soil
     free: int  # parameters of the effects
-    stated: bool
     predicted: np.ndarray  # [3, N]
     soil: dict[str, float]
-    values: np.ndarray  # of the free parameters of the effects
-
-    @property
-    def bic(self) -> float:
-        """-2 ln likelihood, priors of the soil with it, plus ln N for each parameter of an effect."""
-        if self.stated:
-            deviance = float(self.squares.sum())
-        else:
-            deviance = float(np.sum(self.counts * np.log(np.maximum(self.squares / self.counts, 1e-300))))
-        return deviance + self.penalty + self.free * math.log(self.counts.sum())
 
 
 class Bank:
-    """One table, and fits of effects to it."""
+    """One table, and fits of effects to it under a covariance noise^2 + alpha^2 C.
 
-    def __init__(self, data: Path, setup: Path):
+    C is the covariance of the table by law errors of the generator, on the soil of a first fit. Fits are made with the
+    size `fitted` of these errors, and judged at the most probable of `sizes` and of the noise where it is not stated.
+    """
+
+    def __init__(self, data: Path, setup: Path, sizes: Sequence[float], fitted: float):
         self.setup: Setup = read_setup(setup)
         self.table: Table = read_table(data, self.setup.wheel)
         self.measured = np.stack([getattr(self.table, c) for c in CHANNELS])
@@ -159,6 +150,14 @@ class Bank:
         #: Parameters that no form fits: rate laws leave the soil as it is at the mean speed, of travel or of sliding.
         self.of_table = {"penetration_rate": {"reference_speed": self.speed},
                          "shear_rate": {"reference_speed": 0.4 * self.speed}}  # fmt: skip
+        noise = np.broadcast_to(self.noise[:, None], self.there.shape)[self.there]
+        self.factor = np.diag(noise)
+        of_laws = self._law_errors(self.fit())
+        self.factors = [
+            cholesky(np.diag((scale * noise) ** 2) + size**2 * of_laws, lower=True)
+            for size, scale in product(sizes, (1.0,) if self.stated else NOISES)
+        ]
+        self.factor = cholesky(np.diag(noise**2) + fitted**2 * of_laws, lower=True)
 
     def _soil(self, x: np.ndarray) -> dict[str, float]:
         """Parameters of the soil at unknowns x, in standard deviations of the prior."""
@@ -206,10 +205,6 @@ class Bank:
         p = self._model(soil, chosen, values).predict(self.table)
         return np.stack([p.sinkage, p.drawbar_pull, p.torque])
 
-    def whitened(self, off: np.ndarray) -> np.ndarray:
-        """Return the values in use of a table [3, N], over the noise."""
-        return (off / self.noise[:, None])[self.there]
-
     def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
         """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
         start, low, high, scale = self._start(chosen)
@@ -220,21 +215,23 @@ class Bank:
         def residual(x):
             table = self.predict(self._soil(x[:5]), chosen, np.clip(x[5:] * scale, low, high))
             off = np.where(np.isfinite(table), table - self.measured, 1e3 * self.noise[:, None])
-            return np.concatenate([self.whitened(off), x[:5]])
+            return np.concatenate([solve_triangular(self.factor, off[self.there], lower=True), x[:5]])
 
         found = least_squares(residual, x0, bounds=(lower, upper), diff_step=1e-5, max_nfev=40, ftol=1e-6)
         soil, values = self._soil(found.x[:5]), np.clip(found.x[5:] * scale, low, high)
         table = self.predict(soil, chosen, values)
-        weighted = np.where(self.there, (table - self.measured) / self.noise[:, None], 0.0)
-        kept = self.there.any(axis=1)
-        return Fitted(
-            tuple(chosen), np.sum(weighted**2, axis=1)[kept], self.there.sum(axis=1)[kept],
-            float(found.x[:5] @ found.x[:5]), found.x.size - 5, self.stated, table, soil, values,
-        )  # fmt: skip
+        return Fitted(tuple(chosen), float(found.x[:5] @ found.x[:5]), found.x.size - 5, table, soil)
 
-    def change(self, base: Fitted, chosen: Sequence[Chosen] = (), **soil: float) -> np.ndarray:
-        """Change of the table [3, N] of a fit by other soil parameters, or an effect of a fifth of its prior scale."""
-        return self.predict(base.soil | soil, chosen, self._start(chosen)[0]) - base.predicted
+    def criterion(self, fitted: Fitted) -> float:
+        """-2 ln likelihood, priors of the soil with it, plus ln N for each parameter of an effect (BIC)."""
+        off = (fitted.predicted - self.measured)[self.there]
+        if not np.all(np.isfinite(off)):
+            return math.inf
+        deviance = min(
+            float(np.sum(solve_triangular(f, off, lower=True) ** 2) + 2.0 * np.sum(np.log(np.diag(f))))
+            for f in self.factors
+        )
+        return deviance + fitted.penalty + fitted.free * math.log(off.size)
 
     @cached_property
     def candidates(self) -> list[Chosen]:
@@ -247,81 +244,6 @@ class Bank:
             if varies and any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
                 out += [Chosen(effect.name, form) for form in effect.forms]
         return out
-
-
-ALTERNATIVE = 0.05  # probability from which a mechanism is an alternative
-
-
-def bic(data: Path, setup: Path) -> Answer:
-    """Bank of models weighed by BIC: every effect in every form, and pairs with the best one, without law errors.
-
-    P(set) in proportion to exp(-BIC/2) (Schwarz 1978; Raftery 1995, equal priors), the best form for each effect.
-    """
-    return best_of(Bank(data, setup), lambda fitted: fitted.bic)
-
-
-def best_of(bank: Bank, criterion: Callable[[Fitted], float]) -> Answer:
-    """Return the answer by a criterion: base model, every effect in its best form, and pairs with the best effect."""
-    base = bank.fit()
-    singles: dict[str, tuple[float, Fitted]] = {}
-    for chosen in bank.candidates:
-        fitted = bank.fit([chosen])
-        value = criterion(fitted)
-        if chosen.effect not in singles or value < singles[chosen.effect][0]:
-            singles[chosen.effect] = value, fitted
-    _, best = min(singles.values(), key=lambda pair: pair[0])
-    pairs = [bank.fit([*best.chosen, *f.chosen]) for _, f in singles.values() if f is not best]
-    return weighed([(criterion(base), base), *singles.values(), *((criterion(f), f) for f in pairs)])
-
-
-def weighed(found: list[tuple[float, Fitted]]) -> Answer:
-    """Return the answer of BIC weights: names above one half; else the first name with those of 5 % and more."""
-    values, fits = np.array([value for value, _ in found]), [f for _, f in found]
-    weight = np.exp(-0.5 * (values - values.min()))
-    weight /= weight.sum()
-    chance: dict[str, float] = {}
-    for f, w in zip(fits, weight, strict=True):
-        for c in f.chosen:
-            chance[c.effect] = min(chance.get(c.effect, 0.0) + float(w), 1.0)
-    order = sorted(chance, key=lambda name: -chance[name])
-    named = [name for name in order if chance[name] > 0.5]
-    others = [name for name in order if ALTERNATIVE <= chance[name] <= 0.5]
-    if named:
-        return Answer("named", tuple(named), tuple(others), chance)
-    if weight[0] > 0.5:
-        return Answer("none", (), (), chance)
-    return Answer("ambiguous", (order[0],), tuple(others[1:]), chance)
-
-
-SIZES = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3)  # alpha
-FITTED = 0.1  # that the fits are made with
-NOISES = (0.3, 0.6, 1.0, 2.0, 4.0)  # over the usual noise, where it is not stated
-
-
-def gls(data: Path, setup: Path) -> Answer:
-    """Bank of models under the covariance of law errors, by an expert who knows how the cases are made.
-
-    As `bic`, but residuals are weighed by noise^2 + alpha^2 C. C is the covariance of the table by law errors of the
-    generator on the soil of the base fit, and alpha the size of maximum likelihood on a grid. Noise that is not stated
-    is a share of the usual one, found in the same way.
-    """
-    bank = CorrelatedBank(data, setup)
-    return best_of(bank, bank.criterion)
-
-
-class CorrelatedBank(Bank):
-    """Bank whose fits count with errors of the laws."""
-
-    def __init__(self, data: Path, setup: Path):
-        super().__init__(data, setup)
-        self.factor: np.ndarray | None = None  # of the covariance that fits are made with
-        of_laws = self._law_errors(self.fit())
-        noise = np.broadcast_to(self.noise[:, None], self.there.shape)[self.there]
-        self.factors = [
-            cholesky(np.diag((scale * noise) ** 2) + size**2 * of_laws, lower=True)
-            for size, scale in product(SIZES, (1.0,) if self.stated else NOISES)
-        ]
-        self.factor = cholesky(np.diag(noise**2) + FITTED**2 * of_laws, lower=True)
 
     def _law_errors(self, base: Fitted) -> np.ndarray:
         """Covariance of the values in use by law errors of size 1, on the soil of the base fit."""
@@ -337,22 +259,55 @@ class CorrelatedBank(Bank):
         kept = self.there.ravel()
         return whole[np.ix_(kept, kept)]
 
-    def whitened(self, off: np.ndarray) -> np.ndarray:
-        """Values in use of a table [3, N], by the covariance."""
-        if self.factor is None:
-            return super().whitened(off)
-        return solve_triangular(self.factor, off[self.there], lower=True)
 
-    def criterion(self, fitted: Fitted) -> float:
-        """BIC at the most probable sizes of law errors and noise."""
-        off = (fitted.predicted - self.measured)[self.there]
-        if not np.all(np.isfinite(off)):
-            return math.inf
-        deviance = min(
-            float(np.sum(solve_triangular(f, off, lower=True) ** 2) + 2.0 * np.sum(np.log(np.diag(f))))
-            for f in self.factors
-        )
-        return deviance + fitted.penalty + fitted.free * math.log(off.size)
+ALTERNATIVE = 0.05  # probability from which a mechanism is an alternative
+SIZES = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3)  # alpha
+NOISES = (0.3, 0.6, 1.0, 2.0, 4.0)  # over the usual noise, where it is not stated
+
+
+def bic(data: Path, setup: Path) -> Answer:
+    """Bank of models weighed by BIC: every effect in every form, and pairs with the best one, without law errors.
+
+    P(set) in proportion to exp(-BIC/2) (Schwarz 1978; Raftery 1995, equal priors), the best form for each effect.
+    """
+    return best_of(Bank(data, setup, (0.0,), 0.0))
+
+
+def gls(data: Path, setup: Path) -> Answer:
+    """Bank of models under the covariance of law errors, by an expert who knows how the cases are made."""
+    return best_of(Bank(data, setup, SIZES, 0.1))
+
+
+def best_of(bank: Bank) -> Answer:
+    """Return the answer of BIC weights of the base model, every effect in its best form, and pairs with the best.
+
+    Names above one half; else the first name, with those of 5 % and more.
+    """
+    base = bank.fit()
+    singles: dict[str, tuple[float, Fitted]] = {}
+    for chosen in bank.candidates:
+        fitted = bank.fit([chosen])
+        value = bank.criterion(fitted)
+        if chosen.effect not in singles or value < singles[chosen.effect][0]:
+            singles[chosen.effect] = value, fitted
+    _, best = min(singles.values(), key=lambda pair: pair[0])
+    pairs = [bank.fit([*best.chosen, *f.chosen]) for _, f in singles.values() if f is not best]
+    fits = [base, *(f for _, f in singles.values()), *pairs]
+    values = np.array([bank.criterion(f) for f in fits])
+    weight = np.exp(-0.5 * (values - values.min()))
+    weight /= weight.sum()
+    chance: dict[str, float] = {}
+    for f, w in zip(fits, weight, strict=True):
+        for c in f.chosen:
+            chance[c.effect] = min(chance.get(c.effect, 0.0) + float(w), 1.0)
+    order = sorted(chance, key=lambda name: -chance[name])
+    named = [name for name in order if chance[name] > 0.5]
+    others = [name for name in order if ALTERNATIVE <= chance[name] <= 0.5]
+    if named:
+        return Answer("named", tuple(named), tuple(others), chance)
+    if weight[0] > 0.5:
+        return Answer("none", (), (), chance)
+    return Answer("ambiguous", (order[0],), tuple(others[1:]), chance)
 
 
 ENTRANTS: dict[str, Entrant] = {"workflow": workflow, "bic": bic, "gls": gls}

@@ -35,33 +35,6 @@ def _sensed(contact, **change):
 # --- kinds of earlier runs --------------------------------------------------------------------------------------------
 
 
-@_unlisted("fall of phi for each decade of pressure [deg]", 14.0,
-           side=lambda rng, ctx: {"pressure": ctx.load / (ctx.wheel.width * 0.5 * ctx.wheel.radius)})  # fmt: skip
-def stress_dependent_friction(contact, s, side):
-    """Friction angle falls with the normal stress, phi - s log10(sigma/sigma0) (Bolton 1986, crushing and dilatancy).
-
-    Listed effects change the strength with slip, speed, pass or shear displacement; none with the stress itself.
-    """
-
-    def hook(limit, sigma, theta):
-        decade = np.log10(np.maximum(sigma, 1e-3 * side["pressure"]) / side["pressure"])
-        angle = np.clip(contact.phi - np.radians(s) * decade, 0.0, np.radians(60.0))
-        return contact.cohesion + (limit - contact.cohesion) * np.tan(angle) / contact.tan_phi
-
-    contact.strength.append(hook)
-
-
-@_unlisted("relative growth of the radius at the mean load [-]", 0.6, side=drawn("load"))
-def flexible_wheel(contact, s, side):
-    """The rim flattens under load: effective radius r (1 + s W/W0) (Bekker's equivalent rigid wheel; Schmid 1995).
-
-    Listed effects keep the radius, or change it by a constant (lugs, rolling radius).
-    """
-    factor = 1.0 + s * (column(contact.rows.load) / side["load"] - 0.3)
-    contact.radius = contact.radius * factor
-    contact.shear_radius = contact.shear_radius * factor
-
-
 @_unlisted("share of pull and torque lost at the worst slip [-]", 0.5, (PULL, TORQUE),
            side=drawn(slip=(0.2, 0.45), width=(0.05, 0.09)))  # fmt: skip
 def power_hop(contact, s, side):
@@ -71,37 +44,6 @@ def power_hop(contact, s, side):
     """
     band = 1.0 - s * np.exp(-0.5 * ((contact.rows.slip - side["slip"]) / side["width"]) ** 2)
     contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull * band, torque=out.torque * band))
-
-
-@_unlisted("share of the drawbar pull that comes on the wheel [-]", 0.3, signs=(1, -1))
-def load_transfer(contact, s, side):
-    """A hinged arm of the rig turns drawbar pull into load: W + s DP on the wheel, the table holds W.
-
-    Listed effects leave the load alone (grade by a cosine); slip-sinkage moves the sinkage without the thrust.
-    """
-    contact.reaction.append(lambda pull, torque: s * pull)
-
-
-@_unlisted("rise of cohesion at a depth of 0.1 r over the mean cohesion [-]", 6.0)
-def cohesion_with_depth(contact, s, side):
-    """Cohesion grows with depth, c (1 + s z/(0.1 r)): soil that is moister below (Wong 1989, on layered terrain)."""
-
-    def hook(limit, sigma, theta):
-        depth = contact.radius * np.maximum(np.cos(theta) - np.min(np.cos(theta), axis=1, keepdims=True), 0.0)
-        return limit + contact.cohesion * s * depth / (0.1 * contact.radius)
-
-    contact.strength.append(hook)
-
-
-@_unlisted("pressure of the crust over the mean contact pressure [-]", 1.5, side=drawn("pressure", depth=(0.02, 0.05)))
-def brittle_crust(contact, s, side):
-    """A crust bears until it breaks: pressure that rises and falls within a small depth (Wong 1989, on muskeg)."""
-    thick = side["depth"] * contact.radius
-
-    def hook(sigma, depth):
-        return sigma + s * side["pressure"] * (depth / thick) * np.exp(1.0 - depth / thick)
-
-    contact.pressure.append(hook)
 
 
 @_unlisted("pull of the cable at the end of a run over the mean load [-]", 0.3, (PULL,), side=drawn("load"))
@@ -121,17 +63,6 @@ def crosstalk(contact, s, side):
     """The torque sensor reads a share of the drawbar pull: T + s DP r."""
     arm = contact.radius[:, 0]
     contact.sensors.append(lambda out: replace(out, torque=out.torque + s * out.drawbar_pull * arm))
-
-
-@_unlisted("fall of S and tan phi at the middle of a band of rim speed [-]", 0.5,
-           side=lambda rng, ctx: {"rim": float(ctx.speed / rng.uniform(0.3, 0.9)),
-                                  "width": float(rng.uniform(0.3, 0.6))})  # fmt: skip
-def resonance(contact, s, side):
-    """The rig shakes in a band of rim speed and the soil yields: S and tan phi fall there, and nowhere else."""
-    rim = column(contact.rows.speed) / np.maximum(1.0 - contact.slip, 0.05)
-    band = 1.0 - s * np.exp(-0.5 * (np.log(rim / side["rim"]) / side["width"]) ** 2)
-    contact.stiffness = contact.stiffness * band
-    contact.tan_phi = contact.tan_phi * band
 
 
 # --- soil -------------------------------------------------------------------------------------------------------------
@@ -185,7 +116,7 @@ def rising_moisture(contact, s, side):
 @_new(
     "standard deviation of ln S from bed to bed [-]",
     0.5,
-    side=lambda rng, ctx: {"beds": rng.standard_normal(200).tolist()},
+    side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()},
 )
 def uneven_beds(contact, s, side):
     """Every bed that is prepared differs in density, and so in S, and less in phi (ISTVS 1977 on soil bins).
@@ -199,7 +130,7 @@ def uneven_beds(contact, s, side):
     contact.tan_phi = contact.tan_phi * np.exp(0.1 * s * bed)
 
 
-@_new("coefficient of friction times pressure of the wall over gamma z [-]", 40.0)
+@_new("coefficient of friction times pressure of the wall over gamma z [-]", 40.0, (PULL, TORQUE))
 def rut_sidewall(contact, s, side):
     """From the second pass the wheel's sides rub on the walls of the rut, force s gamma z times the sunk segment.
 
