@@ -38,9 +38,10 @@ from threadpoolctl import threadpool_limits
 
 import soil_env
 from benchmarks.discovery import score
-from benchmarks.discovery.cases import GROUPS, SETS, UNLISTED, draw_case, generator, task_of, tasks, write_case
+from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from benchmarks.discovery.forms import FORMS
+from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
 from soil_env.cli.running import PATH, WholeNumber, leave, run
@@ -193,7 +194,7 @@ def list_command() -> None:
     for name, groups in SETS.items():
         print(f"set {name}: {sum(g.count for g in groups)} cases")
         print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
-    for form in (*FORMS, *UNLISTED):
+    for form in (*FORMS, *UNLISTED, *INSTRUMENT):
         effect = "(in no catalogue)" if form in UNLISTED else form.effect
         print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 

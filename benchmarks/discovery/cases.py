@@ -24,14 +24,12 @@ from benchmarks.common import short
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS, VARIES, Form, Hidden, forms_of
 from benchmarks.discovery.laws import log_slip, regimes, smooth
 from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
-from benchmarks.discovery.unlisted import INSTRUMENT, NEW, PUBLISHED
+from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
-KINDS = ("one", "two", "unlisted", "none", "instrument")
 LEAST = 2.0  # detection limits from which a case counts for the targets
 SEEN, WEAK = (LEAST, 8.0), (0.5, LEAST)  # sizes that are sought, in detection limits
-UNLISTED = [*PUBLISHED, *NEW]
 PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
@@ -45,7 +43,7 @@ DEEPEST = 0.7  # sinkage over the radius, with effects
 class Group:
     """Cases of one sort."""
 
-    kind: str  # one of `KINDS`
+    kind: str  # one, two, none, unlisted or instrument
     design: str  # rich, poor, few: of `plan`
     error: float  # size of the law errors
     count: int
@@ -64,7 +62,8 @@ class Group:
         if self.kind == "none":
             return []
         if self.kind in ("unlisted", "instrument"):
-            kinds = INSTRUMENT if self.kind == "instrument" else _unlisted(held=self.sort == "held")
+            kinds = [f for f in UNLISTED if (f.name in HELD_BACK) == (self.sort == "held")]
+            kinds = INSTRUMENT if self.kind == "instrument" else kinds
             return [kinds[index % len(kinds)]]
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
@@ -73,11 +72,6 @@ class Group:
             names = (known[index % len(known)],)
         turn = index // len(MECHANISMS) if self.kind == "one" else index
         return [forms_of(n)[(turn + k) % len(forms_of(n))] for k, n in enumerate(names)]
-
-
-def _unlisted(held: bool) -> list[Form]:
-    """Return the kinds that are held back, or those of development."""
-    return [f for f in NEW if f.name in HELD_BACK] if held else [f for f in UNLISTED if f.name not in HELD_BACK]
 
 
 def _groups(kind: str, counts: dict[float, int], design: str = "rich", sort: str = "", **of_set) -> list[Group]:
@@ -202,7 +196,7 @@ def _strengths(rng, measure: Measure, forms, group: Group):
             return effects, None
         effects[k] = effects[k].at(strength)
     if group.kind == "unlisted":  # what counts is what the best listed effect would leave of it
-        rival = min(measure.left(measure.contribution(effects[0]), [], effects[0].form.freedom).values())
+        rival = min(measure.left(effects[0]).values())
         strength, size = measure.strength(effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3))
         if strength == 0.0:
             return effects, None
@@ -237,13 +231,11 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
 
 
 def _described(measure: Measure, effects, sizes) -> dict:
-    """Truth about the effects: sizes in detection limits, what listed forms leave of them, and if the case counts."""
+    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one; if the case counts."""
     out, counts = [], True
     for k, effect in enumerate(effects):
         others = [e for j, e in enumerate(effects) if j != k]
-        free = [measure.contribution(e) for e in others]
-        left = measure.left(measure.contribution(effect, others), free, effect.form.freedom)
-        rivals = {name: value for name, value in left.items() if name not in {e.form.effect for e in effects}}
+        rivals = {} if others else measure.left(effect)
         best = min(rivals, key=rivals.get) if rivals else None
         out.append({
             "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),

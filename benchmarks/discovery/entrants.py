@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS
 from benchmarks.discovery.laws import covariance
@@ -222,16 +223,15 @@ class Bank:
         table = self.predict(soil, chosen, values)
         return Fitted(tuple(chosen), float(found.x[:5] @ found.x[:5]), found.x.size - 5, table, soil)
 
-    def criterion(self, fitted: Fitted) -> float:
-        """-2 ln likelihood, priors of the soil with it, plus ln N for each parameter of an effect (BIC)."""
+    def judged(self, fitted: Fitted) -> tuple[float, float]:
+        """-2 ln likelihood, priors of the soil with it, plus ln N for each parameter of an effect; chi-square."""
         off = (fitted.predicted - self.measured)[self.there]
         if not np.all(np.isfinite(off)):
-            return math.inf
-        deviance = min(
-            float(np.sum(solve_triangular(f, off, lower=True) ** 2) + 2.0 * np.sum(np.log(np.diag(f))))
-            for f in self.factors
-        )
-        return deviance + fitted.penalty + fitted.free * math.log(off.size)
+            return math.inf, math.inf
+        squares = [float(np.sum(solve_triangular(f, off, lower=True) ** 2)) for f in self.factors]
+        found = [(s + 2.0 * float(np.sum(np.log(np.diag(f)))), s) for s, f in zip(squares, self.factors, strict=True)]
+        deviance, square = min(found)
+        return deviance + fitted.penalty + fitted.free * math.log(off.size), square + fitted.penalty
 
     @cached_property
     def candidates(self) -> list[Chosen]:
@@ -270,30 +270,33 @@ def bic(data: Path, setup: Path) -> Answer:
 
     P(set) in proportion to exp(-BIC/2) (Schwarz 1978; Raftery 1995, equal priors), the best form for each effect.
     """
-    return best_of(Bank(data, setup, (0.0,), 0.0))
+    return best_of(Bank(data, setup, (0.0,), 0.0), 0.0)
 
 
 def gls(data: Path, setup: Path) -> Answer:
-    """Bank of models under the covariance of law errors, by an expert who knows how the cases are made."""
-    return best_of(Bank(data, setup, SIZES, 0.1))
+    """Bank of models under the covariance of law errors, by an expert who knows how the cases are made.
+
+    The answer is `unlisted` where a chi-square test at 1 % rejects the best model at its most probable law errors.
+    """
+    return best_of(Bank(data, setup, SIZES, 0.1), 0.01)
 
 
-def best_of(bank: Bank) -> Answer:
+def best_of(bank: Bank, level: float) -> Answer:
     """Return the answer of BIC weights of the base model, every effect in its best form, and pairs with the best.
 
-    Names above one half; else the first name, with those of 5 % and more.
+    Names above one half; else the first name, with those of 5 % and more. `level`: of the test of the best model.
     """
     base = bank.fit()
     singles: dict[str, tuple[float, Fitted]] = {}
     for chosen in bank.candidates:
         fitted = bank.fit([chosen])
-        value = bank.criterion(fitted)
+        value, _ = bank.judged(fitted)
         if chosen.effect not in singles or value < singles[chosen.effect][0]:
             singles[chosen.effect] = value, fitted
     _, best = min(singles.values(), key=lambda pair: pair[0])
     pairs = [bank.fit([*best.chosen, *f.chosen]) for _, f in singles.values() if f is not best]
     fits = [base, *(f for _, f in singles.values()), *pairs]
-    values = np.array([bank.criterion(f) for f in fits])
+    values, squares = np.array([bank.judged(f) for f in fits]).T
     weight = np.exp(-0.5 * (values - values.min()))
     weight /= weight.sum()
     chance: dict[str, float] = {}
@@ -303,6 +306,8 @@ def best_of(bank: Bank) -> Answer:
     order = sorted(chance, key=lambda name: -chance[name])
     named = [name for name in order if chance[name] > 0.5]
     others = [name for name in order if ALTERNATIVE <= chance[name] <= 0.5]
+    if squares[values.argmin()] > chi2.isf(level, bank.there.sum()):
+        return Answer("unlisted", (), tuple(order[:3]))
     if named:
         return Answer("named", tuple(named), tuple(others), chance)
     if weight[0] > 0.5:

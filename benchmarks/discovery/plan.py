@@ -38,7 +38,7 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-#: Kinds of `unlisted.NEW` in the order of the CRC-32 of their names: every second one is held back from development.
+#: Kinds of `unlisted` in the order of the CRC-32 of their names: every second one is held back from development.
 DEVELOPMENT = (
     "uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion",
 )  # fmt: skip
@@ -96,10 +96,10 @@ class Bench:
         scale = next((e.strength for e in effects if e.form.scales_grade), self.grade)
         return replace(self.rows, grade_deg=self.rows.grade_deg * scale)
 
-    def contact(self, effects: Sequence[Hidden] = (), exact: bool = False) -> Contact:
-        """Wheel on soil with the effects in the order of their forms; `exact`: on the paper's law, without errors."""
+    def contact(self, effects: Sequence[Hidden] = ()) -> Contact:
+        """Wheel on soil with the effects in the order of their forms."""
         contact = Contact(self.conditions(effects), self.wheel, self.ground)
-        if not exact and self.error is not None:
+        if self.error is not None:
             self.error(contact)
         for effect in sorted(effects, key=lambda e: e.form.order):
             effect(contact)
@@ -113,11 +113,6 @@ class Bench:
     def base(self) -> np.ndarray:
         """Noise-free table [3, N] without effects, on the laws of this bench."""
         return self.truth()
-
-    @cached_property
-    def exact(self) -> np.ndarray:
-        """Noise-free table [3, N] without effects, on the paper's laws."""
-        return self.contact(exact=True).solve().stack()
 
 
 def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Callable = smooth) -> Bench:
@@ -141,7 +136,7 @@ def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Call
             {}, np.ones((3, len(rows)), bool), soil,
         )  # fmt: skip
         bench = replace(bench, error=StressError.draw(rng, size, bench.pressure, bench.load, of_slip))
-        sinkage = np.stack([bench.base[0], bench.exact[0]]) / wheel.radius
+        sinkage = np.stack([bench.base[0], replace(bench, error=None).base[0]]) / wheel.radius
         if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
             break
     wide = WIDE if design == "few" else 1.0
@@ -247,9 +242,8 @@ class Measure:
         total += tangent @ tangent.T
         size = bench.error.size if bench.error is not None else 0.0
         if size > 0.0:
-            contact = bench.contact(exact=True)
-            entry = np.arccos(1.0 - bench.exact[:1].T / contact.radius)
-            total += size**2 * covariance(contact, entry, bench.pressure, bench.load)
+            entry = np.arccos(1.0 - self.bench.base[:1].T / bench.radius)
+            total += size**2 * covariance(self.bench.contact(), entry, bench.pressure, bench.load)
         total = total[np.ix_(self.kept, self.kept)]
         if not np.all(np.isfinite(total)):
             raise ValueError("no balance of the base world")
@@ -290,18 +284,14 @@ class Measure:
             s = min(guess, cap) if low < min(guess, cap) < high or (guess >= cap == high) else 0.5 * (low + high)
         return sign * best[0], best[1]
 
-    def left(self, vector: np.ndarray, free: Sequence[np.ndarray], freedom: int) -> dict[str, float]:
-        """Size that the best listed form of each mechanism leaves of a contribution, the strengths fitted."""
-        out = {}
-        projected = without(vector, free)
-        for name, strength_cap, signed, change in self.listed:
-            beside = without(change, free)
-            amount = np.clip(
-                (beside @ vector) / max(beside @ change, 1e-12), -strength_cap if signed else 0.0, strength_cap
-            )
-            square = vector @ projected - 2.0 * amount * (beside @ vector) + amount**2 * (beside @ change)
-            value = float(np.sqrt(max(square, 0.0) / noncentrality(freedom)))
-            out[name] = min(out.get(name, np.inf), value)
+    def left(self, effect: Hidden) -> dict[str, float]:
+        """Size that the best form of each other mechanism leaves of an effect, the strengths fitted."""
+        vector, out = self.contribution(effect), {}
+        for name, cap, signed, change in self.listed:
+            amount = np.clip((change @ vector) / max(change @ change, 1e-12), -cap if signed else 0.0, cap)
+            size = float(np.linalg.norm(vector - amount * change) / np.sqrt(noncentrality(effect.form.freedom)))
+            if name != effect.form.effect:
+                out[name] = min(out.get(name, np.inf), size)
         return out
 
     @cached_property

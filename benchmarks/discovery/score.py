@@ -104,10 +104,11 @@ TARGETS = (
 )  # fmt: skip
 
 
-def targets(records: Iterable[Record]) -> dict[str, dict | None]:
-    """Share of each target."""
+def targets(records: Iterable[Record]) -> dict[str, dict]:
+    """Share of each target that has cases."""
     records = list(records)
-    return {t.key: share(t.value(r) for r in records if r.truth["kind"] == t.kind) for t in TARGETS}
+    found = {t.key: share(t.value(r) for r in records if r.truth["kind"] == t.kind) for t in TARGETS}
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def figures(records: list[Record]) -> dict:
@@ -125,16 +126,11 @@ def figures(records: list[Record]) -> dict:
         "contradicted": sum(contradicted(r.answer) for r in records),
         "targets": targets(r for r in main if r.truth["counts"]),
         "all": targets(main),
-        "groups": {g: _some(r for r in counting if r.truth["case"].rpartition("-")[0] == g) for g in groups},
-        "hidden": {name: _some(r for r in counting if r.there == [name]) for name in sorted(hidden)},
+        "groups": {g: targets(r for r in counting if r.truth["case"].rpartition("-")[0] == g) for g in groups},
+        "hidden": {name: targets(r for r in counting if r.there == [name]) for name in sorted(hidden)},
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records))},
         "seconds": {"median": float(np.median(seconds)), "most": max(seconds)} if seconds else None,
     }
-
-
-def _some(records: Iterable[Record]) -> dict[str, dict]:
-    """Shares that have cases."""
-    return {key: value for key, value in targets(records).items() if value is not None}
 
 
 # --- calibration ------------------------------------------------------------------------------------------------------
@@ -194,7 +190,7 @@ def table(entrants: Mapping[str, dict]) -> Table:
     shares = [f["targets"] for f in entrants.values()]
     rows = [
         (t.words, f"{'>=' if t.least else '<='} {100 * t.bound:g}",
-         *("-" if of[t.key] is None else f"{100 * of[t.key]['value']:.0f}" for of in shares)) for t in TARGETS
+         *(f"{100 * of[t.key]['value']:.0f}" if t.key in of else "-" for of in shares)) for t in TARGETS
     ]  # fmt: skip
     for of, words in (("first", "first name"), ("all", "every name")):
         for key, bound in CALIBRATED.items():

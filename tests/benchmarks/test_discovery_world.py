@@ -8,10 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from benchmarks.discovery.cases import UNLISTED
 from benchmarks.discovery.forms import CHANNELS, FORMS, Hidden
 from benchmarks.discovery.plan import PRIOR_SD, SOIL, Bench, draw_bench
-from benchmarks.discovery.unlisted import INSTRUMENT
+from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from benchmarks.discovery.world import Ground, Rows, Wheel, predict
 from tests.terramechanics import reference
 
