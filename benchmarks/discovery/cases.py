@@ -231,7 +231,7 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
 
 
 def _described(measure: Measure, effects, sizes) -> dict:
-    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one; if the case counts."""
+    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one, counts or not."""
     out, counts = [], True
     for k, effect in enumerate(effects):
         others = [e for j, e in enumerate(effects) if j != k]

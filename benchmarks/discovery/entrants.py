@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -105,6 +105,7 @@ UNKNOWN = {"friction_angle_deg": (30.0, 10.0), "cohesion": (1000.0, 3000.0), "sh
            "sinkage_coefficient": (5e5, 2e6), "sinkage_exponent": (0.9, 0.3)}  # fmt: skip
 BOUNDS = {"friction_angle_deg": (3.0, 70.0), "cohesion": (0.0, 1.9e5), "shear_modulus": (2e-4, 0.29),
           "sinkage_coefficient": (2.0, 9e12), "sinkage_exponent": (0.1, 2.9)}  # fmt: skip
+ERROR = Form("error", ("error",), "", "")  # of the instrument, relative
 LUGS = 0.1  # height over the radius where the setup says nothing of lugs
 
 
@@ -140,7 +141,8 @@ class Bank:
         self.there = np.isfinite(self.measured)
         given = [getattr(self.setup.noise, c) for c, there in zip(CHANNELS, self.there, strict=True) if there.any()]
         self.stated = all(s is not None for s in given)
-        load, r = float(np.median(self.table.load)), self.setup.wheel.radius
+        self.load = load = float(np.median(self.table.load))
+        r = self.setup.wheel.radius
         usual = (0.01 * r, 0.01 * load, 0.01 * load * r)
         self.noise = np.array([getattr(self.setup.noise, c) or u for c, u in zip(CHANNELS, usual, strict=True)])
         height = self.setup.wheel.grouser_height
@@ -184,27 +186,32 @@ class Bank:
         """(start, lower, upper, scale) of the free parameters of effects."""
         out = []
         for c in chosen:
-            for name in c.form.free:
+            if c.effect in INSTRUMENTS:
+                out.append((0.01, -0.3, 0.3, 0.05))
+            for name in c.form.free if c.effect in CATALOGUE else ():
                 p = CATALOGUE[c.effect].parameter(name)
                 scale = p.scale * (p.centre if p.centre is not None else 1.0) or self.unit[name]
                 middle = p.centre if p.centre is not None else p.neutral
                 out.append((float(np.clip(middle + 0.2 * scale, p.low, p.high)), p.low, p.high, scale))
         return np.array(out, float).reshape(-1, 4).T
 
-    def _model(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> WheelSoilModel:
-        effects, k = {}, 0
-        for c in chosen:
-            free = dict(zip(c.form.free, values[k : k + len(c.form.free)].tolist(), strict=True))
-            effects[c.effect] = self.of_table.get(c.effect, {}) | dict(c.form.fixed) | free
-            k += len(free)
-        density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
-        wheel = ModelWheel(self.setup.wheel.radius, self.setup.wheel.width, self.lugs)
-        return WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects)
-
     def predict(self, soil: dict, chosen: Sequence[Chosen], values: np.ndarray) -> np.ndarray:
-        """Table [3, N] of a soil with effects."""
-        p = self._model(soil, chosen, values).predict(self.table)
-        return np.stack([p.sinkage, p.drawbar_pull, p.torque])
+        """Table [3, N] of a soil with effects and errors of the instrument."""
+        at, effects, error = iter(values.tolist()), {}, dict.fromkeys(INSTRUMENTS, 0.0)
+        for c in chosen:
+            free = {name: next(at) for name in c.form.free}
+            if c.effect in INSTRUMENTS:
+                error[c.effect] = free["error"]
+            else:
+                effects[c.effect] = self.of_table.get(c.effect, {}) | dict(c.form.fixed) | free
+        density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
+        radius, stretch = self.setup.wheel.radius, 1.0 + error["wheel_radius"]
+        wheel = ModelWheel(radius * stretch, self.setup.wheel.width, self.lugs)
+        rows = replace(self.table, slip=1.0 - (1.0 - self.table.slip) / stretch)
+        p = WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects).predict(rows)
+        pull = p.drawbar_pull * (1.0 + error["force_gain"]) + self.load * error["force_offset"]
+        torque = p.torque * (1.0 + error["torque_gain"]) + self.load * radius * error["torque_offset"]
+        return np.stack([p.sinkage, pull - rows.load * error["tilt"], torque])
 
     def fit(self, chosen: Sequence[Chosen] = ()) -> Fitted:
         """Soil and free parameters of the effects by least squares, priors of the soil as measurements."""
@@ -243,7 +250,8 @@ class Bank:
             varies = column is None or np.unique(column[np.isfinite(column)]).size > 1
             if varies and any(self.there[CHANNELS.index(c)].any() for c in effect.moves):
                 out += [Chosen(effect.name, form) for form in effect.forms]
-        return out
+        unread = ["force", "tilt"] * (not self.there[1].any()) + ["torque"] * (not self.there[2].any())
+        return out + [Chosen(name, ERROR) for name in INSTRUMENTS if not name.startswith(tuple(unread))]
 
     def _law_errors(self, base: Fitted) -> np.ndarray:
         """Covariance of the values in use by law errors of size 1, on the soil of the base fit."""
