@@ -29,7 +29,7 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
 LEAST = 2.0  # detection limits from which a case counts for the targets
-SEEN, WEAK = (LEAST, 8.0), (0.5, LEAST)  # sizes that are sought, in detection limits
+LARGEST = 8.0  # size that is sought, in detection limits
 PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
@@ -47,7 +47,7 @@ class Group:
     design: str  # rich, poor, few: of `plan`
     error: float  # size of the law errors
     count: int
-    sort: str = ""  # outliers, weak; held: unlisted kinds that are held back
+    sort: str = ""  # outliers; held: unlisted kinds that are held back
     of_slip: Callable = smooth  # kind of the law errors
 
     @property
@@ -86,7 +86,6 @@ SETS: dict[str, list[Group]] = {
         *_groups("unlisted", {0.0: 36, 0.1: 63, 0.2: 18}),
         *_groups("unlisted", {0.1: 60}, sort="held"),
         *_groups("instrument", {0.0: 30, 0.1: 60}),
-        *_groups("one", {0.1: 39}, sort="weak"),
         *_groups("one", {0.1: 26}, sort="outliers"),
         *_groups("none", {0.1: 10}, sort="outliers"),
         *_groups("one", {0.0: 18, 0.1: 36}, "poor"),
@@ -170,7 +169,7 @@ def draw_case(seed: int, task: Task) -> Case:
             continue
         if best is None or min(sizes, default=np.inf) > min(best[2], default=np.inf):
             best = measure, effects, sizes
-        if min(sizes, default=np.inf) >= 0.97 * (WEAK if group.sort == "weak" else SEEN)[0]:
+        if min(sizes, default=np.inf) >= 0.97 * LEAST:
             break
     if best is None:
         raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
@@ -186,8 +185,7 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         effects = [effects[0].at(effects[0].strength * float(rng.uniform(floor, cap)))]
         size = measure.size(effects[0])
         return tuple(effects), ((size,) if np.all(np.isfinite([size, *bench.truth(effects).ravel()])) else None)
-    low, high = WEAK if group.sort == "weak" else SEEN
-    wanted = [low * (high / low) ** rng.uniform() for _ in effects]
+    wanted = [LEAST * (LARGEST / LEAST) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
     for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]

@@ -101,12 +101,10 @@ def workflow(data: Path, setup: Path) -> Answer:
 # --- fits of named effects --------------------------------------------------------------------------------------------
 
 LOGARITHMIC = ("cohesion", "shear_modulus", "sinkage_coefficient")
-UNKNOWN = {"friction_angle_deg": (30.0, 10.0), "cohesion": (1000.0, 3000.0), "shear_modulus": (0.02, 0.02),
-           "sinkage_coefficient": (5e5, 2e6), "sinkage_exponent": (0.9, 0.3)}  # fmt: skip
 BOUNDS = {"friction_angle_deg": (3.0, 70.0), "cohesion": (0.0, 1.9e5), "shear_modulus": (2e-4, 0.29),
           "sinkage_coefficient": (2.0, 9e12), "sinkage_exponent": (0.1, 2.9)}  # fmt: skip
 ERROR = Form("error", ("error",), "", "")  # of the instrument, relative
-LUGS = 0.1  # height over the radius where the setup says nothing of lugs
+LUGS = 0.1  # height over the radius
 
 
 class Chosen(NamedTuple):
@@ -145,8 +143,9 @@ class Bank:
         r = self.setup.wheel.radius
         usual = (0.01 * r, 0.01 * load, 0.01 * load * r)
         self.noise = np.array([getattr(self.setup.noise, c) or u for c, u in zip(CHANNELS, usual, strict=True)])
-        height = self.setup.wheel.grouser_height
-        self.lugs = LUGS * r if height is None else height
+        soil = self.setup.soil
+        given = [soil.lumped(self.setup.wheel.width) if n == "sinkage_coefficient" else getattr(soil, n) for n in SOIL]
+        self.prior = {name: (prior.value, prior.sd) for name, prior in zip(SOIL, given, strict=True)}
         self.speed = float(np.exp(np.nanmean(np.log(np.maximum(self.table.speed, 1e-4)))))
         self.unit = {"constant": 0.05 * load * r, "viscous": 0.05 * load * r * r / self.speed, "offset": 0.02 * r,
                      "onset": 0.01}  # fmt: skip
@@ -171,17 +170,6 @@ class Bank:
             out[name] = float(np.clip(at, *BOUNDS[name]))
         return out
 
-    @cached_property
-    def prior(self) -> dict[str, tuple[float, float]]:
-        """(value, sd) of each soil parameter; broad where the setup says nothing."""
-        out = {}
-        for name in SOIL:
-            lumped = name == "sinkage_coefficient"
-            given = self.setup.soil.lumped(self.setup.wheel.width) if lumped else getattr(self.setup.soil, name)
-            value, sd = UNKNOWN[name] if given is None else (given.value, max(given.sd, 1e-6 * abs(given.value)))
-            out[name] = value, sd
-        return out
-
     def _start(self, chosen: Sequence[Chosen]):
         """(start, lower, upper, scale) of the free parameters of effects."""
         out = []
@@ -204,11 +192,12 @@ class Bank:
                 error[c.effect] = free["error"]
             else:
                 effects[c.effect] = self.of_table.get(c.effect, {}) | dict(c.form.fixed) | free
-        density = self.setup.soil.density.value if self.setup.soil.density is not None else 1500.0
         radius, stretch = self.setup.wheel.radius, 1.0 + error["wheel_radius"]
-        wheel = ModelWheel(radius * stretch, self.setup.wheel.width, self.lugs)
+        wheel = ModelWheel(radius * stretch, self.setup.wheel.width, LUGS * radius)
         rows = replace(self.table, slip=1.0 - (1.0 - self.table.slip) / stretch)
-        p = WheelSoilModel(wheel, Soil(**soil, density=density, dig_gain=0.0), effects).predict(rows)
+        p = WheelSoilModel(wheel, Soil(**soil, density=self.setup.soil.density.value, dig_gain=0.0), effects).predict(
+            rows
+        )
         pull = p.drawbar_pull * (1.0 + error["force_gain"]) + self.load * error["force_offset"]
         torque = p.torque * (1.0 + error["torque_gain"]) + self.load * radius * error["torque_offset"]
         return np.stack([p.sinkage, pull - rows.load * error["tilt"], torque])

@@ -83,9 +83,8 @@ def drawn(*known: str, **ranges: tuple[float, float]) -> Side:
     """Side parameters: attributes of the `plan.Bench` by name, and uniform draws from ranges."""
 
     def side(rng, bench):
-        return {name: getattr(bench, name) for name in known} | {
-            name: float(rng.uniform(*span)) for name, span in ranges.items()
-        }
+        found = {name: float(rng.uniform(*span)) for name, span in ranges.items()}
+        return found | {name: getattr(bench, name) for name in known}
 
     return side
 
@@ -307,10 +306,7 @@ def _local_sliding(contact, arc):
     return np.maximum(rim * (1.0 - (1.0 - contact.slip) * np.cos(arc.theta)), 0.0)
 
 
-_SHEARED = (PULL, TORQUE, SINKAGE)
-
-
-@_form("shear_rate", "gain of the shear stress [-]", 0.35, _SHEARED, order=3, side=reference_speed, freedom=2)
+@_form("shear_rate", "gain of the shear stress [-]", 0.35, order=3, side=reference_speed, freedom=2)
 def strength_rate_process(contact, s, side):
     """Strength times 1 + a asinh(v/v0), v the local sliding velocity: a rate process, Mitchell (1964)."""
     contact.tangential.append(
@@ -318,7 +314,7 @@ def strength_rate_process(contact, s, side):
     )
 
 
-@_form("shear_rate", "viscous over mean contact pressure at the highest speed [-]", 0.3, _SHEARED, order=3,
+@_form("shear_rate", "viscous over mean contact pressure at the highest speed [-]", 0.3, order=3,
        side=lambda rng, bench: {"speed": float(bench.rows.speed.max()), "pressure": bench.pressure})  # fmt: skip
 def bingham(contact, s, side):
     """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law, Ghezzehei & Or (2001)."""

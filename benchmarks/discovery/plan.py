@@ -39,12 +39,8 @@ SOILS = {
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
 #: Kinds of `unlisted` in the order of the CRC-32 of their names: every second one is held back from development.
-DEVELOPMENT = (
-    "uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion",
-)  # fmt: skip
-HELD_BACK = (
-    "toed_wheel", "warming_seal", "carried_soil", "slack_load_cell", "soft_layer", "wheel_out_of_round",
-)  # fmt: skip
+DEVELOPMENT = ("uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion")
+HELD_BACK = ("toed_wheel", "warming_seal", "carried_soil", "slack_load_cell", "soft_layer", "wheel_out_of_round")
 WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
 SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
 LEVEL, POWER = 0.01, 0.95
@@ -266,14 +262,12 @@ class Measure:
             return np.inf
         return float(np.sqrt(max(without(vector, free) @ vector, 0.0) / noncentrality(effect.form.freedom)))
 
-    def strength(
-        self, effect: Hidden, wanted: float, others: Sequence[Hidden] = (), rounds: int = 8
-    ) -> tuple[float, float]:
+    def strength(self, effect: Hidden, wanted: float, others: Sequence[Hidden] = ()) -> tuple[float, float]:
         """(strength of a wanted size, or the largest sensible one where that is less; its size)."""
         sign, cap = np.sign(effect.strength) or 1.0, effect.form.cap(self.bench)
         s, best = 0.15 * cap, (0.0, 0.0)
         low, high = 0.0, cap
-        for _ in range(rounds):
+        for _ in range(8):
             size = self.size(effect.at(sign * s), others)
             if np.isfinite(size):
                 best = (s, size)

@@ -25,7 +25,7 @@ def _sensed(contact, **change):
     contact.sensors.append(lambda out: replace(out, **{name: f(out) for name, f in change.items()}))
 
 
-# --- soil -------------------------------------------------------------------------------------------------------------
+# --- in no catalogue: soil, wheel and rig -----------------------------------------------------------------------------
 
 
 @_unlisted("tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5)))
@@ -102,9 +102,6 @@ def rut_sidewall(contact, s, side):
         return 0.0 * force, force, force * contact.radius
 
     contact.forces.append(hook)
-
-
-# --- wheel and rig ----------------------------------------------------------------------------------------------------
 
 
 @_unlisted("thickness of the carried soil over the radius [-]", 0.3, side=drawn(slip=(0.1, 0.3)))
@@ -190,8 +187,7 @@ def saturating_torque(contact, s, side):
 @_instrument("tilt, nose up [deg]", 3.0, (PULL,), floor=0.5)
 def tilt(contact, s, side):
     """A rig that is not level: the weight component along the rail is read as pull, W tan(tilt)."""
-    take = contact.rows.load * np.tan(np.radians(s))
-    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - take)
+    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - contact.rows.load * np.tan(np.radians(s)))
 
 
 @_instrument("zero of the pull over the mean load [-]", 0.08, (PULL,), floor=0.02, side=drawn("load"))
