@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, nuisances, reading, true_rows
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.identification.table.form_error import (
     INPUTS,
@@ -36,7 +37,7 @@ from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_d
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
@@ -56,12 +57,12 @@ class Choice(NamedTuple):
     @property
     def free(self) -> tuple[str, ...]:
         """Parameters of the form, `<effect>_<parameter>`."""
-        return tuple(f"{self.effect}_{p}" for p in CATALOGUE[self.effect].forms[self.form].free)
+        return tuple(f"{self.effect}_{p}" for p in LISTED[self.effect].forms[self.form].free)
 
     @property
     def fixed(self) -> dict[str, float]:
         """Parameters that the form sets."""
-        return {f"{self.effect}_{p}": v for p, v in CATALOGUE[self.effect].forms[self.form].fixed}
+        return {f"{self.effect}_{p}": v for p, v in LISTED[self.effect].forms[self.form].fixed}
 
 
 class Sizes(NamedTuple):
@@ -72,8 +73,9 @@ class Sizes(NamedTuple):
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
     span: int = 0  # of `form_error.LAW_LENGTHS`, that of the base law's error
     scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
-    pattern: str = ""  # an anonymous contribution of one condition in one place (`evidence.patterns`)
-    part: float = 0.0  # its size, relative to what it changes
+    #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their relative sizes.
+    patterns: tuple[tuple[str, float], ...] = ()
+    rig: float = 0.0  # of the nuisances of the instrument, over their standard deviations
 
     @property
     def laws(self) -> tuple[float, ...]:
@@ -98,6 +100,7 @@ class Fit:
     law: tuple[np.ndarray, ...]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
     effect: np.ndarray  # [M, R] of the effects
     free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
+    rig: np.ndarray  # [M, R] of the nuisances of the instrument
     converged: bool
     sizes: Sizes = EXACT  # that the unknowns are most probable under
 
@@ -113,7 +116,11 @@ class Fit:
 
     def columns(self, sizes: Sizes) -> np.ndarray:
         """[M, R] whitened form errors at their sizes."""
-        blocks = zip((*self.law, self.effect, *self.free), (*sizes.laws, sizes.effect, *sizes.free), strict=True)
+        blocks = zip(
+            (*self.law, self.effect, *self.free, self.rig),
+            (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),
+            strict=True,
+        )
         return np.concatenate([size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1)
 
     def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -149,8 +156,8 @@ class Problem:
         self.digging: tuple[float, float] = known_digging(setup)
         self.bench: Bench = self._bench()
         #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig sets them.
-        self.scales = {f"{e.name}_{k}": v for e in CATALOGUE.values() for k, v in e.priors(self.bench).items()}
-        self.centres = {f"{e.name}_{k}": v for e in CATALOGUE.values() for k, v in e.neutral(self.bench).items()}
+        self.scales = {f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()}
+        self.centres = {f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()}
         self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
         self._processes()
 
@@ -158,7 +165,7 @@ class Problem:
         """Form errors over the conditions of the table, and the size of each channel."""
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS]
-        own = {e.conditions for e in CATALOGUE.values()}
+        own = {e.conditions for e in LISTED.values()}
         self.effect_processes: dict[tuple[str, ...], Process] = {
             more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
         }
@@ -198,7 +205,7 @@ class Problem:
         out = list(self.soil)
         for choice in choices:
             for full in choice.free:
-                p = CATALOGUE[choice.effect].parameter(full[len(choice.effect) + 1 :])
+                p = LISTED[choice.effect].parameter(full[len(choice.effect) + 1 :])
                 low, high = p.low, p.high
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
@@ -218,7 +225,7 @@ class Problem:
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         fx = self.neutral
-        for choice in choices:
+        for choice in (c for c in choices if c.effect not in INSTRUMENT):
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
@@ -231,7 +238,11 @@ class Problem:
         fx = self.effects(choices, values)
         fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
         soil, weight = self.known | values, self.density * GRAVITY
-        out = predict_table(self.data.setup, rows or self.data.rows, soil, weight, fx, guess)
+        wrong = {name: values[name] for c in choices if c.effect in INSTRUMENT for name in c.free}
+        if "tilt_angle_deg" in wrong:
+            soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
+        rows = true_rows(rows or self.data.rows, wrong)
+        out = reading(predict_table(self.data.setup, rows, soil, weight, fx, guess), wrong)
         return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
@@ -251,7 +262,7 @@ class Problem:
     def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
         """A fit to the values `used` [N, 3], with its whitened rows for those that this problem uses."""
         keep = self.used[used]
-        rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect")}
+        rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect", "rig")}
         more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
         return dataclasses.replace(fit, **rows, **more)
 
@@ -313,8 +324,12 @@ class Problem:
         added = self.added(values, choices, output, guess)
         law, effect = self.form_errors(choices, self.stresses(values, choices, output, guess), added)
         free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
+        rig = nuisances(
+            self.data.setup, self.bench, self.data.rows.load, _finite(output), tuple(c.effect for c in choices)
+        )
         return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
-                   tuple(map(self.block, law)), self.block(effect), tuple(free), converged, sizes)  # fmt: skip
+                   tuple(map(self.block, law)), self.block(effect), tuple(free), self.block(rig), converged,
+                   sizes)  # fmt: skip
 
     def added(
         self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
@@ -346,7 +361,7 @@ class Problem:
         blocks = [np.zeros((*stresses[0].shape, 0))]
         for choice, factor in zip(choices, added, strict=True):
             own = functions(self.effect_process(choice))
-            moved = [name in CATALOGUE[choice.effect].moves for name in CHANNELS]
+            moved = [name in LISTED[choice.effect].moves for name in CHANNELS]
             blocks += [_in_channel(own, factor * unit) for unit in np.eye(3)[moved]]
         return (
             [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law],
@@ -355,7 +370,7 @@ class Problem:
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
-        return self.effect_processes[CATALOGUE[choice.effect].conditions]
+        return self.effect_processes[LISTED[choice.effect].conditions]
 
     def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""
@@ -363,7 +378,7 @@ class Problem:
 
     def whiten_all(self, errors: np.ndarray) -> np.ndarray:
         """[3 N, R] of form errors [N, 3, R], whitened, of every value."""
-        return (errors / self.noise[..., None]).reshape(-1, errors.shape[2])
+        return (errors / self.noise[..., None]).reshape(3 * len(errors), errors.shape[2])
 
 
 def _values(unknowns: Sequence[Unknown], u: np.ndarray) -> dict[str, float]:

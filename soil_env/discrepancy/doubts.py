@@ -20,11 +20,11 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import GRAVITY, Problem, calibrate
 from soil_env.discrepancy.data import Data, prepare
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.noise import NoiseEstimate
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.doubts import contact_area, load_doubt
 from soil_env.measurement.table import in_radians
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
@@ -116,8 +116,9 @@ def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
 
     def add(name, words, remedy, **changes):
         noise = problem.noise * changes.pop("scale", np.ones(3))
+        used = changes.pop("used", problem.used)
         there = dataclasses.replace(data, **changes)
-        out.append(Reinterpretation(name, words, remedy, Problem(there, noise, problem.used, problem.freedom)))
+        out.append(Reinterpretation(name, words, remedy, Problem(there, noise, used, problem.freedom)))
 
     if problem.used[:, 1].any():
         add("pull", "With the sign of drawbar_pull turned",
@@ -127,6 +128,13 @@ def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
     if problem.used[:, 2].any():
         add("torque_kg", f"With torque as kilogram metres (times {GRAVITY})", "expected torque in newton metres",
             y=data.y * [1.0, 1.0, GRAVITY], scale=np.array([1.0, 1.0, GRAVITY]))  # fmt: skip
+    if problem.used[:, 1:].any(axis=0).all():
+        swapped = [0, 2, 1]
+        of_table = math.isfinite(problem.freedom)  # else the setup gives it by the name of the channel
+        scale = problem.noise[swapped] / problem.noise if of_table else np.ones(3)
+        add("columns", "With the columns of drawbar_pull and torque exchanged",
+            "expected drawbar_pull in newtons and torque in newton metres, each in its own column",
+            y=data.y[:, swapped], scale=scale, used=problem.used[:, swapped])  # fmt: skip
     add("load", f"With load as kilograms (times {GRAVITY})", "expected load in newtons",
         rows=rows._replace(load=rows.load * GRAVITY))  # fmt: skip
     if problem.used[:, 1:].any():  # sinkage alone may rise or fall with slip
@@ -214,7 +222,7 @@ def of_lone_rows(
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
     rows = ", line ".join(f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
-    named = " and ".join(CATALOGUE[name].title for name in found.names) or "nothing"
+    named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
     one = alone.size == 1
     return (
         f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "

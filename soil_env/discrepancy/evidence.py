@@ -15,7 +15,7 @@ its form error. *Scatter*: every value by itself, as where each row has a soil o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.identification.table.form_error import (
     INPUTS,
     LAW_LENGTHS,
@@ -38,11 +39,11 @@ from soil_env.identification.table.form_error import (
 )
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
-from soil_env.terramechanics.effects import CATALOGUE
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
 EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
 _LITTLE = 0.05  # [prior sd] strength at which an effect's first order is taken
@@ -83,15 +84,16 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
     """(sizes of the form errors of the base law and of effects, log prior of each)."""
     effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
-    span = range(len(LAW_LENGTHS))
-    points = [(Sizes(a, e, span=k), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in product(law, effect, span)]
+    every = product(law, effect, range(len(LAW_LENGTHS)))
+    points = [(Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every]
     return [s for s, _ in points], np.log([p for _, p in points])
 
 
 def plain_grid(fit: Fit) -> Grid:
     """`grid` of a fit."""
     sizes, log_prior = grid(bool(fit.choices))
-    return Grid(sizes, log_prior, (fit.effect, *fit.law), np.array([(s.effect, *s.laws) for s in sizes]), 1)
+    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
 
 
 def noise_scales(freedom: float) -> np.ndarray:
@@ -151,7 +153,7 @@ def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None 
 
     `near`, a model of the same table, is where the first fit takes its form errors from.
     """
-    first = Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span)
+    first = Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span, rig=1.0)
     if start is None and near is not None:
         start = near.fit.parameters()
     best = weigh(problem, problem.fit(choices, start, first, None if near is None else near.fit))
@@ -185,7 +187,7 @@ class _Further:
                 self.unknowns.append(moved)
                 self.owner.append(k)
         self.columns = finite(columns, base.size)
-        blocks = (first.fit.jacobian, *first.fit.law, first.fit.effect)
+        blocks = (first.fit.jacobian, *first.fit.law, first.fit.effect, first.fit.rig)
         self.known, self.width = np.concatenate(blocks, axis=1), [b.shape[1] for b in blocks]
         self.effect = first.sizes.effect
         self.gram, self.cross = self.known.T @ self.known, self.known.T @ self.columns
@@ -195,7 +197,7 @@ class _Further:
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error, and scatter."""
         fit, noise = self.fit, sizes.scatter
-        d = np.repeat([1.0, *sizes.laws, self.effect], self.width) / noise
+        d = np.repeat([1.0, *sizes.laws, self.effect, 1.0], self.width) / noise
         seen = d > 0.0
         start, d = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen], d[seen]
         factor = cholesky(d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True)
@@ -253,7 +255,7 @@ def detectable(problem: Problem, base: Evidence, choices: list[Choice], threshol
     power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
     k = int(np.argmax(power + 1e-9 / x))
     moved, choice = further.unknowns[k], choices[further.owner[k]]
-    form = CATALOGUE[choice.effect].forms[choice.form].name
+    form = LISTED[choice.effect].forms[choice.form].name
     return Detectable(float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k]))
 
 
@@ -279,6 +281,14 @@ _STRESSES = (
     "spread of the normal stress",
     "place of the shear stress",
 )
+Pattern = tuple[str, float]  # where and with what, and its size
+#: What a listed effect is about, in whatever form, and so no anonymous contribution: a stress that goes with the pass,
+#: its size with the speed, the pull with the grade.
+_OWNED = {
+    **dict.fromkeys(_STRESSES, ("pass",)),
+    **dict.fromkeys(_STRESSES[:2], ("pass", "speed")),
+    "drawbar_pull": ("grade_deg",),
+}
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 
@@ -297,13 +307,18 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
             continue
         places = channels if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True)) | channels
         for place, change in places.items():
+            if names[-1] in _OWNED.get(place, ()):
+                continue
             errors = change[:, :, None] * process.at_points[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
     return out
 
 
-def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit) -> Grid:
-    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that `plain` has likely."""
+def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None) -> Grid:
+    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that `plain` has likely.
+
+    With `beside`, a pattern of a first round, those of a second: with that pattern, another or a smooth contribution.
+    """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
     likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
     usual = plain_grid(fit)
@@ -312,26 +327,54 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit) -> Grid:
     options = [(0.0, *FREE_SIZES) if used.any() else (0.0,) for used in problem.used.T]
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
+    first = () if beside is None else (beside,)
     kinds: list[list[tuple[dict[str, Any], float]]] = [  # (sizes, log of their probability up to a constant)
-        [({"free": f}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f)) for f in free],
-        [({"pattern": n, "part": x}, 0.0) for n in by for x in PATTERN_SIZES],
-        [({"scatter": x}, 0.0) for x in SCATTERS],
+        [({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f)) for f in free],
+        [({"patterns": (*first, (n, x))}, 0.0) for n in by for x in PATTERN_SIZES],
+        [({"scatter": x}, 0.0) for x in SCATTERS if beside is None],
     ]
-    costs = [np.array([cost for _, cost in points]) for points in kinds if points]
+    kinds = [points for points in kinds if points]
+    costs = [np.array([cost for _, cost in points]) for points in kinds]
     cost = np.concatenate([c - logsumexp(c) - math.log(len(costs)) for c in costs])
     sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
     log_prior = ((before - logsumexp(before))[:, None] + cost).ravel()
-    table = np.array([(s.effect, *s.laws, *s.free, *(s.part * (s.pattern == n) for n in by)) for s in sizes])
-    return Grid(sizes, log_prior, (fit.effect, *fit.law, *fit.free, *by.values()), table, 1 + len(fit.law))
+    leading = [by[name] for name, _ in first]
+    table = np.array([(s.rig, s.effect, *s.laws, *(x for _, x in first), *s.free,
+                       *(sum(x for name, x in s.patterns[len(first):] if name == n) for n in by))
+                      for s in sizes])  # fmt: skip
+    errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
+    return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
+
+
+def resembling(problem: Problem, plain: Evidence) -> Evidence:
+    """Evidence of an anonymous law of the same freedom as a fitted effect: what it adds, in another form.
+
+    It moves the same channels under the same conditions by as much, with an error of its form that is as large as it
+    is: a shape that no published form has.
+    """
+    usual = plain_grid(plain.fit)
+    rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
+    sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
+    table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
+    prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
+    return weigh(problem, plain.fit, usual._replace(sizes=sizes, log_prior=prior - logsumexp(prior), table=table))
 
 
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
 
-    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit with scatter.
+    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit with scatter. What
+    no single pattern is, two may be: beside the most probable one a second is tried, as probable before as none.
     """
     free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
-    if free.sizes.scatter == 1.0:
+    if free.sizes.scatter > 1.0:
+        again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
+        return max(free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log)
+    single = [s for s in free.share if s.patterns]
+    if not single:
         return free
-    again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
-    return max(free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log)
+    best = max(single, key=lambda s: free.share[s]).patterns[0]
+    more = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit, best))
+    log = float(np.logaddexp(free.log, more.log)) - math.log(2.0)
+    likelier = max(free, more, key=lambda e: e.log)
+    return replace(likelier, log=log)

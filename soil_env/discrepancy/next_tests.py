@@ -13,7 +13,6 @@ explain. Runs in which one of its conditions goes beyond the table show if the l
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -26,10 +25,11 @@ import numpy as np
 from soil_env.discrepancy.calibrate import Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL
 from soil_env.discrepancy.evidence import Evidence
+from soil_env.discrepancy.instrument import LISTED
+from soil_env.discrepancy.predictive import predicted, problem_at
 from soil_env.discrepancy.search import Finding
 from soil_env.discrepancy.symbolic import ResidualFit
-from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.model import Prediction, WheelSoilModel, rows_of
+from soil_env.terramechanics.model import Prediction, WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 
 MOST = 4  # tests proposed
@@ -81,7 +81,7 @@ def separating(problem: Problem, candidates: Sequence[Evidence]) -> tuple[NextTe
         return ()
     grid = conditions(problem, candidates)
     names = [" and ".join(c.names) or "base model" for c in candidates]
-    there = _problem_at(problem, grid)
+    there = problem_at(problem, grid.value)
     means, variances, feasible = zip(*(predicted(there, c) for c in candidates), strict=True)
     pairs = list(combinations(range(len(candidates)), 2))
     sigma = np.stack([np.abs(means[a] - means[b]) / np.sqrt(1.0 + variances[a] + variances[b]) for a, b in pairs])
@@ -117,7 +117,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     column, varied = problem.data.conditions, problem.data.varied
     speed, passes, grade = column["speed"], column["pass"], column["grade_deg"]
     choices = [choice for c in candidates for choice in c.fit.choices]
-    known = {CATALOGUE[c.effect].varies for c in choices}
+    known = {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         known.add("speed")
     timed = bool(np.all(speed > 0.0))
@@ -155,47 +155,6 @@ def _around(x: np.ndarray, below: float, above: float) -> list[float]:
 
 def _round(x: float) -> float:
     return float(f"{x:.2g}")
-
-
-def _problem_at(problem: Problem, grid: Grid) -> Problem:
-    """The problem with the grid for rows, every channel in use."""
-    there = copy.copy(problem)
-    there.data = dataclasses.replace(
-        problem.data, rows=rows_of(grid.value, problem.data.wheel), relative_sd=np.ones((1, 3))
-    )
-    there.used, there.offset = np.ones((grid.value["slip"].size, 3), dtype=bool), None
-    return there
-
-
-def predicted(there: Problem, candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], variance [G, 3] in noise variances, feasible [G]) of a candidate at the rows of `there`.
-
-    With the form errors as far as the table determines them; beyond its reach they count with their prior variance.
-    """
-    fit, guess, values = candidate.fit, np.zeros(there.data.rows.slip.size), candidate.fit.parameters()
-    sizes, at = candidate.sizes, there.data.conditions | {"elapsed": np.ones(guess.size)}  # when the campaign has ended
-    out = there.predict(values, fit.choices, guess)
-    feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
-    stresses = there.stresses(values, fit.choices, out, guess)
-    added = there.added(values, fit.choices, out, guess)
-    law, effect = there.form_errors(fit.choices, stresses, added, at)
-    a, e = fit.linearised(sizes)
-    inside = fit.free_unknowns
-    columns = [
-        there.derivatives(fit.unknowns, fit.u, fit.choices, guess)[:, inside],
-        sizes.law * there.whiten_all(law[sizes.span]),
-    ]
-    if sizes.effect > 0.0:
-        columns.append(sizes.effect * there.whiten_all(effect))
-    top = np.concatenate(columns, axis=1)
-    covariance = np.linalg.inv(a.T @ a)
-    mean = out / there.noise + (top @ (covariance @ (a.T @ e))).reshape(-1, 3)
-    variance = np.sum((top @ covariance) * top, axis=1).reshape(-1, 3)
-    left = there.law_processes[sizes.span].left(at)[:, None]
-    variance += sizes.law**2 * left * sum((s / there.noise) ** 2 for s in stresses)
-    for choice, x in zip(fit.choices, added, strict=True):
-        variance += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
-    return mean, variance, feasible
 
 
 # --- a law without a name ---------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ class EffectFound:
     name: str
     form: str
     parameters: dict[str, Interval]  # low = high = value where the form or the table sets it
+    fitted: dict[str, float]  # that predict best without errors of the laws, as model.yaml has them
     probability: float
     share: float | None  # of the gap above the noise that it closes; None where there is none
     alternatives: tuple[str, ...]  # that these data cannot separate from it
@@ -94,7 +95,7 @@ class Report:
     @property
     def corrected(self) -> bool:
         """True if anything was added to the base model."""
-        return bool(self.model.effects or self.model.residual)
+        return bool(self.fit.choices or self.model.residual)
 
     def known(self, name: str) -> bool:
         """True if the setup gives a soil parameter as known."""

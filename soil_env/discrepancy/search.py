@@ -17,16 +17,22 @@ import numpy as np
 from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Choice, Problem
-from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, settle
+from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, resembling, settle
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, exact
 from soil_env.terramechanics.effects import CATALOGUE
 
 #: Prior odds that a listed effect is missing, each independent of the others: of 13 effects none is missing with 37 %,
 #: one with 38 %, two with 18 %, and something unlisted with 5 %. A table is examined because something is suspected,
 #: but many suspicions are noise, an ordinary form error or a wrong soil.
 ODDS = 0.08
+#: The same of each error of the instrument beyond its calibration: of six, one with 19 %.
+RIG_ODDS = 0.04
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter, nineteen of
 #: twenty mechanisms.
 UNLISTED_ODDS = ODDS * len(CATALOGUE) / 19.0
+#: Odds that what moves the channels of listed effects under their conditions is none of them, but resembles them
+#: (`evidence.resembling`).
+ALIKE = 0.25
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
 #: Chosen on cases of the development seed 100901 of `benchmarks.discovery`; no command compares temperatures.
@@ -47,6 +53,7 @@ class Hypothesis:
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
+    like: tuple[str, ...] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
 
 
 class Rank(NamedTuple):
@@ -95,17 +102,20 @@ class Finding:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that are stated: the most that are missing together with a probability of `NAMED`.
-
-        Where no single one has it, but some effect is missing all the same, those of the most probable set.
-        """
+        """Effects that are stated: the most that are missing together with a probability of `NAMED`."""
         named: tuple[str, ...] = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
             if self.share(*named, name) >= NAMED:
                 named = (*named, name)
-        if named or self.none + self.unlisted >= NAMED:
-            return named
-        return next(h.names for h in self.hypotheses if h.names)
+        return named
+
+    @property
+    def candidates(self) -> tuple[str, ...]:
+        """Effects that are missing with a probability of `TOLD` where none is stated, or that resemble what is."""
+        share = {n: self.share(n) for n in self.tried}
+        like = {n: sum(h.probability for h in self.hypotheses if n in h.like) for h in self.hypotheses for n in h.like}
+        near = {n: max(share.get(n, 0.0), like.get(n, 0.0)) for n in {**share, **like}}
+        return tuple(sorted((n for n, p in near.items() if p >= TOLD and n not in self.names), key=lambda n: -near[n]))
 
     @property
     def tried(self) -> tuple[str, ...]:
@@ -123,11 +133,11 @@ class Finding:
     @property
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined."""
-        if not self.names:
-            return "unlisted" if self.unlisted > self.none else "undetermined" if self.blind else "none"
-        if self.share(*self.names) < NAMED:
-            return "ambiguous"
-        return "partly" if self.remainder >= NAMED else "named"
+        if self.names:
+            return "partly" if self.remainder >= NAMED else "named"
+        if self.unlisted >= NAMED:
+            return "unlisted"
+        return "ambiguous" if self.none < NAMED else "undetermined" if self.blind else "none"
 
     @property
     def blind(self) -> bool:
@@ -142,7 +152,7 @@ class Finding:
     @property
     def stated(self) -> Hypothesis:
         """The most probable hypothesis with exactly the stated effects."""
-        return next(h for h in self.hypotheses if {*h.names} == {*self.names})
+        return next(h for h in self.hypotheses if {*h.names} == {*self.names} and not h.like)
 
     @property
     def scatter(self) -> float:
@@ -151,7 +161,7 @@ class Finding:
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
         """The hypothesis with exactly these effects, with an anonymous contribution or without."""
-        return next(h for h in self.hypotheses if {*h.names} == {*names} and h.free == free)
+        return next(h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like)
 
 
 # --- candidates -------------------------------------------------------------------------------------------------------
@@ -161,11 +171,14 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     """(names to try, reason by name of those that this table cannot show)."""
     names, reasons = [], {}
     data = problem.data
+    ruled_out = exact(data.setup)
     words = {"pass": "every row is of the same pass", "speed": "no speed variation", "grade_deg": "no grade variation"}
-    for effect in CATALOGUE.values():
+    for effect in LISTED.values():
         measured = [k for k in effect.moves if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()]
         if not measured:
             reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
+        elif effect.name in ruled_out:
+            reasons[effect.name] = ruled_out[effect.name]
         elif effect.hidden(problem.bench):
             reasons[effect.name] = effect.hidden(problem.bench)
         elif effect.varies is not None and effect.varies not in data.varied and not effect.shows_without:
@@ -178,7 +191,7 @@ def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
 def forms(problem: Problem, name: str) -> list[Choice]:
     """Forms of an effect that this table can be fitted with."""
     speed = problem.bench.speed > 0.0
-    return [Choice(name, k) for k, f in enumerate(CATALOGUE[name].forms) if speed or not f.needs_speed]
+    return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
@@ -216,25 +229,29 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     say("base model")
     base = sets.add((), None)
     for name in names:
-        say(f"with {CATALOGUE[name].title}")
+        say(f"with {LISTED[name].title}")
         for choice in forms(problem, name):
             sets.add((choice,), base)
     _pairs(problem, names, sets, say)
     order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + log_prior(s)))
-    entries = [(s, False, sets.best(s), sets.log(s)) for s in order]
+    entries = [(s, (), False, sets.best(s), sets.log(s), log_prior(s)) for s in order]
     say("with something that no catalogue lists")
     free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
     # Under scatter the evidence without it does not say which sets matter.
     rough = free[()].sizes.scatter > 1.0
     for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
         if s not in free:
-            say("with something that no catalogue lists and " + " and ".join(CATALOGUE[n].title for n in s))
+            say("with something that no catalogue lists and " + " and ".join(LISTED[n].title for n in s))
             free[s] = anonymous(problem, sets.best(s))
-    entries += [(s, True, e, sets.log(s) + e.log - sets.best(s).log) for s, e in free.items()]
-    total = [log / TEMPERATURE + log_prior(s, free) for s, free, _, log in entries]
+    entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, log_prior(s, True)) for s, e in free.items()]
+    for s in filter(None, order):
+        alike = resembling(problem, sets.best(s))
+        entries.append(((), s, True, alike, alike.log, log_prior(s) + math.log(ALIKE)))
+    total = [log / TEMPERATURE + prior for *_, log, prior in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
-        Hypothesis(s, free, float(p), log - base.log, e) for (s, free, e, log), p in zip(entries, share, strict=True)
+        Hypothesis(s, free, float(p), log - base.log, e, like)
+        for (s, like, free, e, log, _), p in zip(entries, share, strict=True)
     ]
     threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base
@@ -244,7 +261,8 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
 
 def log_prior(names: tuple[str, ...], free: bool = False) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the base model."""
-    return len(names) * math.log(ODDS) + free * math.log(UNLISTED_ODDS)
+    rig = sum(name in INSTRUMENT for name in names)
+    return (len(names) - rig) * math.log(ODDS) + rig * math.log(RIG_ODDS) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
@@ -259,7 +277,7 @@ def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str],
             promise[pair] = max(log, promise.get(pair, -math.inf))
     order = sorted(promise, key=lambda p: -promise[p])[:_PAIRS]
     for pair in order:
-        say(f"with {' and '.join(CATALOGUE[c.effect].title for c in pair)}")
+        say(f"with {' and '.join(LISTED[c.effect].title for c in pair)}")
         sets.add(pair, max((sets.best((c.effect,)) for c in pair), key=lambda e: e.log))
     tried = sorted({tuple(c.effect for c in p) for p in order}, key=lambda s: -sets.best(s).log)
     for names_of_pair in tried[:_FORMS]:

@@ -15,6 +15,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate
 from soil_env.discrepancy.next_tests import law_tests, next_tests
@@ -23,7 +24,6 @@ from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen
@@ -82,7 +82,9 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     finding = search(problem, lambda text: say(f"searching: {text}"))
     base = finding.best().evidence.fit
     say("predicting what was held out")
-    finding, (plain, final), (before, after) = _that_predicts(problem, finding, base)
+    rng = np.random.default_rng([settings.seed, 1])
+    finding, (plain, final), held = _that_predicts(problem, finding, base, rng)
+    before, after = held[()], held[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
@@ -90,17 +92,15 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0:
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
-    by_effect = _held_out_by_effect(problem, finding, final, after)
-    shares = judgement.shares(problem, before, by_effect)
+    shares = judgement.shares(problem, before, {some: there for some, there in held.items() if some})
     if law is not None and law.terms:
-        held = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
-        if (judgement.closed(problem, judgement.gaps(problem, after, held)) or 0.0) > 0.0:
-            final, after = law.fit, held
+        there = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
+        if (judgement.closed(problem, judgement.gaps(problem, after, there)) or 0.0) > 0.0:
+            final, after = law.fit, there
         else:  # chosen without a group, it predicts that group worse than no law does
             law = law.without(final)
     gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
-    rng = np.random.default_rng([settings.seed, 1])
     say("choosing the next tests")
     model = model_of(problem, final, () if law is None else tuple(law.terms))
     intervals = judgement.intervals(finding, own)
@@ -126,41 +126,38 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     )
 
 
-def _that_predicts(
-    problem: Problem, finding: Finding, base: Fit
-) -> tuple[Finding, tuple[Fit, Fit], tuple[np.ndarray, np.ndarray]]:
-    """The finding without sets of effects that predict held-out rows worse than the base model does.
+Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
 
-    With it the fits of the base model and of the named effects, and their held-out predictions [N, 3].
+
+def _that_predicts(
+    problem: Problem, finding: Finding, base: Fit, rng: np.random.Generator
+) -> tuple[Finding, tuple[Fit, Fit], Held]:
+    """The finding without sets of effects that held-out rows speak against.
+
+    With it the fits of the base model and of the named effects, and the held-out predictions of the base model, of the
+    named effects and, where there are two, of each alone.
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
-    be sure of effects that are not there; with them the model is worse on rows that it was not fitted to.
+    be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
+    than the base model does, and a second effect whose share of the gap beside the first has an interval that holds 0.
     """
     while True:
-        own = finding.stated.evidence
+        own, names = finding.stated.evidence, finding.names
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
         # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
-        plain = problem.fit((), base.parameters(), noise_alone)
-        final = problem.fit(own.fit.choices, own.fit.parameters(), noise_alone)
-        before = held_out_predictions(problem, plain)
-        after = held_out_predictions(problem, final) if final.choices else before
-        closed = judgement.closed(problem, judgement.gaps(problem, before, after)) if finding.names else None
-        if closed is None or closed >= 0.0:
-            return finding, (plain, final), (before, after)
-        finding = finding.without(finding.names)
-
-
-def _held_out_by_effect(
-    problem: Problem, finding: Finding, final: Fit, after: np.ndarray
-) -> dict[tuple[str, ...], np.ndarray]:
-    """Held-out predictions [N, 3] of the named effects, together (`after`) and, where there are two, of each alone."""
-    held = {tuple(c.effect for c in final.choices): after} if final.choices else {}
-    for choice in final.choices if len(final.choices) > 1 else ():
-        one = finding.best(choice.effect).evidence.fit
-        one = problem.fit(one.choices, one.parameters(), final.sizes)
-        held[choice.effect,] = held_out_predictions(problem, one)
-    return held
+        fits = {}
+        for some in dict.fromkeys(((), *((n,) for n in names), names)):
+            near = base if not some else own.fit if some == names else finding.best(*some).evidence.fit
+            fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
+        held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
+        closed = judgement.closed(problem, judgement.gaps(problem, held[()], held[names])) if names else None
+        if (closed is None or closed >= 0.0) and not any(
+            (judgement.closed_interval(problem, held[n,], held[names], rng) or (0.0,))[0] <= 0.0
+            for n in names if len(names) > 1
+        ):  # fmt: skip
+            return finding, (fits[()], fits[names]), held
+        finding = finding.without(names)
 
 
 # --- the model --------------------------------------------------------------------------------------------------------
@@ -171,7 +168,8 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     soil = {**problem.known, **fit.parameters()}
     names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
     values = {name: float(soil[name]) for name in names}
-    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in fit.choices}
+    acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
+    effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
     if problem.data.setup.load == "vertical":  # the load of a model presses normal to the ground but for this share
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
@@ -196,8 +194,10 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the table set."""
+    if choice.effect in INSTRUMENT:
+        return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
     numbers, out = problem.effects((choice,), values), {}
-    for p in CATALOGUE[choice.effect].parameters:
+    for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
         if full in choice.free or full in choice.fixed or p.name == "reference_speed":
             out[p.name] = min(max(float(getattr(numbers, full)), p.low), p.high)
@@ -209,13 +209,11 @@ def _effects(problem: Problem, finding: Finding, fit: Fit, intervals: dict[str, 
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
-        parameters = {
-            p: intervals.get(f"{name}_{p}", Interval(value, value, value))
-            for p, value in _parameters(problem, choice, fit.parameters()).items()
-        }
-        form = CATALOGUE[name].forms[choice.form].name
+        fitted = _parameters(problem, choice, fit.parameters())
+        parameters = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
+        form = LISTED[name].forms[choice.form].name
         probability, others = finding.share(name), finding.alternatives(name)
-        out.append(EffectFound(name, form, parameters, probability, shares[name], others))
+        out.append(EffectFound(name, form, parameters, fitted, probability, shares[name], others))
     return tuple(out)
 
 

@@ -125,6 +125,22 @@ class NoiseLevels(Checked):
 
 
 @dataclass(frozen=True)
+class Calibration(Checked):
+    """Standard deviations to which a rig is known before its runs; 0 where it is exact.
+
+    Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m], None for 0.3 % of the
+    middle load (times the radius), and the relative error of the wheel radius.
+    """
+
+    tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
+    force_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    force_offset: float | None = quantity("N", 0.0, default=None)
+    torque_gain: float = quantity("", 0.0, 0.5, default=0.02)
+    torque_offset: float | None = quantity("N m", 0.0, default=None)
+    wheel_radius: float = quantity("", 0.0, 0.5, default=0.005)
+
+
+@dataclass(frozen=True)
 class Setup(Checked):
     """Rig, soil and sensors of a measurement table.
 
@@ -137,6 +153,7 @@ class Setup(Checked):
     wheel: SetupWheel
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
+    calibration: Calibration = Calibration()
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
@@ -178,7 +195,7 @@ def read_setup(path: str | Path) -> Setup:
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for messages."""
     mapping = dict(mapping)
-    for section in ("soil", "noise", "tilt_deg", "ignore_columns"):
+    for section in ("soil", "noise", "calibration", "tilt_deg", "ignore_columns"):
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):

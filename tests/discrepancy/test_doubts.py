@@ -40,6 +40,15 @@ def test_a_wrong_unit_or_sign_is_doubted_or_refused(tmp_path, column, factor, wo
     assert words.lower() in " ".join(examined(tmp_path, changed(table_text({}), column, factor))).lower()
 
 
+def test_exchanged_columns_are_doubted(tmp_path):
+    lines = [line.split(",") for line in table_text({}).splitlines()]
+    a, b = lines[0].index("drawbar_pull"), lines[0].index("torque")
+    for line in lines[1:]:
+        line[a], line[b] = line[b], line[a]
+    said = " ".join(examined(tmp_path, "\n".join(map(",".join, lines)) + "\n"))
+    assert "columns of drawbar_pull and torque exchanged" in said
+
+
 def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust(tmp_path):
     text = changed(table_text({}, loads=(400, 600, 800)), "load", 1 / 9.81)
     (said,) = examined(tmp_path, text, SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}"))

@@ -117,15 +117,15 @@ def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
     base = evidence.settle(p, ())
     free = evidence.anonymous(p, base)
     assert free.log > base.log + 10.0
-    assert free.sizes.pattern == pattern and free.sizes.scatter == 1.0
-    assert base.sizes.pattern == "" and base.sizes.free == Sizes().free
+    assert free.sizes.patterns[0][0] == pattern and free.sizes.scatter == 1.0
+    assert base.sizes.patterns == () and base.sizes.free == Sizes().free
 
 
 def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     rng = np.random.default_rng(8)
     p = problem(data, rng, 3.0 * NOISE * rng.normal(size=data.y.shape))
     free = evidence.anonymous(p, evidence.settle(p, ()))
-    assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.pattern == ""
+    assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.patterns == ()
     fit = p.fit((), sizes=Sizes(scatter=3.0))
     a, e = fit.linearised()
     assert fit.sizes.scatter == 3.0 and np.mean(e[: fit.residual.size] ** 2) == pytest.approx(1.1, abs=0.3)

@@ -10,9 +10,9 @@ import pytest
 from soil_env.discrepancy import report as drawn, run
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Gap
 from soil_env.discrepancy.report import equations, sentences
-from soil_env.terramechanics.effects import CATALOGUE
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
 KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests", "remainder",
@@ -25,12 +25,12 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
-        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect["name"] in CATALOGUE
+        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect["name"] in LISTED
         assert all(p["low"] <= p["value"] <= p["high"] for p in effect["parameters"].values())
     assert all({"channel", "region", "size", "p_value"} <= set(d) for d in content["where"])
     assert set(content["gap"]) == set(content["remainder"]) == set(CHANNELS)
     tried = {r["name"] for r in content["ranking"]} | {u["name"] for u in content["untestable"]}
-    assert tried == set(CATALOGUE) and content["ranking"][0]["name"] == "slip_sinkage"
+    assert tried == set(LISTED) and content["ranking"][0]["name"] == "slip_sinkage"
     assert content["closed_interval"][0] <= content["closed"] <= content["closed_interval"][1]
     assert report.model.validity == {k: tuple(v) for k, v in content["validity"].items()}
     empty = drawn.content(nothing)

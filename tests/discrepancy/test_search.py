@@ -101,9 +101,10 @@ def test_refuted_effects_leave_their_probability_to_the_others():
     [
         ([(("a",), False, 0.6), ((), False, 0.4)], "named", ("a",)),
         ([(("a",), True, 0.6), (("a",), False, 0.3), ((), False, 0.1)], "partly", ("a",)),
-        ([(("a",), False, 0.4), (("b",), False, 0.35), ((), False, 0.25)], "ambiguous", ("a",)),
+        ([(("a",), False, 0.4), (("b",), False, 0.35), ((), False, 0.25)], "ambiguous", ()),
         ([((), False, 0.5), (("a",), False, 0.3), (("b",), False, 0.2)], "none", ()),
-        ([((), True, 0.4), ((), False, 0.2), (("a",), False, 0.4)], "unlisted", ()),
+        ([((), True, 0.4), ((), False, 0.2), (("a",), False, 0.4)], "ambiguous", ()),
+        ([((), True, 0.6), ((), False, 0.2), (("a",), False, 0.2)], "unlisted", ()),
         ([(("a", "b"), False, 0.55), (("a",), False, 0.45), ((), False, 0.0)], "named", ("a", "b")),
         # each has more than half, but not both together
         ([(("a",), False, 0.4), (("b",), False, 0.35), (("a", "b"), False, 0.2), ((), False, 0.05)], "named", ("a",)),

@@ -20,10 +20,10 @@ from soil_env._io.document import html_image, html_page, render
 from soil_env._io.files import check_outputs, plain, replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.report import equations, sentences, tables
+from soil_env.discrepancy.instrument import LISTED
+from soil_env.discrepancy.report import equations, sentences, tables, words
 from soil_env.discrepancy.report.pictures import CAPTIONS, pictures
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.effects import CATALOGUE
 
 __all__ = ["FILES", "check_folder", "content", "page", "show", "text", "write"]
 
@@ -78,6 +78,7 @@ def _common(report: Report) -> dict[str, Any]:
     return {
         "report": report,
         "sentences": sentences,
+        "words": words,
         "tables": tables,
         "blocks": equations.blocks(report),
         "cautions": sentences.cautions(report),
@@ -96,7 +97,8 @@ def show(report: Report, console: Console) -> None:
         doubts = Text(" ".join(report.doubts))
         console.print(Panel(doubts, title="[bold]check first[/]", title_align="left", style="red"))
     title = f"[bold]{report.verdict}[/]"
-    console.print(Panel(Text(sentences.summary(report)), title=title, title_align="left", style=colour))
+    said = f"{words.conclusion(report)}\n\n{sentences.summary(report)}\n\n{words.next_step(report)}"
+    console.print(Panel(Text(said), title=title, title_align="left", style=colour))
     console.print(Text(text(report)))
 
 
@@ -109,12 +111,15 @@ def content(report: Report) -> dict[str, Any]:
     first, noise = list(report.doubts), report.noise
     return plain({
         "verdict": report.verdict,
+        "conclusion": words.conclusion(report),
         "summary": sentences.summary(report),
+        "next_step": words.next_step(report),
+        "candidates": report.finding.candidates,
         "effects": [
             {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "in_model": report.model.effects[e.name], "probability": e.probability, "share": e.share,
-             "alternatives": e.alternatives,
-             "symbols": {p.name: p.symbol for p in CATALOGUE[e.name].parameters if p.symbol}, **block}
+             "in_model": report.model.effects.get(e.name), "probability": e.probability, "share": e.share,
+             "alternatives": e.alternatives, "explained": words.EXPLAINED[e.name],
+             "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol}, **block}
             for e, block in zip(report.effects, shown, strict=False)
         ],
         "where": [
@@ -130,7 +135,7 @@ def content(report: Report) -> dict[str, Any]:
         "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
         "detectable": {name: d.size for name, d in report.finding.detectable.items()},
         "detectable_as": {
-            name: {"form": d.form, "parameter": d.parameter, "unit": CATALOGUE[name].parameter(d.parameter).unit,
+            name: {"form": d.form, "parameter": d.parameter, "unit": LISTED[name].parameter(d.parameter).unit,
                    "power": d.power}
             for name, d in report.finding.detectable.items()
         },

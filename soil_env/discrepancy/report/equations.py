@@ -8,9 +8,9 @@ from html import escape
 from typing import Any, NamedTuple
 
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report.sentences import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 from soil_env.terramechanics.residual import LEGEND, formulas, product
 
@@ -42,7 +42,7 @@ def blocks(report: Report) -> list[Block]:
 
 
 def _of_effect(report: Report, e: EffectFound) -> Block:
-    effect, wheel = CATALOGUE[e.name], report.model.wheel
+    effect, wheel = LISTED[e.name], report.model.wheel
     form = effect.form(e.form)
     known = {symbol: _number(report.soil[key].value, unit) for symbol, (key, unit) in _SOIL.items()}
     known |= {"r": _number(wheel.radius, "m"), "b": _number(wheel.width, "m"), "h": _number(wheel.grouser_height, "m"),

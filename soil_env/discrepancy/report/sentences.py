@@ -10,11 +10,11 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
-from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
@@ -93,7 +93,7 @@ def listed(names: Iterable[str], last: str = "and") -> str:
 
 def title(names: str) -> str:
     """Name of an effect, or of two joined by " and ", in a sentence."""
-    return " and ".join(CATALOGUE[n].title if n in CATALOGUE else n for n in names.split(" and "))
+    return " and ".join(LISTED[n].title if n in LISTED else n for n in names.split(" and "))
 
 
 def amount(channel: str, value: float, digits: int = 2) -> str:
@@ -211,7 +211,7 @@ def cautions(report: Report) -> list[str]:
     outside = []
     for e in report.effects:
         for name, p in e.parameters.items():
-            value, reach = report.model.effects[e.name][name], OUTSIDE * (p.high - p.low)
+            value, reach = e.fitted[name], OUTSIDE * (p.high - p.low)
             if not p.low - reach <= value <= p.high + reach:
                 outside.append((e.name, name, not_tiny(value), p))
     text = render(

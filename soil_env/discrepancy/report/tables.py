@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from soil_env._io.document import Table
+from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Interval
 from soil_env.discrepancy.report.sentences import SOIL, TITLES, amount, figures, fixed, not_tiny, percent, times, title
 from soil_env.discrepancy.result import Report
-from soil_env.terramechanics.effects import CATALOGUE
 
 
 def effects(report: Report) -> Table:
@@ -17,8 +17,8 @@ def effects(report: Report) -> Table:
         label += f", or {', '.join(title(a) for a in e.alternatives)}" if e.alternatives else ""
         label += "" if e.share is None else f" (closes {percent(e.share)})"
         for name, p in e.parameters.items():
-            unit = CATALOGUE[e.name].parameter(name).unit
-            there = figures(report.model.effects[e.name][name])
+            unit = LISTED[e.name].parameter(name).unit
+            there = figures(e.fitted[name]) if e.name in report.model.effects else "not in it"
             interval = _interval(p) or ("at a bound" if report.is_free(e.name, name) else "set")
             rows.append((label, name.replace("_", " "), figures(p.value), interval, there, unit))
             label = ""
@@ -70,6 +70,6 @@ def detectable(report: Report) -> Table:
     """The smallest strength of each effect that would have been seen."""
     rows = []
     for name, d in report.finding.detectable.items():
-        unit = CATALOGUE[name].parameter(d.parameter).unit
+        unit = LISTED[name].parameter(d.parameter).unit
         rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power)))
     return Table(("effect", "parameter", "smallest", "unit", "larger before the table"), rows)

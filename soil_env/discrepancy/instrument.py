@@ -1,0 +1,119 @@
+"""Errors of the rig and its sensors: candidates beside the effects of the catalogue, and nuisances of every table.
+
+A rig is level, its wheel measured and its sensors calibrated to the standard deviations of `Setup.calibration`. Errors
+of that size are in the covariance of every fit (`nuisances`), so that no effect is named for them. A larger one is a
+candidate with a name, in `INSTRUMENT`. The simulated world has none of these, and model.yaml holds none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from soil_env.measurement.setup import Setup
+from soil_env.slip import slips_of_radius
+from soil_env.terramechanics.effects import CATALOGUE
+from soil_env.terramechanics.effects.entry import (
+    CHANNELS,
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Channel,
+    Effect,
+    EffectParameter,
+    Form,
+)
+from soil_env.terramechanics.model import Rows
+
+OFFSET, LEAST_OFFSET = 0.05, 0.003  # [mean load, times the radius] sd of a zero error: a candidate's, a nuisance's
+
+
+def _entry(name: str, title: str, moves: tuple[Channel, ...], p: EffectParameter, equation: str, priors=None) -> Effect:
+    form = Form("constant", (p.name,), equation, "calibration of the rig")
+    symbols = {"DP_measured": "measured drawbar pull", "T_measured": "measured torque", "W_n": "force on the ground",
+               "r_true": "true radius"}  # fmt: skip
+    return Effect(name, title, moves, (p,), (form,), symbols=symbols, priors=priors or (lambda bench: {}))
+
+
+def _force(bench: Bench) -> dict[str, tuple[float, float, float]]:
+    return {"offset": (OFFSET * bench.load, -bench.load, bench.load)}
+
+
+def _torque(bench: Bench) -> dict[str, tuple[float, float, float]]:
+    size = bench.load * bench.radius
+    return {"offset": (OFFSET * size, -size, size)}
+
+
+_P = EffectParameter
+INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in (
+    _entry("tilt", "a rig that is not level", (PULL,),
+           _P("angle_deg", "e", "deg", 0.0, -15.0, 15.0, 2.0, "uphill tilt of the ground against the axes of the rig"),
+           "DP_measured = DP - W sin({angle_deg}); W_n = W cos({angle_deg})"),
+    _entry("force_offset", "zero error of the drawbar pull", (PULL,),
+           _P("offset", "d", "N", 0.0, -1e6, 1e6, 0.0, "offset of the load cell"), "DP_measured = DP + {offset}",
+           _force),
+    _entry("force_gain", "gain error of the drawbar pull", (PULL,),
+           _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the load cell"),
+           "DP_measured = DP (1 + {gain})"),
+    _entry("torque_offset", "zero error of the torque", (TORQUE,),
+           _P("offset", "d", "N m", 0.0, -1e6, 1e6, 0.0, "offset of the torque sensor"), "T_measured = T + {offset}",
+           _torque),
+    _entry("torque_gain", "gain error of the torque", (TORQUE,),
+           _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the torque sensor"),
+           "T_measured = T (1 + {gain})"),
+    _entry("wheel_radius", "a wheel radius other than stated", (SINKAGE, PULL, TORQUE),
+           _P("error", "e", "", 0.0, -0.3, 0.3, 0.05, "relative error of the stated radius"),
+           "r_true = r (1 + {error})"),
+)})  # fmt: skip
+#: Everything that can be named.
+LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
+
+
+def exact(setup: Setup) -> dict[str, str]:
+    """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
+    sd = setup.calibration
+    known = {name: "calibrated, by the setup" for name in INSTRUMENT if getattr(sd, _KEYS[name]) == 0.0}
+    return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
+
+
+_KEYS = {name: name for name in INSTRUMENT} | {"tilt": "tilt_deg"}
+
+
+def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
+    """Rows under the true wheel radius, which the recorded slip follows from."""
+    error = values.get("wheel_radius_error", 0.0)
+    if error == 0.0:
+        return rows
+    wheels = rows.wheels.copy()
+    wheels[:, 0] *= 1.0 + error
+    return rows._replace(wheels=wheels, slip=slips_of_radius(rows.slip, np.full(rows.slip.size, 1.0 / (1.0 + error))))
+
+
+def reading(out: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    """[N, 3] that the sensors read of true values [N, 3]."""
+    gain = [0.0, values.get("force_gain_gain", 0.0), values.get("torque_gain_gain", 0.0)]
+    offset = [0.0, values.get("force_offset_offset", 0.0), values.get("torque_offset_offset", 0.0)]
+    return out * (1.0 + np.array(gain)) + offset if any(gain) or any(offset) else out
+
+
+def nuisances(setup: Setup, bench: Bench, load: np.ndarray, output: np.ndarray, named: tuple[str, ...]) -> np.ndarray:
+    """[N, 3, R] change of the readings [N, 3] by one sd of each error that is not among the named ones."""
+    sd = setup.calibration
+    force = LEAST_OFFSET * bench.load if sd.force_offset is None else sd.force_offset
+    torque = LEAST_OFFSET * bench.load * bench.radius if sd.torque_offset is None else sd.torque_offset
+    of = {
+        "tilt": (PULL, -load * math.sin(math.radians(sd.tilt_deg))),
+        "force_offset": (PULL, force),
+        "force_gain": (PULL, sd.force_gain * output[:, 1]),
+        "torque_offset": (TORQUE, torque),
+        "torque_gain": (TORQUE, sd.torque_gain * output[:, 2]),
+    }
+    there = [change for name, change in of.items() if name not in (*named, *exact(setup))]
+    out = np.zeros((load.size, len(CHANNELS), len(there)))
+    for k, (channel, change) in enumerate(there):
+        out[:, CHANNELS.index(channel), k] = change
+    return out

@@ -1,0 +1,68 @@
+"""What a reader needs first: the result in a sentence, what to do next, and each effect in plain words."""
+
+from __future__ import annotations
+
+from soil_env.discrepancy.instrument import INSTRUMENT
+from soil_env.discrepancy.report.sentences import listed, title
+from soil_env.discrepancy.result import Report
+
+#: The page on which every effect has its equations and sources.
+PAGE = "docs/physics/effects.md"
+EXPLAINED = {
+    "slip_sinkage": "A wheel that slips digs soil out from under itself and sinks deeper the more it slips.",
+    "rear_contact": "Soil that rebounds touches the wheel behind its lowest point too, and carries and shears there.",
+    "stress_peak_shift": "The place under the wheel where the soil presses hardest moves forward as the slip grows.",
+    "grousers": "Lugs shear the soil at their tips, on a larger circle than the rim, or push against it as blades.",
+    "bulldozing": "The wheel pushes a heap of soil ahead of itself, which takes drawbar pull.",
+    "multipass": "Soil that was driven over before is denser and bears and shears otherwise.",
+    "penetration_rate": "Soil that is loaded faster bears more (or less) before it gives way.",
+    "shear_rate": "Soil that is sheared faster is stronger (or weaker).",
+    "shear_softening": "The strength of the soil rises to a peak and falls to a residual as it is sheared further.",
+    "grade": "On a slope a part of the weight acts along the ground, and the ground bears less.",
+    "drivetrain_friction": "Bearings, gears and seals take torque between the sensor and the wheel.",
+    "slip_bias": "The recorded slip is off, by its zero or by the rolling radius that it was computed with.",
+    "sinkage_offset": "The zero of the sinkage sensor is off.",
+    "tilt": "The rig is not level, so that a part of the load is read as pull.",
+    "force_offset": "The zero of the load cell that measures the pull is off.",
+    "force_gain": "The load cell reads the pull too large or too small by a constant factor.",
+    "torque_offset": "The zero of the torque sensor is off.",
+    "torque_gain": "The torque sensor reads too much or too little by a constant factor.",
+    "wheel_radius": "The wheel has another radius than the setup says, and the slip was computed with that.",
+}
+_CHECK = {
+    "tilt": "put a level on the rig", "force_offset": "read the load cell with the wheel lifted",
+    "force_gain": "hang a known weight on the load cell", "torque_offset": "read the torque with the wheel lifted",
+    "torque_gain": "hang a known weight on a lever at the wheel", "wheel_radius": "measure the wheel",
+}  # fmt: skip
+
+
+def conclusion(report: Report) -> str:
+    """The result in one sentence without a number."""
+    names = listed([title(e.name) for e in report.effects]) if report.effects else ""
+    near = [title(n) for n in report.finding.candidates[:3]]
+    if report.verdict == "named":
+        return f"{names[:1].upper()}{names[1:]} explains what the simulation misses."
+    if report.verdict == "partly":
+        return f"{names[:1].upper()}{names[1:]} explains a part of what the simulation misses, and a part is left."
+    if report.verdict == "unlisted":
+        near_by = f"; {listed(near, 'or')} comes closest, but in another form" if near else ""
+        return f"Something is missing from the simulation that is none of the listed effects{near_by}."
+    if report.verdict == "ambiguous":
+        rest = f": {listed(near, 'or')} would explain them" if near else ""
+        return f"These runs do not decide what is missing, if anything{rest}."
+    if report.verdict == "none":
+        return "The simulation agrees with these runs as well as the laws of the soil allow."
+    return "These runs are too few to decide if anything is missing."
+
+
+def next_step(report: Report) -> str:
+    """What to do now."""
+    if report.doubts:
+        return "Check the table as said above, and run this again."
+    rig = [n for n in (*(e.name for e in report.effects), *report.finding.candidates) if n in INSTRUMENT]
+    steps = [f"{listed([_CHECK[n] for n in rig])}, and correct the columns or the setup"] if rig else []
+    steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
+    if steps and report.verdict not in ("named", "none"):
+        return f"{steps[0][:1].upper()}{'; then '.join(steps)[1:]}; then run this again."
+    use = "Simulate with model.yaml"
+    return f"{use}. To be surer: {'; then '.join(steps)}." if steps else f"{use}."

@@ -1,0 +1,70 @@
+"""Errors of the rig: read into a table, named, told from the soil, and ruled out by the setup."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy import instrument
+from soil_env.discrepancy.calibrate import Choice
+from soil_env.discrepancy.report import words
+from soil_env.discrepancy.search import candidates, search
+from soil_env.measurement.setup import Calibration, setup_of
+from tests.discrepancy.tables import NOISE, problem, table
+
+
+@pytest.fixture(scope="module")
+def level():
+    """Noise-free table of a rig without an error."""
+    return table({}, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 150.0, 220.0), (0.03, 0.2), (1, 2))
+
+
+def wrong(data, name, value):
+    """(problem of the table as the error leaves it, what the error adds [N, 3])."""
+    p = problem(data, np.random.default_rng(0))
+    values = p.fit().parameters()
+    parameter = f"{name}_{instrument.INSTRUMENT[name].parameters[0].name}"
+    guess = np.zeros(len(data.table))
+    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), (Choice(name, 0),)))
+    return problem(data, np.random.default_rng(1), after - before), after - before
+
+
+def test_an_error_changes_what_its_sensor_reads_and_nothing_else(level):
+    load, pull, torque = level.rows.load, level.y[:, 1], level.y[:, 2]
+    for name, value, change in (
+        ("tilt", 2.0, -load * np.sin(np.radians(2.0))), ("force_offset", 3.0, 3.0 + 0.0 * pull),
+        ("force_gain", 0.1, 0.1 * pull), ("torque_offset", -1.0, -1.0 + 0.0 * torque),
+        ("torque_gain", 0.1, 0.1 * torque),
+    ):  # fmt: skip
+        added = wrong(level, name, value)[1]
+        j = 2 if name.startswith("torque") else 1
+        assert added[:, j] == pytest.approx(change, abs=0.02 * np.abs(change).max())
+        assert np.abs(np.delete(added, j, axis=1)).max() < 1e-2 * np.abs(level.y).max()
+    assert np.all(np.abs(wrong(level, "wheel_radius", 0.1)[1]).max(axis=0) > [0.0, *3.0 * NOISE[1:]])
+
+
+@pytest.mark.parametrize("name, value", [("tilt", 3.0), ("torque_gain", 0.15), ("wheel_radius", 0.1)])
+def test_an_error_of_the_rig_is_named_or_among_the_candidates(level, name, value):
+    finding = search(wrong(level, name, value)[0])
+    assert name in (*finding.names, *finding.candidates, *(a for n in finding.names for a in finding.alternatives(n)))
+    assert all(finding.share(n) < 0.5 for n in finding.tried if n not in instrument.INSTRUMENT)
+
+
+def test_what_a_calibration_allows_is_no_effect(level):
+    """A gain that is off by its 2 %, and a rig that is level to half a degree."""
+    for name, value in (("force_gain", 0.02), ("tilt", 0.5)):
+        assert search(wrong(level, name, value)[0]).names == ()
+
+
+def test_a_setup_can_rule_errors_out(level):
+    exact = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    setup = dataclasses.replace(level.setup, calibration=exact)
+    p = problem(dataclasses.replace(level, setup=setup), np.random.default_rng(0))
+    assert not set(instrument.INSTRUMENT) & set(candidates(p)[0]) and p.fit().rig.shape[1] == 0
+    read = setup_of({"wheel": {"radius": 0.1, "width": 0.1}, "calibration": {"force_gain": 0.01}}, "here")
+    assert read.calibration == dataclasses.replace(Calibration(), force_gain=0.01)
+
+
+def test_every_name_has_an_explanation():
+    assert set(words.EXPLAINED) == set(instrument.LISTED)
+    assert all(text.endswith(".") and len(text.split()) < 31 for text in words.EXPLAINED.values())
