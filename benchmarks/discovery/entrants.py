@@ -90,11 +90,18 @@ def entrant(name: str) -> Entrant:
 
 
 def workflow(data: Path, setup: Path) -> Answer:
-    """Discrepancy workflow of soil_env, by the content of its report.json."""
+    """Discrepancy workflow of soil_env, by the content of its report.json.
+
+    Of an ambiguous verdict the first candidate counts as named first, if it is more probable than nothing or something
+    unlisted; no answer asserts it.
+    """
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])
-    others = dict.fromkeys(a for e in report["effects"] for a in e["alternatives"])
+    others = dict.fromkeys([*(a for e in report["effects"] for a in e["alternatives"]), *report["candidates"]])
     chance = {rank["name"]: min(rank["probability"], 1.0) for rank in report["ranking"]}
+    rest = max(report["probability"]["none"], report["probability"]["unlisted"])
+    if report["verdict"] == "ambiguous":
+        named = tuple(n for n in report["candidates"][:1] if chance.get(n, 0.0) > rest)
     return Answer(report["verdict"], named, tuple(others), chance)
 
 

@@ -282,12 +282,13 @@ _STRESSES = (
     "place of the shear stress",
 )
 Pattern = tuple[str, float]  # where and with what, and its size
-#: What a listed effect is about, in whatever form, and so no anonymous contribution: a stress that goes with the pass,
-#: its size with the speed, the pull with the grade.
+#: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes with the pass, the
+#: size of a stress with the speed, the pull with the grade, a friction with the speed, a zero that drifts.
 _OWNED = {
-    **dict.fromkeys(_STRESSES, ("pass",)),
-    **dict.fromkeys(_STRESSES[:2], ("pass", "speed")),
-    "drawbar_pull": ("grade_deg",),
+    **dict.fromkeys((*_STRESSES, *CHANNELS), ("pass",)),
+    **dict.fromkeys((*_STRESSES[:2], "torque"), ("pass", "speed")),
+    "drawbar_pull": ("pass", "grade_deg"),
+    "sinkage": ("pass", "elapsed"),
 }
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it

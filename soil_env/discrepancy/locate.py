@@ -18,10 +18,12 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import norm, t as student
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import Fit, Problem, Sizes
 from soil_env.discrepancy.data import CHANNELS
+from soil_env.discrepancy.evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
+LAW, EFFECT = 0.1, 0.12  # relative errors of the laws and of an effect's form that `structure` allows
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|
@@ -119,6 +121,18 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
         apart = [not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where]
         allowed = allowed & left & np.array(apart)
     return tuple(out)
+
+
+def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
+    """p value of the pattern that a model leaves in a channel, over slip, load and the other conditions.
+
+    A posterior predictive check: beyond the noise, laws that are off by `LAW`, and an effect whose form is off by
+    `EFFECT`. Unlike the evidence it needs no other model to compare with.
+    """
+    effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
+    sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
+    left = locate(problem, problem.fit(model.fit.choices, model.fit.parameters(), sizes, model.fit), seed)
+    return left[0].p_value if left else 1.0
 
 
 def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,11 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Choice, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
+from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
-from soil_env.discrepancy.locate import locate
+from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import law_tests, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
@@ -83,7 +84,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     base = finding.best().evidence.fit
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
-    finding, (plain, final), held = _that_predicts(problem, finding, base, rng)
+    finding, (plain, final), held = _that_predicts(problem, finding, base, rng, settings.seed)
     before, after = held[()], held[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
@@ -126,11 +127,13 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     )
 
 
+STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
+FAR = 8.0  # [sd of the setup] of a soil parameter
 Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
 def _that_predicts(
-    problem: Problem, finding: Finding, base: Fit, rng: np.random.Generator
+    problem: Problem, finding: Finding, base: Fit, rng: np.random.Generator, seed: int
 ) -> tuple[Finding, tuple[Fit, Fit], Held]:
     """The finding without sets of effects that held-out rows speak against.
 
@@ -139,10 +142,19 @@ def _that_predicts(
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
     be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
-    than the base model does, and a second effect whose share of the gap beside the first has an interval that holds 0.
+    than the base model does, a second effect whose share of the gap beside the first has an interval that holds 0, and
+    effects that leave a pattern in a channel (`structure`) or need a soil far from the setup's. So is the base model
+    where nothing would be missing.
     """
     while True:
         own, names = finding.stated.evidence, finding.names
+        model = finding.best(*names).evidence
+        asserted = bool(names) or finding.verdict in ("none", "undetermined")
+        if asserted and names not in finding.refuted and (
+            _far(problem, model) or structure(problem, model, seed) < STRUCTURED
+        ):  # fmt: skip
+            finding = finding.without(names)
+            continue
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
         # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
@@ -158,6 +170,12 @@ def _that_predicts(
         ):  # fmt: skip
             return finding, (fits[()], fits[names]), held
         finding = finding.without(names)
+
+
+def _far(problem: Problem, model: Evidence) -> bool:
+    """True if a soil parameter is further from the setup's value than a soil that is like the setup's can be."""
+    given = [getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil]
+    return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
 
 
 # --- the model --------------------------------------------------------------------------------------------------------

@@ -182,7 +182,7 @@ def summary(report: Report) -> str:
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
-        refuted=[title(" and ".join(names)) for names in finding.refuted],
+        refuted=[title(" and ".join(names)) for names in finding.refuted if names],
     )
     return " ".join(text.split()).replace(" ,", ",")
 

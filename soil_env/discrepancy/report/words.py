@@ -64,5 +64,7 @@ def next_step(report: Report) -> str:
     steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
     if steps and report.verdict not in ("named", "none"):
         return f"{steps[0][:1].upper()}{'; then '.join(steps)[1:]}; then run this again."
+    if report.verdict in ("ambiguous", "undetermined"):
+        return "Make more runs, at other slips, loads and speeds, add their rows and run this again."
     use = "Simulate with model.yaml"
     return f"{use}. To be surer: {'; then '.join(steps)}." if steps else f"{use}."
