@@ -29,7 +29,7 @@ from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
 LEAST = 2.0  # detection limits from which a case counts for the targets
-LARGEST = 8.0  # size that is sought, in detection limits
+SEEN = (LEAST, 8.0)  # sizes that are sought, in detection limits
 PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
@@ -185,7 +185,7 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         effects = [effects[0].at(effects[0].strength * float(rng.uniform(floor, cap)))]
         size = measure.size(effects[0])
         return tuple(effects), ((size,) if np.all(np.isfinite([size, *bench.truth(effects).ravel()])) else None)
-    wanted = [LEAST * (LARGEST / LEAST) ** rng.uniform() for _ in effects]
+    wanted = [SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
     for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
