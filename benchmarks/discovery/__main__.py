@@ -11,8 +11,7 @@ An entrant is `workflow`, `bic`, `gls`, or module:function, from the paths of da
 benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Develop with seeds from
 100000 on and without --held-out.
 
-DIR holds cases/NAME/data.csv and setup.yaml, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed
-and generator.
+DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed and generator.
 """
 
 from __future__ import annotations
@@ -69,9 +68,8 @@ def _agree(path: Path, about: dict, option: str) -> None:
     known = read_json(path) if path.exists() else about
     if known != about:
         raise ParameterError(f"{path}: of {known}, asked {about}: expected another {option}")
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, about)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, about)
 
 
 def draw(seed: int, folder: Path, name: str) -> None:
@@ -195,8 +193,7 @@ def list_command() -> None:
         print(f"set {name}: {sum(g.count for g in groups)} cases")
         print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
     for form in (*FORMS, *UNLISTED, *INSTRUMENT):
-        effect = "(in no catalogue)" if form in UNLISTED else form.effect
-        print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
+        print(f"{form.effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
 def main(arguments: list[str] | None = None) -> int:

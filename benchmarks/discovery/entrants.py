@@ -92,8 +92,7 @@ def entrant(name: str) -> Entrant:
 def workflow(data: Path, setup: Path) -> Answer:
     """Discrepancy workflow of soil_env, by the content of its report.json.
 
-    Of an ambiguous verdict the first candidate counts as named first, if it is more probable than nothing or something
-    unlisted; no answer asserts it.
+    Of an ambiguous verdict the first candidate is named if it is more probable than nothing or something unlisted.
     """
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])

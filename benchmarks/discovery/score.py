@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.common import share
+from benchmarks.common import share, spread
 from benchmarks.discovery.entrants import NAMES, Answer
 from benchmarks.discovery.forms import MECHANISMS
 from soil_env._io.document import Table
@@ -114,11 +114,9 @@ def targets(records: Iterable[Record]) -> dict[str, dict]:
 def figures(records: list[Record]) -> dict:
     """All figures of one entrant as plain values."""
     main = [r for r in records if (r.truth["design"], r.truth["law_error"]) == ("rich", MAIN)]
-    main = [r for r in main if r.truth["sort"] in ("", "held")]
     counting = [r for r in records if r.truth["counts"]]
     groups = sorted({r.truth["case"].rpartition("-")[0] for r in records})
     hidden = {"-".join(r.there) for r in records if len(r.there) == 1}
-    seconds = [r.seconds for r in records]
     return {
         "cases": len(records),
         "counting": len(counting),
@@ -129,7 +127,7 @@ def figures(records: list[Record]) -> dict:
         "groups": {g: targets(r for r in counting if r.truth["case"].rpartition("-")[0] == g) for g in groups},
         "hidden": {name: targets(r for r in counting if r.there == [name]) for name in sorted(hidden)},
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records))},
-        "seconds": {"median": float(np.median(seconds)), "most": max(seconds)} if seconds else None,
+        "seconds": spread([r.seconds for r in records]),
     }
 
 
@@ -149,7 +147,7 @@ def _all(records: list[Record]) -> list[tuple[float, bool]]:
 
 
 def reliability(pairs: list[tuple[float, bool]]) -> dict:
-    """Stated against observed: bins, the largest deviation of a well-filled bin, the mean one, the Brier score."""
+    """Stated against observed: bins, the largest deviation of a well-filled bin, the mean one."""
     bins = []
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         inside = [(p, x) for p, x in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]
@@ -161,7 +159,6 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
         "of": total, "bins": bins,
         "largest": max((b["deviation"] for b in bins if b["seen"]["of"] >= LEAST_IN_BIN), default=None),
         "mean": sum(b["deviation"] * b["seen"]["of"] for b in bins) / total if total else None,
-        "brier": float(np.mean([(p - x) ** 2 for p, x in pairs])) if pairs else None,
     }  # fmt: skip
 
 
