@@ -26,7 +26,7 @@ from scipy.stats import chi2
 
 from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.instrument import LISTED
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.identification.table.form_error import (
     INPUTS,
     LAW_LENGTHS,
@@ -80,9 +80,11 @@ class Grid(NamedTuple):
     first: int  # leading columns of `table` whose values many of its rows share
 
 
-def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
-    """(sizes of the form errors of the base law and of effects, log prior of each)."""
-    effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if effects else [(0.0, 1.0)]
+def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray]:
+    """(sizes of the form errors of the base law and of effects, log prior of each); an instrument's laws are exact."""
+    effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if names else [(0.0, 1.0)]
+    if names and {*names} <= {*INSTRUMENT}:
+        effect = [(EFFECT_SIZES[0], 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
     every = product(law, effect, range(len(LAW_LENGTHS)))
     points = [(Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every]
@@ -91,7 +93,7 @@ def grid(effects: bool) -> tuple[list[Sizes], np.ndarray]:
 
 def plain_grid(fit: Fit) -> Grid:
     """`grid` of a fit."""
-    sizes, log_prior = grid(bool(fit.choices))
+    sizes, log_prior = grid(tuple(c.effect for c in fit.choices))
     table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
     return Grid(sizes, log_prior, (fit.rig, fit.effect, *fit.law), table, 2)
 
@@ -214,7 +216,7 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
-    sizes, log_prior = grid(False)
+    sizes, log_prior = grid(())
     out = np.empty((len(sizes), len(choices)))
     for s, (of_law, prior) in enumerate(zip(sizes, log_prior, strict=True)):
         log, normal, pull = further.under(of_law)

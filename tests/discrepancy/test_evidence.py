@@ -33,7 +33,7 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
     """Soil unknowns are far within their bounds; a one-sided strength has its share of the prior beside."""
     p = problem(data, np.random.default_rng(0))
     fit = p.fit(() if effect is None else (Choice(effect, 0),))
-    sizes, log_prior = evidence.grid(effect is not None)
+    sizes, log_prior = evidence.grid((effect,) if effect else ())
     result = evidence.weigh(p, fit)
     logs = np.array([density(fit, s) for s in sizes]) + log_prior
     allowed = np.zeros(len(sizes))
@@ -130,3 +130,13 @@ def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     a, e = fit.linearised()
     assert fit.sizes.scatter == 3.0 and np.mean(e[: fit.residual.size] ** 2) == pytest.approx(1.1, abs=0.3)
     assert a[: fit.residual.size] * 3.0 == pytest.approx(fit.jacobian[:, fit.free_unknowns])
+
+
+def test_a_law_of_the_freedom_of_an_effect_takes_what_has_another_form(data):
+    """What bulldozing adds, as it is published, and turned about over slip and load."""
+    there = problem(table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS), np.random.default_rng(9))
+    added = there.data.y - data.y - NOISE * np.random.default_rng(9).normal(size=data.y.shape)
+    turned = added * (1.0 + 1.5 * np.sin(9.0 * data.rows.slip + data.rows.load / 40.0))[:, None]
+    for p, listed in ((there, True), (problem(data, np.random.default_rng(9), turned), False)):
+        named = evidence.settle(p, (Choice("bulldozing", 0),), evidence.settle(p, ()))
+        assert (named.log > evidence.resembling(p, named).log) == listed

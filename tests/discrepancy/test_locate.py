@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from soil_env.discrepancy.locate import locate
+from soil_env.discrepancy.evidence import settle
+from soil_env.discrepancy.locate import locate, structure
 from tests.discrepancy.tables import NOISE, problem, table
 
 SPEEDS = (0.02, 0.06, 0.2)
@@ -63,3 +64,16 @@ def test_planted_box_is_found(channel, size, box):
     assert first.size_sd == pytest.approx(first.size / NOISE[channel])
     assert first.size * size > 0.0
     assert first.p_value < 1e-6
+
+
+def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
+    """A band of slip in the pull, and an error of the laws of a tenth."""
+    data, rng = table(speeds=SPEEDS), np.random.default_rng(6)
+    base = problem(data, rng)
+    law = np.zeros_like(data.y)
+    columns = base.fit().law[0]
+    law[base.used] = columns @ (0.1 * rng.normal(size=columns.shape[1]))
+    band = np.where(np.abs(data.rows.slip - 0.3) < 0.08, 15.0, 0.0)
+    for added, left in ((law * NOISE, False), (np.outer(band, [0.0, 1.0, 0.0]), True)):
+        p = problem(data, np.random.default_rng(7), added)
+        assert (structure(p, settle(p, ())) < 1e-3) == left

@@ -59,7 +59,8 @@ def next_step(report: Report) -> str:
     """What to do now."""
     if report.doubts:
         return "Check the table as said above, and run this again."
-    rig = [n for n in (*(e.name for e in report.effects), *report.finding.candidates) if n in INSTRUMENT]
+    beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
+    rig = [n for n in dict.fromkeys((*beside, *report.finding.candidates)) if n in INSTRUMENT]
     steps = [f"{listed([_CHECK[n] for n in rig])}, and correct the columns or the setup"] if rig else []
     steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
     if steps and report.verdict not in ("named", "none"):
