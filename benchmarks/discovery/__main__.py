@@ -1,18 +1,17 @@
 """Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on soil?
 
-    python -m benchmarks.discovery run --entrant workflow --seed 2027 --out DIR --jobs 16   draw, ask, score
-    python -m benchmarks.discovery run --entrant bic --seed 2027 --out DIR --limit 200      the first 200, a fair sample
-    python -m benchmarks.discovery run --set regimes --group regimes-two-rich-10 --entrant workflow --out DIR
-    python -m benchmarks.discovery draw --seed 100001 --out DIR                             the cases only
-    python -m benchmarks.discovery score --out DIR --publish docs/results                   scores of all answers in DIR
-    python -m benchmarks.discovery list                                                     sets, groups and forms
+    python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16   draw, ask, score
+    python -m benchmarks.discovery run --set ten --entrant bic --out DIR --limit 100          the first 100
+    python -m benchmarks.discovery run --group instrument-rich-10 --entrant workflow --out DIR
+    python -m benchmarks.discovery run --set ten --held-out ...                               the final run
+    python -m benchmarks.discovery score --out DIR --publish docs/results                     all answers in DIR
+    python -m benchmarks.discovery list                                                       sets, groups, forms
 
-An entrant is `workflow`, `bic`, `gls`, `pysindy`, or module:function, from the paths of data.csv and setup.yaml to a
-benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Seed 2027 is the
-reported one; develop with seeds from 100000 on.
+An entrant is `workflow`, `bic`, `gls`, or module:function, from the paths of data.csv and setup.yaml to a
+benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Develop with seeds from
+100000 on and without --held-out.
 
-DIR holds cases/NAME/data.csv and setup.yaml, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed
-and generator.
+DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed and generator.
 """
 
 from __future__ import annotations
@@ -37,17 +36,17 @@ import click
 from threadpoolctl import threadpool_limits
 
 import soil_env
-from benchmarks.common import write
 from benchmarks.discovery import score
-from benchmarks.discovery.cases import GROUPS, SETS, UNLISTED, draw_case, generator, task_of, tasks, write_case
+from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from benchmarks.discovery.forms import FORMS
+from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
 from soil_env.cli.running import PATH, WholeNumber, leave, run
 
 NAME = "benchmarks.discovery"
-REPORTED = 2027  # the seed that is reported
+FIRST = 100000  # seed of development
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -69,9 +68,8 @@ def _agree(path: Path, about: dict, option: str) -> None:
     known = read_json(path) if path.exists() else about
     if known != about:
         raise ParameterError(f"{path}: of {known}, asked {about}: expected another {option}")
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_json(path, about)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, about)
 
 
 def draw(seed: int, folder: Path, name: str) -> None:
@@ -135,7 +133,7 @@ def _names(of: str, limit: int | None, groups: tuple[str, ...], held_out: bool) 
 
 
 def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...], held_out: bool) -> None:
-    """Score the answers in a folder and write figures and page."""
+    """Score the answers in a folder, write the figures and print a table."""
     about = read_json(out / "study.json")
     labels = sorted(p.name for p in (out / "answers").glob("*") if p.is_dir())
     if not labels:
@@ -147,7 +145,7 @@ def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: t
     place = publish or out
     make_folder(place)
     write_json(place / f"discovery_{about['set']}.json", about | {"limit": limit, "entrants": entrants})
-    write(place, "discovery", score.page_of(place))
+    print(score.table(entrants).markdown())
 
 
 @click.group(NAME)
@@ -155,30 +153,24 @@ def command() -> None:
     """Blind naming of missing mechanisms: draw cases, ask entrants, score their answers."""
 
 
-def _options(*options: Callable[[Callable], Callable]) -> Callable[[Callable], Callable]:
-    return lambda work: reduce(lambda inner, option: option(inner), reversed(options), work)
-
-
-_of_drawing = _options(
-    click.option("--set", "of", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws."),
-    click.option("--seed", type=WholeNumber(), default=REPORTED, metavar="N", help=f"Default: {REPORTED}."),
-    click.option("--jobs", type=WholeNumber(1), default=1, metavar="N", help="Processes (default 1)."),
-)
-_of_cases = _options(
-    click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers."),
-    click.option("--limit", type=WholeNumber(1), metavar="N", help="Only the first N cases, a fair sample."),
-    click.option("--group", "groups", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP",
-                 help="Only this group."),
-    click.option("--held-out", is_flag=True, help="With the unlisted kinds that no development may use."),
-)  # fmt: skip
-_publish = click.option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out).")
+def _of_cases(work: Callable) -> Callable:
+    options = (
+        click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers."),
+        click.option("--limit", type=WholeNumber(1), metavar="N", help="Only the first N cases, a fair sample."),
+        click.option("--group", "groups", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP",
+                     help="Only this group."),
+        click.option("--held-out", is_flag=True, help="With the unlisted kinds that no development may use."),
+        click.option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out)."),
+    )  # fmt: skip
+    return reduce(lambda inner, option: option(inner), reversed(options), work)
 
 
 @command.command("run")
 @click.option("--entrant", "who", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
 @click.option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
-@_publish
-@_of_drawing
+@click.option("--set", "of", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws.")
+@click.option("--seed", type=WholeNumber(), default=FIRST, metavar="N", help=f"Default: {FIRST}.")
+@click.option("--jobs", type=WholeNumber(1), default=1, metavar="N", help="Processes (default 1).")
 @_of_cases
 def run_command(who, label, publish, of, seed, jobs, out, limit, groups, held_out) -> None:
     """Ask an entrant and score it; resumes."""
@@ -191,18 +183,7 @@ def run_command(who, label, publish, of, seed, jobs, out, limit, groups, held_ou
     publish_scores(out, publish, limit, groups, held_out)
 
 
-@command.command("draw")
-@_of_drawing
-@_of_cases
-def draw_command(of, seed, jobs, out, limit, groups, held_out) -> None:
-    """Write the cases."""
-    begin(out, of, seed)
-    names = _names(of, limit, groups, held_out)
-    each(partial(draw, seed, out), names, jobs)
-    print(f"{out}: {len(names)} cases of seed {seed}")
-
-
-command.command("score", help="Score the answers in a folder.")(_publish(_of_cases(publish_scores)))
+command.command("score", help="Score the answers in a folder.")(_of_cases(publish_scores))
 
 
 @command.command("list")
@@ -211,9 +192,8 @@ def list_command() -> None:
     for name, groups in SETS.items():
         print(f"set {name}: {sum(g.count for g in groups)} cases")
         print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
-    for form in (*FORMS, *UNLISTED):
-        effect = "(in no catalogue)" if form in UNLISTED else form.effect
-        print(f"{effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
+    for form in (*FORMS, *UNLISTED, *INSTRUMENT):
+        print(f"{form.effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
 def main(arguments: list[str] | None = None) -> int:

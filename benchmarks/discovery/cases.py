@@ -2,8 +2,8 @@
 
 A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, and
 sinkage is below the surface in front of the wheel. Pull is the net forward force on the axle, less the weight component
-where a grade effect is hidden. Sets differ in the law errors: `laws` has errors that are smooth in slip, `log_slip` and
-`regimes` have the same cases with errors that change otherwise with slip (`laws.log_slip`, `laws.regimes`).
+where a grade effect is hidden. Set `laws` has law errors of several sizes that are smooth in slip, and several designs;
+set `ten` has rich tables with errors of 10 % of all kinds (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
 """
 
 from __future__ import annotations
@@ -22,19 +22,16 @@ import yaml
 
 from benchmarks.common import short
 from benchmarks.discovery.forms import CHANNELS, MECHANISMS, VARIES, Form, Hidden, forms_of
-from benchmarks.discovery.laws import BASE_LAWS, log_slip, regimes, smooth
+from benchmarks.discovery.laws import log_slip, regimes, smooth
 from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
-from benchmarks.discovery.unlisted import INSTRUMENT, NEW, PUBLISHED
+from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
-KINDS = ("one", "two", "unlisted", "none", "instrument")
 LEAST = 2.0  # detection limits from which a case counts for the targets
-SEEN, WEAK = (LEAST, 8.0), (0.5, LEAST)  # sizes that are sought, in detection limits
-UNLISTED = [*PUBLISHED, *NEW]
+SEEN = (LEAST, 8.0)  # sizes that are sought, in detection limits
 PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
-LAWS = tuple(law for law in BASE_LAWS if law != "reece")  # that differ for one wheel, too
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
 DEEPEST = 0.7  # sinkage over the radius, with effects
 
@@ -46,11 +43,11 @@ DEEPEST = 0.7  # sinkage over the radius, with effects
 class Group:
     """Cases of one sort."""
 
-    kind: str  # one of `KINDS`
-    design: str  # rich, wheels, poor, few: of `plan`
+    kind: str  # one, two, none, unlisted or instrument
+    design: str  # rich, poor, few: of `plan`
     error: float  # size of the law errors
     count: int
-    sort: str = ""  # laws, outliers, weak; held: unlisted kinds that are held back
+    sort: str = ""  # outliers; held: unlisted kinds that are held back
     of_slip: Callable = smooth  # kind of the law errors
 
     @property
@@ -59,19 +56,14 @@ class Group:
         error = f"{100 * self.error:.0f}" + ("" if self.of_slip is smooth else f"-{self.of_slip.__name__}")
         return "-".join(filter(None, (self.kind, self.design, self.sort, error)))
 
-    def law(self, index: int) -> str | None:
-        """Return the base law of a case, None for the paper's."""
-        if self.sort == "laws":
-            return LAWS[index % len(LAWS)]
-        return "reece" if self.design == "wheels" and index % 2 else None
-
     def hidden(self, index: int) -> list[Form]:
         """Return the forms that are hidden in a case: mechanisms and forms take turns."""
         index += zlib.crc32(self.name.encode()) % 1009  # groups do not all begin with the same ones
         if self.kind == "none":
             return []
         if self.kind in ("unlisted", "instrument"):
-            kinds = INSTRUMENT if self.kind == "instrument" else _unlisted(held=self.sort == "held")
+            kinds = [f for f in UNLISTED if (f.name in HELD_BACK) == (self.sort == "held")]
+            kinds = INSTRUMENT if self.kind == "instrument" else kinds
             return [kinds[index % len(kinds)]]
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
@@ -80,11 +72,6 @@ class Group:
             names = (known[index % len(known)],)
         turn = index // len(MECHANISMS) if self.kind == "one" else index
         return [forms_of(n)[(turn + k) % len(forms_of(n))] for k, n in enumerate(names)]
-
-
-def _unlisted(held: bool) -> list[Form]:
-    """Return the kinds that are held back, or those of development."""
-    return [f for f in NEW if f.name in HELD_BACK] if held else [f for f in UNLISTED if f.name not in HELD_BACK]
 
 
 def _groups(kind: str, counts: dict[float, int], design: str = "rich", sort: str = "", **of_set) -> list[Group]:
@@ -99,13 +86,8 @@ SETS: dict[str, list[Group]] = {
         *_groups("unlisted", {0.0: 36, 0.1: 63, 0.2: 18}),
         *_groups("unlisted", {0.1: 60}, sort="held"),
         *_groups("instrument", {0.0: 30, 0.1: 60}),
-        *_groups("one", {0.1: 39}, sort="weak"),
-        *_groups("one", {0.0: 28, 0.1: 28}, sort="laws"),
-        *_groups("none", {0.0: 14, 0.1: 14}, sort="laws"),
         *_groups("one", {0.1: 26}, sort="outliers"),
         *_groups("none", {0.1: 10}, sort="outliers"),
-        *_groups("one", {0.0: 13, 0.1: 39}, "wheels"),
-        *_groups("none", {0.1: 20}, "wheels"),
         *_groups("one", {0.0: 18, 0.1: 36}, "poor"),
         *_groups("one", {0.0: 18, 0.1: 36}, "few"),
         *_groups("none", {0.1: 30}, "poor"),
@@ -119,7 +101,7 @@ SETS: dict[str, list[Group]] = {
         for group in _groups(kind, {0.1: count}, sort=sort, of_slip=of_slip)
     ],
 }  # fmt: skip
-GROUPS = {group.name: group for groups in SETS.values() for group in groups}
+GROUPS = {group.name: group for groups in reversed(SETS.values()) for group in groups}
 
 
 class Task(NamedTuple):
@@ -177,18 +159,17 @@ def draw_case(seed: int, task: Task) -> Case:
     """Draw the case of a seed, group and number."""
     group = GROUPS[task.group]
     rng = np.random.default_rng([seed, zlib.crc32(group.name.encode()), task.index])
-    forms, law = group.hidden(task.index), group.law(task.index)
-    lugs = any(form.effect == "grousers" for form in forms)
+    forms = group.hidden(task.index)
     best, measure, effects, sizes = None, None, (), ()
     for _ in range(ATTEMPTS):
-        bench = draw_bench(rng, group.design, group.error, law, lugs, group.of_slip)
+        bench = draw_bench(rng, group.design, group.error, group.of_slip)
         measure = Measure(bench)
         effects, sizes = _strengths(rng, measure, forms, group)
         if sizes is None:
             continue
         if best is None or min(sizes, default=np.inf) > min(best[2], default=np.inf):
             best = measure, effects, sizes
-        if min(sizes, default=np.inf) >= 0.97 * (WEAK if group.sort == "weak" else SEEN)[0]:
+        if min(sizes, default=np.inf) >= 0.97 * LEAST:
             break
     if best is None:
         raise RuntimeError(f"{task.name}: no table with a balance in {ATTEMPTS} attempts")
@@ -198,14 +179,13 @@ def draw_case(seed: int, task: Task) -> Case:
 def _strengths(rng, measure: Measure, forms, group: Group):
     """(Effects whose sizes are drawn between the multiples of the limit, sizes); (.., None) if impossible."""
     bench = measure.bench
-    context = bench.context
-    effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, context)) for f in forms]
+    effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, bench)) for f in forms]
     if group.kind == "instrument":
-        cap, floor = forms[0].cap(context), forms[0].floor
+        cap, floor = forms[0].cap(bench), forms[0].floor
         effects = [effects[0].at(effects[0].strength * float(rng.uniform(floor, cap)))]
-        return tuple(effects), (measure.size(effects[0]),)
-    low, high = WEAK if group.sort == "weak" else SEEN
-    wanted = [low * (high / low) ** rng.uniform() for _ in effects]
+        size = measure.size(effects[0])
+        return tuple(effects), ((size,) if np.all(np.isfinite([size, *bench.truth(effects).ravel()])) else None)
+    wanted = [SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
     for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
@@ -214,7 +194,7 @@ def _strengths(rng, measure: Measure, forms, group: Group):
             return effects, None
         effects[k] = effects[k].at(strength)
     if group.kind == "unlisted":  # what counts is what the best listed effect would leave of it
-        rival = min(measure.left(measure.contribution(effects[0]), [], effects[0].form.freedom).values())
+        rival = min(measure.left(effects[0]).values())
         strength, size = measure.strength(effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3))
         if strength == 0.0:
             return effects, None
@@ -237,12 +217,9 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
     values = np.where(wrong, clean + noise * gross, values)
     stated = rng.random() < (0.5 if group.design == "few" else 0.8)
     setup = _setup(rng, bench, stated, WIDE if group.design == "few" else 1.0)
-    law = None if bench.law is None else BASE_LAWS[bench.law]
     truth = {
         "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
-        "law_error": group.error,
-        "base_law": None if law is None else {"name": law.name, "source": law.source, **(bench.law_side or {})},
-        "also": [] if law is None or law.also is None else [law.also],
+        "law_error": group.error, "law_errors": group.of_slip.__name__,
         "rows": len(bench.rows), "noise_stated": stated, "wrong_cells": int(wrong.sum()),
         "soil_type": bench.soil, "soil": asdict(bench.ground),
         "noise": dict(zip(CHANNELS, bench.noise, strict=True)),
@@ -252,21 +229,17 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
 
 
 def _described(measure: Measure, effects, sizes) -> dict:
-    """Truth about the effects: sizes in detection limits, what listed forms leave of them, and if the case counts."""
+    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one, counts or not."""
     out, counts = [], True
     for k, effect in enumerate(effects):
         others = [e for j, e in enumerate(effects) if j != k]
-        free = [measure.contribution(e) for e in others]
-        left = measure.left(measure.contribution(effect, others), free, effect.form.freedom)
-        left = {name: value for name, value in left.items() if name not in {e.form.effect for e in others}}
-        rivals = {name: value for name, value in left.items() if name != effect.form.effect}
+        rivals = {} if others else measure.left(effect)
         best = min(rivals, key=rivals.get) if rivals else None
         out.append({
             "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),
             "strength": effect.strength, "unit": effect.form.strength,
             "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
             "size": measure.size(effect, others), "rival": best, "rival_left": rivals[best] if best else None,
-            "left": rivals,
         })  # fmt: skip
         seen = out[-1]["rival_left"] if effect.form in UNLISTED else sizes[k]
         counts = counts and seen >= 0.97 * LEAST
@@ -281,10 +254,6 @@ def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
     }  # fmt: skip
     if np.any(rows.grade_deg):
         columns["grade_deg"] = [float(np.round(g, 4)) for g in rows.grade_deg]
-    if np.ndim(bench.wheel.radius):
-        columns["wheel_radius"] = bench.wheel.radius.tolist()
-        columns["wheel_width"] = bench.wheel.width.tolist()
-        columns["grouser_height"] = bench.wheel.lugs.tolist()
     for name, row, kept in zip(CHANNELS, values, bench.measured, strict=True):
         if kept.any():
             columns[name] = [float(f"{v:.6g}") for v in row]
@@ -299,11 +268,7 @@ def _setup(rng, bench: Bench, noise_stated: bool, wide: float) -> dict:
         while value <= 0.05 * true:
             value = true + bench.prior_sd[name] * rng.standard_normal()
         soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{wide * PRIOR_SD[name](value):.3g}")}
-    first = (float(np.atleast_1d(x)[0]) for x in (bench.wheel.radius, bench.wheel.width))
-    setup = {
-        "wheel": dict(zip(("radius", "width"), first, strict=True)),
-        "soil": soil | {"density": bench.ground.density},
-    }
+    setup = {"wheel": asdict(bench.wheel), "soil": soil | {"density": bench.ground.density}}
     if noise_stated:
         present = bench.measured.any(axis=1)
         levels = zip(CHANNELS, bench.noise, present, strict=True)

@@ -1,17 +1,16 @@
-"""Soil, wheels, test plan and base law of a case, and the size of an effect in units of its detection limit there.
+"""Soil, wheel and test plan of a case, and the size of an effect in units of its detection limit there.
 
-The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J' + D D'. C is the
+The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J'. C is the
 covariance of the table by law errors (`laws.covariance`), J the tangent space of the soil, P the covariance of its
-priors. D is the change by a base law of another form, a direction of which nothing is known. d' V^-1 d is the
-noncentrality of the likelihood ratio of a method that knows the form of the effect and the size of all of these. The
-*size* is its root over that of the noncentrality at which a test at the 1 % level has a power of 95 %
-(`noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
+priors. d' V^-1 d is the noncentrality of the likelihood ratio of a method that knows the form of the effect and the
+size of all of these. The *size* is its root over that of the noncentrality at which a test at the 1 % level has a power
+of 95 % (`noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
 small. What an effect adds is computed without the law errors, whose change by the effect is of second order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -20,8 +19,8 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from benchmarks.discovery.forms import FORMS, Context, Hidden
-from benchmarks.discovery.laws import BASE_LAWS, StressError, altered, covariance, smooth
+from benchmarks.discovery.forms import FORMS, Hidden
+from benchmarks.discovery.laws import StressError, covariance, smooth
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
 
 SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
@@ -39,13 +38,9 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-#: Kinds of `unlisted.NEW` in the order of the CRC-32 of their names: every second one is held back from development.
-DEVELOPMENT = (
-    "uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion",
-)  # fmt: skip
-HELD_BACK = (
-    "toed_wheel", "warming_seal", "carried_soil", "slack_load_cell", "soft_layer", "wheel_out_of_round",
-)  # fmt: skip
+#: Kinds of `unlisted` in the order of the CRC-32 of their names: every second one is held back from development.
+DEVELOPMENT = ("uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion")
+HELD_BACK = ("toed_wheel", "warming_seal", "carried_soil", "slack_load_cell", "soft_layer", "wheel_out_of_round")
 WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
 SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
 LEVEL, POWER = 0.01, 0.95
@@ -56,7 +51,7 @@ FREE = 10.0  # standard deviation of the strength of another effect that is refi
 class Bench:
     """Conditions, true soil and base law of a table, its noise and the priors of the soil."""
 
-    wheel: Wheel  # arrays [N] where there are two
+    wheel: Wheel
     ground: Ground
     rows: Rows  # grades as a pattern in [-1, 1] times `grade`
     runs: tuple[str, ...]
@@ -65,8 +60,6 @@ class Bench:
     prior_sd: dict[str, float]  # of `SOIL`
     measured: np.ndarray  # [3, N] cells that are filled in
     soil: str  # its sort
-    law: str | None = None  # base law, None: the paper's
-    law_side: dict | None = None
     error: StressError | None = None
 
     @property
@@ -77,26 +70,33 @@ class Bench:
     @property
     def pressure(self) -> float:
         """Mean contact pressure, load over b r [Pa]."""
-        return self.load / float(np.mean(np.asarray(self.wheel.radius) * self.wheel.width))
+        return self.load / (self.wheel.radius * self.wheel.width)
 
     @property
-    def context(self) -> Context:
-        """Context of the forms; of two wheels the mean one."""
-        mean = Wheel(float(np.mean(self.wheel.radius)), float(np.mean(self.wheel.width)))
-        return Context(mean, self.ground, self.conditions())
+    def radius(self) -> float:
+        """Radius of the wheel [m]."""
+        return self.wheel.radius
+
+    @property
+    def speed(self) -> float:
+        """Geometric mean of the speeds [m/s]."""
+        return float(np.exp(np.mean(np.log(self.rows.speed))))
+
+    @property
+    def time(self) -> float:
+        """Duration of the campaign [s]."""
+        return float(max(self.rows.time.max(), 1.0))
 
     def conditions(self, effects: Sequence[Hidden] = ()) -> Rows:
         """Rows with the grades in degrees, set by the strength of a grade effect if there is one."""
         scale = next((e.strength for e in effects if e.form.scales_grade), self.grade)
         return replace(self.rows, grade_deg=self.rows.grade_deg * scale)
 
-    def contact(self, effects: Sequence[Hidden] = (), exact: bool = False) -> Contact:
-        """Wheel on soil with the effects in the order of their forms; `exact`: on the paper's law, without errors."""
+    def contact(self, effects: Sequence[Hidden] = ()) -> Contact:
+        """Wheel on soil with the effects in the order of their forms."""
         contact = Contact(self.conditions(effects), self.wheel, self.ground)
-        if not exact:
-            altered(contact, self.law, self.law_side or {})
-            if self.error is not None:
-                self.error(contact)
+        if self.error is not None:
+            self.error(contact)
         for effect in sorted(effects, key=lambda e: e.form.order):
             effect(contact)
         return contact
@@ -110,26 +110,20 @@ class Bench:
         """Noise-free table [3, N] without effects, on the laws of this bench."""
         return self.truth()
 
-    @cached_property
-    def exact(self) -> np.ndarray:
-        """Noise-free table [3, N] without effects, on the paper's laws."""
-        return self.contact(exact=True).solve().stack()
 
-
-def draw_bench(
-    rng: np.random.Generator, design: str, size: float, law: str | None, lugs: bool = False, of_slip=smooth
-) -> Bench:
-    """Wheel, soil and plan; `size` and kind of the law errors; `lugs`: one of two wheels has lugs of consequence."""
+def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Callable = smooth) -> Bench:
+    """Wheel, soil and plan of a table; size and kind of its law errors."""
     while True:
         soil = list(SOILS)[rng.integers(len(SOILS))]
         phi, c, k, n, pressure = (float(rng.uniform(*span)) for span in SOILS[soil])
         radius = float(np.round(np.exp(rng.uniform(np.log(0.08), np.log(0.35))), 3))
         width = float(np.round(np.clip(radius * rng.uniform(0.5, 1.1), 0.06, 0.25), 3))
         mean_load = pressure * radius * width
-        wheel, rows, runs = _plan(rng, design, mean_load, Wheel(radius, width), lugs)
+        wheel = Wheel(radius, width)
+        rows, runs = _plan(rng, design, mean_load)
         ground = Ground(phi, c, k, 1.0, n, float(np.round(rng.uniform(1300, 1800))))
         depth = rng.uniform(0.07, 0.2)
-        s = stiffness_for(Wheel(radius, width), ground, mean_load, depth)
+        s = stiffness_for(wheel, ground, mean_load, depth)
         if not np.isfinite(s):
             continue
         bench = Bench(
@@ -137,10 +131,8 @@ def draw_bench(
             float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)), _noise(rng, radius, mean_load),
             {}, np.ones((3, len(rows)), bool), soil,
         )  # fmt: skip
-        side = None if law is None else BASE_LAWS[law].draw(rng, bench.pressure)
-        error = StressError.draw(rng, size, bench.pressure, bench.load, of_slip)
-        bench = replace(bench, law=law, law_side=side, error=error)
-        sinkage = np.stack([bench.base[0], bench.exact[0]]) / np.asarray(wheel.radius)
+        bench = replace(bench, error=StressError.draw(rng, size, bench.pressure, bench.load, of_slip))
+        sinkage = np.stack([bench.base[0], replace(bench, error=None).base[0]]) / wheel.radius
         if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
             break
     wide = WIDE if design == "few" else 1.0
@@ -176,73 +168,38 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
 # --- conditions -------------------------------------------------------------------------------------------------------
 
 
-def _plan(rng, design: str, mean_load: float, wheel: Wheel, lugs: bool) -> tuple[Wheel, Rows, list[str]]:
-    """Wheel, conditions and run labels; grades as a pattern in [-1, 1].
+def _plan(rng, design: str, mean_load: float) -> tuple[Rows, list[str]]:
+    """Conditions and run labels; grades as a pattern in [-1, 1].
 
-    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; wheels: 2 wheels
-    x 3 loads x 2 speeds x 2 passes x 6 slips; poor: one load, speed and pass, 6 to 9 slips, 3 times; few: 5 to 20
-    rows at 1 to 3 loads. The rows of a run are neighbours.
+    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; poor: one load,
+    speed and pass, 6 to 9 slips, 3 times; few: 5 to 20 rows at 1 to 3 loads. The rows of a run are neighbours.
     """
     loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
     slowest, fastest = np.exp(rng.uniform(np.log(0.01), np.log(0.1))), rng.uniform(5.0, 10.0)
     speeds = np.round(slowest * fastest ** np.array([0.0, 0.5, 1.0]), 4)
     pattern = np.array(((-1.0, 0.0, 1.0), (0.0, 0.5, 1.0))[rng.integers(2)])
     top = rng.uniform(0.5, 0.65)
-    blocks = {"rich": _rich, "wheels": _two_wheels, "poor": _poor, "few": _few}[design](rng, loads, speeds, pattern)
-    count = {"rich": rng.integers(6, 8), "wheels": 6, "poor": rng.integers(6, 10)}.get(design)
-    if design == "few":
-        count = max(int(rng.integers(5, 21)) // len(blocks), 2)
-    slips = np.linspace(0.05, top, int(count))
-    rows, runs, clock, which = [], [], 0.0, []
-    own = slips
-    for number, (load, speed, number_of_pass, grade, one, repeat) in enumerate(blocks, start=1):
+    if design == "rich":
+        order = [(i, j) for i in range(3) for j in range(3)]
+        rng.shuffle(order)
+        blocks = [(loads[i], speeds[j], p, pattern[(i + j) % 3], False) for i, j in order for p in (1, 2, 3)]
+    else:  # all at one speed
+        speed = speeds[rng.integers(3)]
+        chosen = [loads[1]] * 3 if design == "poor" else loads[: rng.integers(1, 4)]
+        blocks = [(load, speed, 1, 0.0, design == "poor" and k > 0) for k, load in enumerate(chosen)]
+    count = rng.integers(6, 8), rng.integers(6, 10)
+    count = max(int(rng.integers(5, 21)) // len(blocks), 2) if design == "few" else count[design == "poor"]
+    slips = own = np.linspace(0.05, top, int(count))
+    rows, runs, clock = [], [], 0.0
+    for number, (load, speed, number_of_pass, grade, again) in enumerate(blocks, start=1):
         clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)  # preparing the soil
-        if repeat == 0:
+        if not again:
             own = np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4)
         for slip in own:
             clock += rng.uniform(30, 90)
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
             runs.append(f"run{number:02d}")
-            which.append(one)
-    if design == "wheels":
-        wheel = _second(rng, wheel, np.array(which), lugs)
-    return wheel, Rows(*np.array(rows).T), runs
-
-
-def _second(rng, first: Wheel, which: np.ndarray, lugs: bool) -> Wheel:
-    """Two wheels: a smooth one, and one of another size, or of the same with lugs; lugs may be there without effect."""
-    radius, width = first.radius, first.width
-    if not lugs or rng.random() < 0.5:
-        radius = float(np.round(radius * rng.choice((0.8, 1.25)), 3))
-        width = float(np.round(np.clip(width * rng.choice((0.75, 1.0, 1.3)), 0.05, 0.3), 3))
-    height = float(np.round(rng.uniform(0.03, 0.12) * radius, 4)) if lugs or rng.random() < 0.5 else 0.0
-    return Wheel(
-        np.where(which == 0, first.radius, radius), np.where(which == 0, first.width, width),
-        np.where(which == 0, 0.0, height),
-    )  # fmt: skip
-
-
-def _rich(rng, loads, speeds, pattern):
-    order = [(i, j) for i in range(3) for j in range(3)]
-    rng.shuffle(order)
-    return [(loads[i], speeds[j], p, pattern[(i + j) % 3], 0, 0) for i, j in order for p in (1, 2, 3)]
-
-
-def _two_wheels(rng, loads, speeds, pattern):
-    order = [(w, i, j) for w in range(2) for i in range(3) for j in (0, 2)]
-    rng.shuffle(order)
-    return [(loads[i], speeds[j], p, pattern[(i + j + w) % 3], w, 0) for w, i, j in order for p in (1, 2)]
-
-
-def _poor(rng, loads, speeds, pattern):
-    speed = speeds[rng.integers(3)]
-    return [(loads[1], speed, 1, 0.0, 0, repeat) for repeat in range(3)]
-
-
-def _few(rng, loads, speeds, pattern):
-    speed = speeds[rng.integers(3)]
-    chosen = loads[: rng.integers(1, 4)]
-    return [(load, speed, 1, 0.0, 0, 0) for load in chosen]
+    return Rows(*np.array(rows).T), runs
 
 
 # --- detection limits -------------------------------------------------------------------------------------------------
@@ -281,12 +238,8 @@ class Measure:
         total += tangent @ tangent.T
         size = bench.error.size if bench.error is not None else 0.0
         if size > 0.0:
-            contact = bench.contact(exact=True)
-            entry = np.arccos(1.0 - bench.exact[:1].T / contact.radius)
-            total += size**2 * covariance(contact, entry, bench.pressure, bench.load)
-        if bench.law is not None:
-            other = (self.bench.base - bench.exact).ravel()
-            total += np.outer(other, other)
+            entry = np.arccos(1.0 - self.bench.base[:1].T / bench.radius)
+            total += size**2 * covariance(self.bench.contact(), entry, bench.pressure, bench.load)
         total = total[np.ix_(self.kept, self.kept)]
         if not np.all(np.isfinite(total)):
             raise ValueError("no balance of the base world")
@@ -309,14 +262,12 @@ class Measure:
             return np.inf
         return float(np.sqrt(max(without(vector, free) @ vector, 0.0) / noncentrality(effect.form.freedom)))
 
-    def strength(
-        self, effect: Hidden, wanted: float, others: Sequence[Hidden] = (), rounds: int = 8
-    ) -> tuple[float, float]:
+    def strength(self, effect: Hidden, wanted: float, others: Sequence[Hidden] = ()) -> tuple[float, float]:
         """(strength of a wanted size, or the largest sensible one where that is less; its size)."""
-        sign, cap = np.sign(effect.strength) or 1.0, effect.form.cap(self.bench.context)
+        sign, cap = np.sign(effect.strength) or 1.0, effect.form.cap(self.bench)
         s, best = 0.15 * cap, (0.0, 0.0)
         low, high = 0.0, cap
-        for _ in range(rounds):
+        for _ in range(8):
             size = self.size(effect.at(sign * s), others)
             if np.isfinite(size):
                 best = (s, size)
@@ -327,28 +278,24 @@ class Measure:
             s = min(guess, cap) if low < min(guess, cap) < high or (guess >= cap == high) else 0.5 * (low + high)
         return sign * best[0], best[1]
 
-    def left(self, vector: np.ndarray, free: Sequence[np.ndarray], freedom: int) -> dict[str, float]:
-        """Size that the best listed form of each mechanism leaves of a contribution, the strengths fitted."""
-        out = {}
-        projected = without(vector, free)
-        for name, strength_cap, signed, change in self.listed:
-            beside = without(change, free)
-            amount = np.clip(
-                (beside @ vector) / max(beside @ change, 1e-12), -strength_cap if signed else 0.0, strength_cap
-            )
-            square = vector @ projected - 2.0 * amount * (beside @ vector) + amount**2 * (beside @ change)
-            value = float(np.sqrt(max(square, 0.0) / noncentrality(freedom)))
-            out[name] = min(out.get(name, np.inf), value)
+    def left(self, effect: Hidden) -> dict[str, float]:
+        """Size that the best form of each other mechanism leaves of an effect, the strengths fitted."""
+        vector, out = self.contribution(effect), {}
+        for name, cap, signed, change in self.listed:
+            amount = np.clip((change @ vector) / max(change @ change, 1e-12), -cap if signed else 0.0, cap)
+            size = float(np.linalg.norm(vector - amount * change) / np.sqrt(noncentrality(effect.form.freedom)))
+            if name != effect.form.effect:
+                out[name] = min(out.get(name, np.inf), size)
         return out
 
     @cached_property
     def listed(self) -> list[tuple[str, float, bool, np.ndarray]]:
         """(mechanism, largest multiple, negative ones count too, whitened change) of each listed form."""
-        rng, context, found = np.random.default_rng(0), self.bench.context, []
+        rng, bench, found = np.random.default_rng(0), self.bench, []
         for form in FORMS:
-            cap = form.cap(context)
-            some = self.bench.grade if form.scales_grade else max(0.3 * cap, form.floor)
-            change = self.contribution(Hidden(form, some, form.side(rng, context)))
+            cap = form.cap(bench)
+            some = bench.grade if form.scales_grade else max(0.3 * cap, form.floor)
+            change = self.contribution(Hidden(form, some, form.side(rng, bench)))
             if np.all(np.isfinite(change)) and some > 0.0:
                 found.append((form.effect, cap / some, -1 in form.signs, change))
         return found

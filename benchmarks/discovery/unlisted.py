@@ -1,7 +1,7 @@
 """Mechanisms in no catalogue, and errors of the instrument that a table may hold besides the soil.
 
-`PUBLISHED` are the kinds of earlier runs. Of the others `plan.HELD_BACK` names the half that no development may use.
-Every kind says what separates it from the listed mechanisms.
+`plan.HELD_BACK` names the half of the kinds that no development may use. Every kind says what separates it from the
+listed mechanisms.
 """
 
 from __future__ import annotations
@@ -14,17 +14,10 @@ import numpy as np
 from benchmarks.discovery.forms import PULL, TORQUE, Form, drawn, enter
 from benchmarks.discovery.world import column
 
-PUBLISHED: list[Form] = []
-NEW: list[Form] = []
+UNLISTED: list[Form] = []
 INSTRUMENT: list[Form] = []
-_unlisted = partial(enter, PUBLISHED, "")
-_new = partial(enter, NEW, "")
+_unlisted = partial(enter, UNLISTED, "")
 _instrument = partial(enter, INSTRUMENT, "", signs=(1, -1))
-
-
-def _run(rows, keys=("load", "speed", "passes")):
-    """Number of the run of each row: stretches of equal load, speed and pass."""
-    return np.concatenate([[0], np.cumsum(sum(np.diff(getattr(rows, k)) != 0 for k in keys) > 0)])
 
 
 def _sensed(contact, **change):
@@ -32,112 +25,10 @@ def _sensed(contact, **change):
     contact.sensors.append(lambda out: replace(out, **{name: f(out) for name, f in change.items()}))
 
 
-# --- kinds of earlier runs --------------------------------------------------------------------------------------------
+# --- in no catalogue: soil, wheel and rig -----------------------------------------------------------------------------
 
 
-@_unlisted("fall of phi for each decade of pressure [deg]", 14.0,
-           side=lambda rng, ctx: {"pressure": ctx.load / (ctx.wheel.width * 0.5 * ctx.wheel.radius)})  # fmt: skip
-def stress_dependent_friction(contact, s, side):
-    """Friction angle falls with the normal stress, phi - s log10(sigma/sigma0) (Bolton 1986, crushing and dilatancy).
-
-    Listed effects change the strength with slip, speed, pass or shear displacement; none with the stress itself.
-    """
-
-    def hook(limit, sigma, theta):
-        decade = np.log10(np.maximum(sigma, 1e-3 * side["pressure"]) / side["pressure"])
-        angle = np.clip(contact.phi - np.radians(s) * decade, 0.0, np.radians(60.0))
-        return contact.cohesion + (limit - contact.cohesion) * np.tan(angle) / contact.tan_phi
-
-    contact.strength.append(hook)
-
-
-@_unlisted("relative growth of the radius at the mean load [-]", 0.6, side=drawn("load"))
-def flexible_wheel(contact, s, side):
-    """The rim flattens under load: effective radius r (1 + s W/W0) (Bekker's equivalent rigid wheel; Schmid 1995).
-
-    Listed effects keep the radius, or change it by a constant (lugs, rolling radius).
-    """
-    factor = 1.0 + s * (column(contact.rows.load) / side["load"] - 0.3)
-    contact.radius = contact.radius * factor
-    contact.shear_radius = contact.shear_radius * factor
-
-
-@_unlisted("share of pull and torque lost at the worst slip [-]", 0.5, (PULL, TORQUE),
-           side=drawn(slip=(0.2, 0.45), width=(0.05, 0.09)))  # fmt: skip
-def power_hop(contact, s, side):
-    """Stick-slip of the drive in a band of slip takes a share of pull and torque ("power hop", Wong 2008).
-
-    Listed effects are monotonic in slip, or a hump in shear displacement that loads and sinkage shift; none is a band.
-    """
-    band = 1.0 - s * np.exp(-0.5 * ((contact.rows.slip - side["slip"]) / side["width"]) ** 2)
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull * band, torque=out.torque * band))
-
-
-@_unlisted("share of the drawbar pull that comes on the wheel [-]", 0.3, signs=(1, -1))
-def load_transfer(contact, s, side):
-    """A hinged arm of the rig turns drawbar pull into load: W + s DP on the wheel, the table holds W.
-
-    Listed effects leave the load alone (grade by a cosine); slip-sinkage moves the sinkage without the thrust.
-    """
-    contact.reaction.append(lambda pull, torque: s * pull)
-
-
-@_unlisted("rise of cohesion at a depth of 0.1 r over the mean cohesion [-]", 6.0)
-def cohesion_with_depth(contact, s, side):
-    """Cohesion grows with depth, c (1 + s z/(0.1 r)): soil that is moister below (Wong 1989, on layered terrain)."""
-
-    def hook(limit, sigma, theta):
-        depth = contact.radius * np.maximum(np.cos(theta) - np.min(np.cos(theta), axis=1, keepdims=True), 0.0)
-        return limit + contact.cohesion * s * depth / (0.1 * contact.radius)
-
-    contact.strength.append(hook)
-
-
-@_unlisted("pressure of the crust over the mean contact pressure [-]", 1.5, side=drawn("pressure", depth=(0.02, 0.05)))
-def brittle_crust(contact, s, side):
-    """A crust bears until it breaks: pressure that rises and falls within a small depth (Wong 1989, on muskeg)."""
-    thick = side["depth"] * contact.radius
-
-    def hook(sigma, depth):
-        return sigma + s * side["pressure"] * (depth / thick) * np.exp(1.0 - depth / thick)
-
-    contact.pressure.append(hook)
-
-
-@_unlisted("pull of the cable at the end of a run over the mean load [-]", 0.3, (PULL,), side=drawn("load"))
-def umbilical(contact, s, side):
-    """A cable that the carriage drags pulls the harder the further it has come in its run."""
-    rows = contact.rows
-    change = (np.diff(rows.load) != 0) | (np.diff(rows.speed) != 0) | (np.diff(rows.passes) != 0)
-    run = np.concatenate([[0], np.cumsum(change)])
-    first = np.array([np.argmax(run == k) for k in range(run[-1] + 1)])[run]
-    length = np.array([np.sum(run == k) for k in range(run[-1] + 1)])[run]
-    share = (np.arange(run.size) - first + 0.5) / length
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull - s * side["load"] * share))
-
-
-@_unlisted("share of pull x radius in the torque [-]", 0.4, (TORQUE,), signs=(1, -1))
-def crosstalk(contact, s, side):
-    """The torque sensor reads a share of the drawbar pull: T + s DP r."""
-    arm = contact.radius[:, 0]
-    contact.sensors.append(lambda out: replace(out, torque=out.torque + s * out.drawbar_pull * arm))
-
-
-@_unlisted("fall of S and tan phi at the middle of a band of rim speed [-]", 0.5,
-           side=lambda rng, ctx: {"rim": float(ctx.speed / rng.uniform(0.3, 0.9)),
-                                  "width": float(rng.uniform(0.3, 0.6))})  # fmt: skip
-def resonance(contact, s, side):
-    """The rig shakes in a band of rim speed and the soil yields: S and tan phi fall there, and nowhere else."""
-    rim = column(contact.rows.speed) / np.maximum(1.0 - contact.slip, 0.05)
-    band = 1.0 - s * np.exp(-0.5 * (np.log(rim / side["rim"]) / side["width"]) ** 2)
-    contact.stiffness = contact.stiffness * band
-    contact.tan_phi = contact.tan_phi * band
-
-
-# --- soil -------------------------------------------------------------------------------------------------------------
-
-
-@_new("tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5)))
+@_unlisted("tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5)))
 def rim_adhesion(contact, s, side):
     """Moist soil sticks to the rim and is torn off behind the bottom, with a tension (Fountaine 1954).
 
@@ -152,7 +43,7 @@ def rim_adhesion(contact, s, side):
     contact.forces.append(hook)
 
 
-@_new("share of S that is lost below the crust [-]", 0.9, side=drawn(depth=(0.05, 0.12)))
+@_unlisted("share of S that is lost below the crust [-]", 0.9, side=drawn(depth=(0.05, 0.12)))
 def soft_layer(contact, s, side):
     """A crust bears on a softer layer: S falls to (1 - s) S beyond a depth (Meyerhof & Hanna 1978, two layers).
 
@@ -162,7 +53,7 @@ def soft_layer(contact, s, side):
     contact.pressure.append(lambda sigma, z: sigma * (1.0 - 0.5 * s * (1.0 + np.tanh((z - knee) / (0.25 * knee)))))
 
 
-@_new("gain of pressure at a depth of 0.1 r [-]", 10.0)
+@_unlisted("gain of pressure at a depth of 0.1 r [-]", 10.0)
 def hard_floor(contact, s, side):
     """The floor of a shallow bin stiffens the soil as the wheel nears it (Mandel & Salencon 1972, rigid base).
 
@@ -171,7 +62,7 @@ def hard_floor(contact, s, side):
     contact.pressure.append(lambda sigma, z: sigma * (1.0 + s * (z / (0.1 * contact.radius)) ** 3))
 
 
-@_new("gain of cohesion by the end of the campaign [-]", 4.0, side=drawn("time", stiffness=(0.0, 0.15)))
+@_unlisted("gain of cohesion by the end of the campaign [-]", 4.0, side=drawn("time", stiffness=(0.0, 0.15)))
 def rising_moisture(contact, s, side):
     """The bed takes up moisture through the campaign: c (1 + s t/T), and S falls by a part of it (Bekker 1969).
 
@@ -182,24 +73,21 @@ def rising_moisture(contact, s, side):
     contact.stiffness = contact.stiffness / (1.0 + side["stiffness"] * late)
 
 
-@_new(
-    "standard deviation of ln S from bed to bed [-]",
-    0.5,
-    side=lambda rng, ctx: {"beds": rng.standard_normal(200).tolist()},
-)
+@_unlisted("standard deviation of ln S from bed to bed [-]", 0.5,
+           side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()})  # fmt: skip
 def uneven_beds(contact, s, side):
     """Every bed that is prepared differs in density, and so in S, and less in phi (ISTVS 1977 on soil bins).
 
     No listed effect is random; the passes of one bed share their value.
     """
     rows = contact.rows
-    fresh = (np.diff(_run(rows)) != 0) & (rows.passes[1:] == 1.0)
+    fresh = ((np.diff(rows.load) != 0) | (np.diff(rows.speed) != 0)) & (rows.passes[1:] == 1.0)
     bed = column(np.asarray(side["beds"])[np.concatenate([[0], np.cumsum(fresh)]) % 200])
     contact.stiffness = contact.stiffness * np.exp(s * bed)
     contact.tan_phi = contact.tan_phi * np.exp(0.1 * s * bed)
 
 
-@_new("coefficient of friction times pressure of the wall over gamma z [-]", 40.0)
+@_unlisted("coefficient of friction times pressure of the wall over gamma z [-]", 40.0, (PULL, TORQUE))
 def rut_sidewall(contact, s, side):
     """From the second pass the wheel's sides rub on the walls of the rut, force s gamma z times the sunk segment.
 
@@ -216,10 +104,7 @@ def rut_sidewall(contact, s, side):
     contact.forces.append(hook)
 
 
-# --- wheel and rig ----------------------------------------------------------------------------------------------------
-
-
-@_new("thickness of the carried soil over the radius [-]", 0.3, side=drawn(slip=(0.1, 0.3)))
+@_unlisted("thickness of the carried soil over the radius [-]", 0.3, side=drawn(slip=(0.1, 0.3)))
 def carried_soil(contact, s, side):
     """Lugs carry soil up behind the wheel as it slips: its weight loads the axle, its lift takes torque (Bekker 1969).
 
@@ -230,7 +115,7 @@ def carried_soil(contact, s, side):
     contact.forces.append(lambda entry: (-weight * np.pi / 2.0, 0.0 * weight, weight * contact.radius))
 
 
-@_new("angle of toe [deg]", 30.0)
+@_unlisted("angle of toe [deg]", 30.0)
 def toed_wheel(contact, s, side):
     """The wheel rolls at an angle to its plane: lateral shear j_y = r (1 - i)(theta1 - theta) tan(beta) takes strength.
 
@@ -248,7 +133,7 @@ def toed_wheel(contact, s, side):
     contact.tangential.append(hook)
 
 
-@_new("eccentricity over the radius [-]", 0.06)
+@_unlisted("eccentricity over the radius [-]", 0.06)
 def wheel_out_of_round(contact, s, side):
     """An eccentric wheel, read at one angle of its turn: radius and height of the axle swing with the way.
 
@@ -261,7 +146,7 @@ def wheel_out_of_round(contact, s, side):
     _sensed(contact, sinkage=lambda out: out.sinkage - swing[:, 0])
 
 
-@_new(
+@_unlisted(
     "torque of the cold seal over load x radius [-]",
     0.2,
     (TORQUE,),
@@ -276,7 +161,7 @@ def warming_seal(contact, s, side):
     _sensed(contact, torque=lambda out: out.torque + cold)
 
 
-@_new("half width of the dead band over the mean load [-]", 0.25, (PULL,), side=drawn("load"))
+@_unlisted("half width of the dead band over the mean load [-]", 0.25, (PULL,), side=drawn("load"))
 def slack_load_cell(contact, s, side):
     """A slack joint of the load cell: pull is read as 0 within a dead band, and short by its half width outside.
 
@@ -286,7 +171,7 @@ def slack_load_cell(contact, s, side):
     _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - np.clip(out.drawbar_pull, -band, band))
 
 
-@_new("share lost at the largest torque [-]", 0.6, (TORQUE,), side=drawn("load", "radius"))
+@_unlisted("share lost at the largest torque [-]", 0.6, (TORQUE,), side=drawn("load", "radius"))
 def saturating_torque(contact, s, side):
     """Torque from the motor's current, whose sensor or iron saturates: T/(1 + s |T|/(0.5 W r)).
 
@@ -302,8 +187,7 @@ def saturating_torque(contact, s, side):
 @_instrument("tilt, nose up [deg]", 3.0, (PULL,), floor=0.5)
 def tilt(contact, s, side):
     """A rig that is not level: the weight component along the rail is read as pull, W tan(tilt)."""
-    take = contact.rows.load * np.tan(np.radians(s))
-    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - take)
+    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - contact.rows.load * np.tan(np.radians(s)))
 
 
 @_instrument("zero of the pull over the mean load [-]", 0.08, (PULL,), floor=0.02, side=drawn("load"))

@@ -39,11 +39,10 @@ class Ground:
 
 @dataclass(frozen=True)
 class Wheel:
-    """Rigid wheel; numbers, or arrays [N] where a table has several wheels."""
+    """Rigid wheel; numbers, or arrays [N]."""
 
     radius: float | np.ndarray  # r [m]
     width: float | np.ndarray  # b [m]
-    lugs: float | np.ndarray = 0.0  # height of the grousers [m]; a smooth rim has 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,16 +123,14 @@ class Contact:
     cohesion: np.ndarray = field(init=False)  # c [Pa]
     tan_phi: np.ndarray = field(init=False)
     shear_modulus: np.ndarray = field(init=False)  # K [m]
-    peak_shift: np.ndarray = field(init=False)  # thetam = (theta1 + theta2)/2 + peak_shift theta1
     shear_radius: np.ndarray = field(init=False)  # where the shear stress acts [m]
     exit_angle: Callable = field(default=lambda entry, radius: 0.0 * entry)  # (theta1, r) -> theta2 <= 0
     mobilised: Callable = field(default=lambda ratio: -np.expm1(-ratio))  # of j/K >= 0
-    stiffening: list = field(default_factory=list)  # theta1 -> factor on S
+    peak_shift: list = field(default_factory=list)  # theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
     pressure: list = field(default_factory=list)  # (sigma, depth) -> sigma
     strength: list = field(default_factory=list)  # (tau_max, sigma, theta) -> tau_max
     deepening: list = field(default_factory=list)  # z -> z, after the balance; the stresses then scale down to the load
     forces: list = field(default_factory=list)  # theta1 -> (dW, dDP, dT), each [N, 1]
-    reaction: list = field(default_factory=list)  # (DP, T) -> added to the load
     sensors: list = field(default_factory=list)  # Outcome -> Outcome
     normal: list = field(default_factory=list)  # (sigma, Arc) -> sigma, along the whole arc
     tangential: list = field(default_factory=list)  # (tau, Arc) -> tau, along the whole arc
@@ -150,7 +147,6 @@ class Contact:
         self.cohesion = column(ground.cohesion, n)
         self.tan_phi = np.tan(np.radians(column(ground.friction_angle_deg, n)))
         self.shear_modulus = column(ground.shear_modulus, n)
-        self.peak_shift = np.zeros((n, 1))
 
     @property
     def passes(self) -> np.ndarray:
@@ -175,14 +171,12 @@ class Contact:
     def stresses(self, entry: np.ndarray, amplitude=1.0) -> tuple[Arc, np.ndarray, np.ndarray]:
         """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude` multiplies S."""
         r, exit_ = self.radius, self.exit_angle(entry, self.radius)
-        middle = np.clip(0.5 * (entry + exit_) + self.peak_shift * entry, exit_ + 0.02 * entry, 0.98 * entry)
+        middle = 0.5 * (entry + exit_) + sum(shift(entry) for shift in self.peak_shift)
+        middle = np.clip(middle, exit_ + 0.02 * entry, 0.98 * entry)
         front = middle + (entry - middle) * X
         rear = exit_ + (middle - exit_) * X
-        stiffness = amplitude * self.stiffness
-        for factor in self.stiffening:
-            stiffness = stiffness * factor(entry)
         depth = r * (np.cos(front) - np.cos(entry))
-        sigma = stiffness * depth**self.exponent  # (7)
+        sigma = amplitude * self.stiffness * depth**self.exponent  # (7)
         for hook in self.pressure:
             sigma = hook(sigma, depth)
         theta = np.concatenate([front, rear], axis=1)
@@ -228,10 +222,7 @@ class Contact:
     def _lack(self, entry, amplitude=1.0):
         """log(W/load), the forces beside it."""
         load, pull, torque = self.integrals(entry, amplitude)
-        target = self.load
-        for hook in self.reaction:
-            target = target + hook(pull, torque)
-        return np.log(np.maximum(load, 1e-12) / np.maximum(target, 1e-9)), pull, torque
+        return np.log(np.maximum(load, 1e-12) / np.maximum(self.load, 1e-9)), pull, torque
 
     def solve(self) -> Outcome:
         """Steady sinkage, drawbar pull and torque of every row."""

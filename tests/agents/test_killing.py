@@ -46,7 +46,7 @@ WORK = {  # name: (work, what it imports, least number of kills, some of its fil
     "study": (small_study, ("optuna", "torch", "soil_env_agents.study.command", "soil_env_agents.training"), 8,
               {"study.json", "study.md", "study.png", "cells/mixed-true_soil-0.json"}),
     "discovery": (discovery, ("benchmarks.discovery.__main__",), 3,
-                  {"study.json", "discovery.md", "truth/none-few-10-000.json"}),
+                  {"study.json", "discovery_laws.json", "truth/none-few-10-000.json"}),
 }  # fmt: skip
 
 
