@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
@@ -30,10 +29,11 @@ def build(
 ) -> PPO:  # fmt: skip
     """A fresh agent with its normalised vector environment; `algorithm` as in `TrainConfig`."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
-    policy, arguments = network(algorithm, config, scenario)
+    env = normalised(scenario, observation, config, seed, world)
+    policy, arguments = network(algorithm, config, env.get_attr("observation_names")[0])
     model = (contrib() if algorithm == "recurrent_ppo" else PPO)(
         policy,
-        normalised(scenario, observation, config, seed, world),
+        env,
         learning_rate=lambda left: config.learning_rate * max(left, 0.05),  # of the share that is left
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
@@ -81,7 +81,7 @@ def resume(
     for key, stored, asked in (
         ("observation", info.observation, observation),
         ("algorithm", info.algorithm, algorithm),
-        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "critic", "layer", "activation")),
+        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "layer", "activation")),
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
@@ -91,12 +91,7 @@ def resume(
     load_weights(path, OPTIMIZER, model.policy.optimizer)
     model.num_timesteps = info.timesteps
     env = model.get_vec_normalize_env()
-    env.obs_rms = _running(info.mean, info.var, info.count)
-    env.ret_rms = _running(info.return_mean, info.return_var, info.return_count)
+    seen, returns = env.obs_rms, env.ret_rms
+    seen.mean, seen.var, seen.count = np.array(info.mean), np.array(info.var), info.count
+    returns.mean, returns.var, returns.count = np.array(info.return_mean), np.array(info.return_var), info.return_count
     return model
-
-
-def _running(mean, var, count) -> RunningMeanStd:
-    out = RunningMeanStd(shape=np.shape(mean))
-    out.mean, out.var, out.count = np.asarray(mean, dtype=np.float64), np.asarray(var, dtype=np.float64), count
-    return out

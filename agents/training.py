@@ -17,7 +17,7 @@ from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.vehicle import RoverScenario, load_rover
 
-from . import ppo
+from . import ppo, student
 from .agent import Agent, contrib, load_agent
 from .config import TrainConfig, load_config
 from .environment import hidden_worlds
@@ -127,9 +127,12 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         show(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(*task)
-    left = config.timesteps - model.num_timesteps
-    if left > 0:
-        with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+    with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+        if model.num_timesteps == 0 and config.taught:
+            student.teach(model, scenario, round(config.student * config.timesteps), config.seed, bar.update)
+            ppo.save(model, checkpoint)
+        left = config.timesteps - model.num_timesteps
+        if left > 0:
             watch = _Watch(folder, config.checkpoint_every, bar)
             try:
                 model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")

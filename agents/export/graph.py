@@ -19,7 +19,7 @@ _TYPES = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE, "bool": T
           "int64": TensorProto.INT64}  # fmt: skip
 _UFUNCS = {
     np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div",
-    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal",
+    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal", np.greater: "Greater",
 }  # fmt: skip
 
 _ACTIVATIONS: dict[type, tuple[str, dict]] = {
@@ -87,7 +87,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
         if method != "__call__" or keywords or ufunc not in _UFUNCS:
             return NotImplemented
-        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc is np.equal else None)
+        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc in (np.equal, np.greater) else None)
 
     def __array_function__(self, function, types, args, keywords):
         if function is np.where:
@@ -135,8 +135,11 @@ def action_of(graph: Graph, policy, x: Traced, memory: dict[str, Traced], fresh:
     if hasattr(policy, "lstm_actor"):
         x, kept = _lstm(graph, policy.lstm_actor, x, memory, fresh)
     if hasattr(policy, "action_net"):  # PPO, A2C, TRPO, RecurrentPPO
-        x = _layers(graph, policy.mlp_extractor.policy_net, x)
-        return _layers(graph, policy.action_net, x), kept
+        own, hidden = policy.mlp_extractor, _layers(graph, policy.mlp_extractor.policy_net, x)
+        if hasattr(own, "line_net"):
+            ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
+            hidden = np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), hidden)
+        return _layers(graph, policy.action_net, hidden), kept
     actor = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed
         return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x))), kept

@@ -40,7 +40,7 @@ def onnx_model(agent, description: dict):
     raw, past = (agent.scaling(seen) if agent.scaling.scaled else seen), {}
     if history is not None:
         raw, past["history"] = history.observe(raw, memory["history"], fresh)
-    action, kept = action_of(graph, agent.policy, _normalised(raw, agent, entries), memory, fresh)
+    action, kept = action_of(graph, agent.policy, _normalised(raw, agent), memory, fresh)
     kept |= past
     inputs = [graph.info(seen, ["n", entries])]
     inputs += [graph.info(fresh, ["n"])] if sizes else []
@@ -58,11 +58,10 @@ def _states(agent) -> dict[str, int]:
     return memory_sizes(agent.policy) | ({} if history is None else {"history": history.kept})
 
 
-def _normalised(x: Traced, agent, entries: int) -> Traced:
+def _normalised(x: Traced, agent) -> Traced:
     """Input of the network, float32, as `Agent._normalised` and `VecNormalize.normalize_obs` compute it."""
     if hasattr(agent, "mean"):
-        acting = entries + (agent.history.size if agent.history else 0)  # the rest is for the value network alone
-        mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip
+        mean, sd, clip = agent.mean, agent.sd, agent.clip
     elif agent.normalisation is not None and agent.normalisation.norm_obs:
         of = agent.normalisation
         mean, sd, clip = of.obs_rms.mean, np.sqrt(of.obs_rms.var + of.epsilon), of.clip_obs
