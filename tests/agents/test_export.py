@@ -63,7 +63,6 @@ ALONE = textwrap.dedent("""
 @pytest.mark.parametrize(("algorithm", "observation", "action", "inputs"), [
     ("ppo", "identified", "torque", {}),
     ("ppo", "blind", "rim_acceleration", {"history": 4}),
-    ("ppo", "identified", "torque", {"history": 2, "critic": "true_soil"}),
     ("recurrent_ppo", "blind", "torque", {"history": 2}),
 ])  # fmt: skip
 def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, scenario, algorithm, observation, action, inputs):

@@ -120,7 +120,7 @@ def test_resume_starts_new_courses_with_new_noise(saved, scenario):
     assert np.abs(start[1] - again[1]).max() > 1e-3
 
 
-@pytest.mark.parametrize("key, asked", [("layer", 16), ("history", 2), ("critic", "true_soil"), ("activation", "tanh")])
+@pytest.mark.parametrize("key, asked", [("layer", 16), ("history", 2), ("activation", "tanh")])
 def test_resume_refuses_another_network_or_observation(saved, scenario, key, asked):
     refused(lambda: resume(saved, scenario, "blind", TINY, 0, None), "observation 'identified', not 'blind'")
     config = replace(TINY, **{key: asked})

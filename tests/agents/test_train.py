@@ -115,7 +115,6 @@ def test_overrides_are_read_as_yaml_and_names_as_text():
 REFUSED = [  # (options, parts of the message)
     (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
     (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
-    (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
     (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
     (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
     (["--courses"], ["courses", "value"]),
@@ -124,7 +123,6 @@ REFUSED = [  # (options, parts of the message)
     (["--resum=x.yaml"], ["unknown key 'resum'"]),  # no abbreviations: a misspelt key is no other option
     (["--name", "a/b"], ["a/b", "name"]),
     (["--config", "smoke.yaml", "--rover", "mars_rover"], ["smoke.yaml, command line: oracle_courses = 2: expected"]),
-    (["--config", "rover.yaml", "--ppo.critic", "true_soil"], ["expected none for a rover"]),
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
