@@ -33,8 +33,8 @@ SLOPE = 1.0  # of the logit of a choice over the mean action
 CHOICE = 0.3  # weight of the choices beside the accelerations
 SURE = 0.1  # [of load] difference of margins that counts in full
 VALUE_STEPS = 600  # of the value network
-#: Settings of the teacher, as shares of the top rim speed and in m/s2.
-START, ACCELERATION, SPEED = 0.08, 0.12, 0.75
+START, ACCELERATION, SPEED = 0.08, 0.3, 0.65  # of the teacher: [of the top rim speed], [m/s2], [of the top rim speed]
+SHARE = 1.1  # of the best slip, which it does not exceed
 
 
 class Teacher(BestSlipTrue):
@@ -51,6 +51,9 @@ class Teacher(BestSlipTrue):
         droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
         state["ramp"] = np.maximum(batch[:, self.column[name]] - droop, 0.0) * self.top_speed
         return state
+
+    def target_slip(self, observation, state):
+        return SHARE * super().target_slip(observation, state)
 
     def lesson(self, batch: np.ndarray, state, fresh):
         """(actions [n] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
