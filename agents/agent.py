@@ -44,7 +44,6 @@ _MOST_TEXT = 50_000_000  # of a JSON member
 class Info(Checked):
     """Content of soil_env.json."""
 
-    algorithm: Literal["ppo", "recurrent_ppo"]
     observation: Literal["blind", "identified", "true_soil"]
     observation_names: tuple[str, ...]
     ppo: PPOConfig
@@ -123,28 +122,14 @@ def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
     return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
 
 
-def network(algorithm: str, config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
-    """(policy class of SB3 or sb3-contrib, its arguments) for observations with the entries `names`."""
-    common = {"log_std_init": config.log_std_init}
-    if algorithm == "recurrent_ppo":
-        policy = contrib().policy_aliases["MlpLstmPolicy"]
-        lstm = {"lstm_hidden_size": config.layer, "shared_lstm": True, "enable_critic_lstm": False}
-        return policy, common | lstm | {"net_arch": [config.layer]}
+def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
+    """(policy class of SB3, its arguments) for observations with the entries `names`."""
     activation = {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation]
-    common |= {"net_arch": [config.layer, config.layer], "activation_fn": activation}
+    common = {"log_std_init": config.log_std_init, "net_arch": [config.layer] * 2, "activation_fn": activation}
     if "choice" in names:
         lines = lines_of(names, config.history)
         return ChoosingPolicy, common | {"choice": list(names).index("choice"), "lines": lines}
     return ActorCriticPolicy, common
-
-
-def contrib() -> type:
-    """RecurrentPPO of sb3-contrib; ParameterError where it is not installed."""
-    try:
-        from sb3_contrib import RecurrentPPO
-    except ImportError:
-        raise ParameterError("recurrent_ppo: needs sb3-contrib; expected: pip install 'soil_env[recurrent]'") from None
-    return RecurrentPPO
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
@@ -238,7 +223,7 @@ def load_agent(path: str | Path) -> Agent:
     box = Scaling(entries_of(info.task, info.observation)).space
     box = info.history.space(box) if info.history else box
     rover = isinstance(info.task, RoverScenario)
-    cls, arguments = network(info.algorithm, info.ppo, info.observation_names)
+    cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(box, rover_action_space(info.task.axles) if rover else action_space(), lambda _: 0.0, **arguments)
     load_weights(path, WEIGHTS, policy)
     policy.set_training_mode(False)
@@ -279,18 +264,12 @@ class Agent:
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
         count, fresh = len(batch), inputs.starts(episode_start, len(batch), state is None)
-        kept, memory = None, state
         if self.history is not None:
-            if state is not None and not (isinstance(state, (tuple, list)) and len(state) == 2):
-                raise ParameterError(f"state = {state!r:.60}: expected the pair that the last predict returned")
-            kept, memory = (None, None) if state is None else state
             shape = count, self.history.kept
-            kept = np.zeros(shape, dtype=np.float32) if kept is None else inputs.memory([kept], [shape])[0]
-            batch, kept = self.history.observe(batch, kept, fresh)
-        if memory is not None and (of_lstm := getattr(self.policy, "lstm_hidden_state_shape", None)):
-            memory = tuple(inputs.memory(memory, [(of_lstm[0], count, of_lstm[2])] * 2))
-        action, memory = self.policy.predict(self._normalised(batch), memory, fresh, inputs.switch(deterministic))
-        return (action[0] if seen.ndim == 1 else action), (memory if kept is None else (kept, memory))
+            kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
+            batch, state = self.history.observe(batch, kept, fresh)
+        action, _ = self.policy.predict(self._normalised(batch), deterministic=inputs.switch(deterministic))
+        return (action[0] if seen.ndim == 1 else action), state
 
     def _normalised(self, seen: np.ndarray) -> np.ndarray:
         """Input of the network for scaled observations, [n, D]."""

@@ -76,7 +76,6 @@ class TrainConfig(OfWorld):
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in the world"})
     observation: Literal["blind", "identified", "true_soil"] = _text("identified", "blind, identified or true_soil")
-    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo of sb3-contrib")
     hidden_worlds: int = quantity("", 0, 1000, default=0, doc="worlds with a hidden effect, mixed into the training")
     name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
@@ -99,8 +98,8 @@ class TrainConfig(OfWorld):
 
     @property
     def taught(self) -> bool:
-        """True if a student begins the training; the teacher drives a wheel, and a student has no hidden states."""
-        return self.student > 0.0 and not self.rover and self.algorithm == "ppo"
+        """True if a student begins the training; the teacher drives a wheel."""
+        return self.student > 0.0 and not self.rover
 
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""

@@ -16,7 +16,7 @@ from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
-from .agent import INFO, OPTIMIZER, WEIGHTS, Info, contrib, load_weights, network, read_info
+from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_info
 from .config import PPOConfig
 from .environment import World, normalised
 
@@ -25,13 +25,13 @@ _SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range
 
 def build(
     scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None,
-    world: World = None, algorithm: str = "ppo",
+    world: World = None,
 ) -> PPO:  # fmt: skip
-    """A fresh agent with its normalised vector environment; `algorithm` as in `TrainConfig`."""
+    """A fresh agent with its normalised vector environment."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
     env = normalised(scenario, observation, config, seed, world)
-    policy, arguments = network(algorithm, config, env.get_attr("observation_names")[0])
-    model = (contrib() if algorithm == "recurrent_ppo" else PPO)(
+    policy, arguments = network(config, env.get_attr("observation_names")[0])
+    model = PPO(
         policy,
         env,
         learning_rate=lambda left: config.learning_rate * max(left, 0.05),  # of the share that is left
@@ -43,7 +43,7 @@ def build(
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
-    model.origin = {"algorithm": algorithm, "observation": observation, "ppo": to_dict(config)}
+    model.origin = {"observation": observation, "ppo": to_dict(config)}
     return model
 
 
@@ -74,19 +74,18 @@ def save(model: PPO, path: Path) -> None:
 
 def resume(
     path: Path, scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int,
-    tensorboard: Path | None, world: World = None, algorithm: str = "ppo",
+    tensorboard: Path | None, world: World = None,
 ) -> PPO:  # fmt: skip
     """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
     info = read_info(path)
     for key, stored, asked in (
         ("observation", info.observation, observation),
-        ("algorithm", info.algorithm, algorithm),
         *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "layer", "activation")),
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
     seed = (seed + info.timesteps) % 2**31  # other courses and other noise than at the start of the run
-    model = build(scenario, observation, config, seed, tensorboard, world, algorithm)
+    model = build(scenario, observation, config, seed, tensorboard, world)
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)
     model.num_timesteps = info.timesteps

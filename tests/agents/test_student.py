@@ -46,8 +46,9 @@ def test_returns_are_those_of_courses_that_have_ended():
 
 
 @pytest.mark.parametrize("name", ["mixed", "two_lines"])
-def test_a_student_comes_near_its_teacher(name):
+def test_a_student_comes_near_its_teacher(name, monkeypatch):
     """Its accelerations and choices on states of its own, after seconds; and the run is the same again."""
+    monkeypatch.setattr(student, "PASSES", 60)
     scenario = load_scenario(name)
     models = [ppo.build(scenario, "true_soil", CONFIG, 0) for _ in range(2)]
     for model in models:

@@ -200,12 +200,6 @@ def test_kill_after_a_checkpoint(capsys, tmp_path):
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
 
 
-def test_recurrent_ppo_without_its_package_leaves_no_run_folder(capsys, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    assert train.main(["--runs", str(tmp_path / "runs"), "--algorithm", "recurrent_ppo"]) == 2
-    assert "needs sb3-contrib" in capsys.readouterr().err and not (tmp_path / "runs").exists()
-
-
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps == 8192
