@@ -13,7 +13,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.agent import INFO, load_agent, read_info
 from agents.config import PPOConfig
-from agents.evaluate import run_courses
 from agents.evaluate.contestants import digest
 from agents.evaluate.models import load_model
 from agents.ppo import build, resume, save
