@@ -11,6 +11,7 @@ Its value network learns the returns of the last rounds, so that PPO can go on f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -102,11 +103,11 @@ class Lessons:
 
 
 def teach(model: PPO, scenario: Scenario, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None):
-    """Let an untrained `model` learn from the teacher for so many `steps` of its environment."""
+    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more."""
     env = model.get_vec_normalize_env()
     assert env is not None
     policy, rng, wheels = model.policy, np.random.default_rng([seed, 11]), env.num_envs
-    rounds = max(1, round(steps / (ROUND * wheels)))
+    rounds = math.ceil(steps / (ROUND * wheels))
     teacher, state, fresh = Teacher(scenario), None, np.ones(wheels, dtype=bool)
     seen, wander = env.reset(), np.zeros(wheels)
     kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, KEPT // (ROUND * wheels))) * ROUND)

@@ -28,8 +28,8 @@ FILES = {
     "comparison.json", "comparison.csv", "comparison.png", "course.png",
 }  # fmt: skip
 TINY = (
-    "--timesteps=256 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 --courses=4 "
-    "--tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
+    "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "
+    "--courses=4 --tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
 ).split()
 ROLLOUT = 128
 
