@@ -175,7 +175,7 @@ def read_info(path: Path) -> Info:
         raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
     info = load(Info, mapping, f"{path}: {INFO}")
     try:
-        size = len(info.observation_names) + (info.history.size if info.history else 0)
+        size = len(entries_of(info.task, info.observation)) + (info.history.size if info.history else 0)
     except ParameterError as error:
         raise ParameterError(f"{path}: {INFO}: {error}") from None
     except ValueError as error:
