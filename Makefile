@@ -106,7 +106,7 @@ $(TRAIN_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
 	@touch $@
 
 $(TEST_READY): pyproject.toml constraints.txt $(BASE_READY) $(TORCH_READY)
-	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,recurrent,export,logs,test,docs]'
+	$(PIP) install -q --no-compile -c constraints.txt -e '.[train,export,logs,test,docs]'
 	@touch $(BASE_READY) $(TRAIN_READY) $(DOCS_READY) $@
 
 # The site is made from the sources, none of which is imported: no torch.

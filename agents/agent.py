@@ -27,14 +27,13 @@ from soil_env.env import action_space
 from soil_env.parameters import Scenario
 from soil_env.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.task import ObservedNumber, layout
+from soil_env.simulation.task import LINES, ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.vehicle import RoverScenario
 
 from . import inputs
 from .config import NAMES, PPOConfig
 from .history import History
-from .sb3 import privileged
 
 INFO, WEIGHTS, OPTIMIZER = "soil_env.json", "policy.pth", "policy.optimizer.pth"  # members of the zip
 MOST_BYTES = 500_000_000  # of a member, unpacked
@@ -45,12 +44,11 @@ _MOST_TEXT = 50_000_000  # of a JSON member
 class Info(Checked):
     """Content of soil_env.json."""
 
-    algorithm: Literal["ppo", "recurrent_ppo"]
     observation: Literal["blind", "identified", "true_soil"]
     observation_names: tuple[str, ...]
     ppo: PPOConfig
     timesteps: int
-    mean: tuple[float, ...]  # of the network's input, history and privileged entries included
+    mean: tuple[float, ...]  # of the network's input, history included
     var: tuple[float, ...]
     count: float
     return_mean: float
@@ -82,60 +80,56 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 # --- networks ---------------------------------------------------------------------------------------------------------
 
 
-class AsymmetricExtractor(MlpExtractor):
-    """Hidden layers of both networks; the policy reads the first entries only."""
+class ChoosingExtractor(MlpExtractor):
+    """Hidden layers of the value network, of the drive, and of one network that looks at each line.
 
-    def __init__(self, feature_dim: int, privileged: int, net_arch, activation_fn, device):
+    Where the entry `choice` of an observation is 1, the policy acts by the difference of its two views: exchanged lines
+    give the opposite choice (Bromley et al. 1993, NIPS 6).
+    """
+
+    def __init__(self, feature_dim: int, choice: int, lines: Sequence[list[int]], net_arch, activation_fn, device):
         super().__init__(feature_dim, net_arch, activation_fn, device)
-        self.seen = feature_dim - privileged
-        own = MlpExtractor(self.seen, net_arch, activation_fn, device)
-        self.policy_net, self.latent_dim_pi = own.policy_net, own.latent_dim_pi
+        self.choice, self.lines = choice, lines
+        self.line_net = MlpExtractor(len(lines[0]), net_arch, activation_fn, device).policy_net
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         """Last hidden layer of the policy for observations [n, D]."""
-        return self.policy_net(features[:, : self.seen])
+        ahead, beside = (self.line_net(features[:, columns]) for columns in self.lines)
+        choosing = features[:, [self.choice]] > 0.0  # normalised: above its mean
+        return torch.where(choosing, ahead - beside, self.policy_net(features))
 
 
-class AsymmetricPolicy(ActorCriticPolicy):
-    """`MlpPolicy` whose value network sees more than its action network (Pinto et al. 2018, RSS).
+class ChoosingPolicy(ActorCriticPolicy):
+    """`MlpPolicy` with a head of its own for the choice of a line (`ChoosingExtractor`)."""
 
-    The last `privileged` entries of an observation, such as the true soil, are input of the value network alone. The
-    value is needed in training only, so the agent acts without these entries.
-    """
-
-    def __init__(self, *args, privileged: int = 0, **kwargs):
-        self.privileged = privileged
+    def __init__(self, *args, choice: int = 0, lines: Sequence[list[int]] = (), **kwargs):
+        self.of_choice = {"choice": choice, "lines": lines}
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
-        arguments = self.features_dim, self.privileged, self.net_arch, self.activation_fn, self.device
-        self.mlp_extractor: nn.Module = AsymmetricExtractor(*arguments)
+        arguments = self.net_arch, self.activation_fn, self.device
+        self.mlp_extractor: nn.Module = ChoosingExtractor(self.features_dim, *self.of_choice.values(), *arguments)
 
     def _get_constructor_parameters(self) -> dict:
-        return super()._get_constructor_parameters() | {"privileged": self.privileged}
+        return super()._get_constructor_parameters() | self.of_choice
 
 
-def network(algorithm: str, config: PPOConfig, scenario: Scenario | RoverScenario) -> tuple[type, dict]:
-    """(policy class of SB3 or sb3-contrib, its arguments)."""
-    common = {"log_std_init": config.log_std_init}
-    if algorithm == "recurrent_ppo":
-        policy = contrib().policy_aliases["MlpLstmPolicy"]
-        lstm = {"lstm_hidden_size": config.layer, "shared_lstm": True, "enable_critic_lstm": False}
-        return policy, common | lstm | {"net_arch": [config.layer]}
+def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
+    """Columns of each of two lines in the input of a network; empty lists where there is no choice of a line."""
+    if "choice" not in names:
+        return [[], []]
+    own = [[k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n] for line in LINES]
+    return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
+
+
+def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
+    """(policy class of SB3, its arguments) for observations with the entries `names`."""
     activation = {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation]
-    common |= {"net_arch": [config.layer, config.layer], "activation_fn": activation}
-    if config.critic:
-        return AsymmetricPolicy, common | {"privileged": len(privileged(config.critic, scenario.course))}
+    common = {"log_std_init": config.log_std_init, "net_arch": [config.layer] * 2, "activation_fn": activation}
+    if "choice" in names:
+        lines = lines_of(names, config.history)
+        return ChoosingPolicy, common | {"choice": list(names).index("choice"), "lines": lines}
     return ActorCriticPolicy, common
-
-
-def contrib() -> type:
-    """RecurrentPPO of sb3-contrib; ParameterError where it is not installed."""
-    try:
-        from sb3_contrib import RecurrentPPO
-    except ImportError:
-        raise ParameterError("recurrent_ppo: needs sb3-contrib; expected: pip install 'soil_env[recurrent]'") from None
-    return RecurrentPPO
 
 
 # --- the file ---------------------------------------------------------------------------------------------------------
@@ -181,7 +175,7 @@ def read_info(path: Path) -> Info:
         raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
     info = load(Info, mapping, f"{path}: {INFO}")
     try:
-        size = network_scaling(info).space.shape[0] + (info.history.size if info.history else 0)
+        size = len(entries_of(info.task, info.observation)) + (info.history.size if info.history else 0)
     except ParameterError as error:
         raise ParameterError(f"{path}: {INFO}: {error}") from None
     except ValueError as error:
@@ -209,12 +203,6 @@ def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = 
         )
 
 
-def network_scaling(info: Info) -> Scaling:
-    """Scaling of the entries that the network receives before the history: observation, then privileged entries."""
-    extra: Sequence[ObservedNumber] = privileged(info.ppo.critic, info.task.course) if info.ppo.critic else ()
-    return Scaling((*entries_of(info.task, info.observation), *extra))
-
-
 def load_weights(path: Path, name: str, into) -> None:
     """Load a member of tensors `into` a module or an optimizer; ParameterError in one line."""
     content = read_member(path, name)
@@ -232,10 +220,10 @@ def load_agent(path: str | Path) -> Agent:
         raise ParameterError(f"path = {path!r:.60}: expected that of a run folder or of its model.zip")
     path = Path(path) / "model.zip" if Path(path).is_dir() else Path(path)
     info = read_info(path)
-    box = network_scaling(info).space
+    box = Scaling(entries_of(info.task, info.observation)).space
     box = info.history.space(box) if info.history else box
     rover = isinstance(info.task, RoverScenario)
-    cls, arguments = network(info.algorithm, info.ppo, info.task)
+    cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(box, rover_action_space(info.task.axles) if rover else action_space(), lambda _: 0.0, **arguments)
     load_weights(path, WEIGHTS, policy)
     policy.set_training_mode(False)
@@ -276,22 +264,13 @@ class Agent:
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
         count, fresh = len(batch), inputs.starts(episode_start, len(batch), state is None)
-        kept, memory = None, state
         if self.history is not None:
-            if state is not None and not (isinstance(state, (tuple, list)) and len(state) == 2):
-                raise ParameterError(f"state = {state!r:.60}: expected the pair that the last predict returned")
-            kept, memory = (None, None) if state is None else state
             shape = count, self.history.kept
-            kept = np.zeros(shape, dtype=np.float32) if kept is None else inputs.memory([kept], [shape])[0]
-            batch, kept = self.history.observe(batch, kept, fresh)
-        if memory is not None and (of_lstm := getattr(self.policy, "lstm_hidden_state_shape", None)):
-            memory = tuple(inputs.memory(memory, [(of_lstm[0], count, of_lstm[2])] * 2))
-        action, memory = self.policy.predict(self._normalised(batch), memory, fresh, inputs.switch(deterministic))
-        return (action[0] if seen.ndim == 1 else action), (memory if kept is None else (kept, memory))
+            kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
+            batch, state = self.history.observe(batch, kept, fresh)
+        action, _ = self.policy.predict(self._normalised(batch), deterministic=inputs.switch(deterministic))
+        return (action[0] if seen.ndim == 1 else action), state
 
     def _normalised(self, seen: np.ndarray) -> np.ndarray:
-        """Input of the network [n, D'] for scaled observations [n, D]; zeros for the privileged entries."""
-        acting = seen.shape[-1]
-        out = np.zeros((len(seen), len(self.mean)), dtype=np.float32)
-        out[:, :acting] = np.clip((seen - self.mean[:acting]) / self.sd[:acting], -self.clip, self.clip)
-        return out
+        """Input of the network for scaled observations, [n, D]."""
+        return np.clip((seen - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)

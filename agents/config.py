@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity
+from soil_env._io.loading import Checked, FieldError, load, quantity
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -39,7 +39,6 @@ class PPOConfig(Checked):
     log_std_init: float = quantity("", -5.0, 2.0, default=-0.5, doc="log of the initial standard deviation")
     initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
     history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
-    critic: Literal["", "true_soil"] = _text("", "input of the value network alone: nothing or true_soil")
     threads: int = quantity("", 1, 256, default=2, doc="threads of the environment; the result is the same")
 
     def __post_init__(self):
@@ -77,12 +76,12 @@ class TrainConfig(OfWorld):
     changes: dict = field(default_factory=dict)  # merged over the scenario
     model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in the world"})
     observation: Literal["blind", "identified", "true_soil"] = _text("identified", "blind, identified or true_soil")
-    algorithm: Literal["ppo", "recurrent_ppo"] = _text("ppo", "ppo, or recurrent_ppo of sb3-contrib")
     hidden_worlds: int = quantity("", 0, 1000, default=0, doc="worlds with a hidden effect, mixed into the training")
     name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
-    timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
+    timesteps: int = quantity("", 1, 10**12, default=910_000, doc="environment steps of the training")
+    student: float = quantity("", 0.0, 1.0, default=1.0, doc="share of them as a student of best_slip_true, then PPO")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
@@ -94,11 +93,13 @@ class TrainConfig(OfWorld):
     def __post_init__(self):
         super().__post_init__()
         self._resolve()
-        if self.ppo.critic and (self.rover or self.algorithm != "ppo"):
-            expected = "none for a rover" if self.rover else f"only with algorithm ppo, not {self.algorithm}"
-            raise ParameterError(f"ppo.critic = {self.ppo.critic!r}: expected {expected}")
         if self.hidden_worlds >= self.ppo.num_envs:
             raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+
+    @property
+    def taught(self) -> bool:
+        """True if a student begins the training; the teacher drives a wheel."""
+        return self.student > 0.0 and not self.rover
 
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from soil_env.parameters import Scenario
@@ -16,6 +17,7 @@ from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
+from .agent import lines_of
 from .config import PPOConfig
 from .history import History, HistoryVecEnv
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
@@ -40,6 +42,7 @@ def normalised(
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
     env = VecNormalize(wheels, gamma=config.gamma)
+    env.obs_rms = Moments(env.observation_space.shape, lines_of(parts[0].observation_names, config.history))
     env.seed(seed)
     return env
 
@@ -48,7 +51,21 @@ def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -
     """The vector environment of `count` wheels or rovers."""
     if isinstance(scenario, RoverScenario):
         return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
-    return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world, critic=config.critic)
+    return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world)
+
+
+class Moments(RunningMeanStd):
+    """Running mean and variance of each entry; the two lines ahead have those of both together."""
+
+    def __init__(self, shape: tuple[int, ...], lines: Sequence[list[int]]):
+        super().__init__(shape=shape)
+        self.lines = lines
+
+    def update_from_moments(self, batch_mean, batch_var, batch_count) -> None:
+        """Take in the moments of a batch."""
+        super().update_from_moments(batch_mean, batch_var, batch_count)
+        for values in (self.mean, self.var):
+            values[self.lines[0]] = values[self.lines[1]] = 0.5 * (values[self.lines[0]] + values[self.lines[1]])
 
 
 class SeveralWorlds(NativeVecEnv):
@@ -66,6 +83,10 @@ class SeveralWorlds(NativeVecEnv):
 
     def reset(self) -> np.ndarray:
         return np.concatenate([p.reset() for p in self.parts])
+
+    def true_soil(self) -> np.ndarray:
+        """What the variant `true_soil` observes now, in its units, [num_envs, D]."""
+        return np.concatenate([p.true_soil() for p in self.parts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed wheel k with seed + k, from the next reset on."""

@@ -69,4 +69,5 @@ class ExportedAgent:
         expected = self.policy.zeros(count)
         if not isinstance(state, dict) or set(state) != set(expected):
             raise ParameterError(f"state = {state!r:.60}: expected what the last predict returned: {sorted(expected)}")
-        inputs.memory([state[name] for name in expected], [zeros.shape for zeros in expected.values()])
+        for name, zeros in expected.items():
+            inputs.memory(state[name], zeros.shape)

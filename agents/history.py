@@ -48,14 +48,20 @@ class History:
         self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers added to the observation
 
     @property
+    def of_lines(self) -> list[list[int]]:
+        """Columns of each line in what `observe` returns."""
+        size, start = len(self.columns) + 1, self.entries + self.past
+        return [_range(start + k * size, start + (k + 1) * size) for k in range(len(self.lines))]
+
+    @property
     def kept(self) -> int:
         """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
         return len(self.columns) + self.past + len(self.classes) * (len(self.columns) + 1)
 
-    def observe(self, seen, kept, fresh, others: int = 0):
-        """(observation with its history, readings kept for the next step) for observations [n, D + others].
+    def observe(self, seen, kept, fresh):
+        """(observation with its history, readings kept for the next step) for observations [n, D].
 
-        The history comes after the D entries of the layout and before the others, newest step first. On a new course,
+        The history comes after the D entries of the layout, newest step first. On a new course,
         `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept] holds. All are
         arrays, or values of an ONNX graph (`agents.export`).
         """
@@ -75,8 +81,7 @@ class History:
             felt = sum(seen[:, [column]] * sums for column, sums in zip(line, now[1:], strict=True))
             share = felt[:, [m]]
             history += [felt[:, _range(0, m)] / np.maximum(share, 1e-6), share]
-        rest = [seen[:, _range(self.entries, self.entries + others)]] if others else []
-        return np.concatenate([seen[:, _range(0, self.entries)], *history, *rest], axis=1), kept
+        return np.concatenate([seen, *history], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
         """Observation space with the history, in the order of `observe`."""
@@ -84,7 +89,7 @@ class History:
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
             history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
-            bounds.append(np.concatenate([side[: self.entries], history, side[self.entries :]]).astype(np.float32))
+            bounds.append(np.concatenate([side, history]).astype(np.float32))
         return spaces.Box(*bounds, dtype=np.float32)
 
 
@@ -99,13 +104,10 @@ class HistoryVecEnv(VecEnvWrapper):
     def __init__(self, venv: VecEnv, history: History):
         super().__init__(venv, history.space(venv.observation_space))
         self.history = history
-        self._others = venv.observation_space.shape[0] - history.entries
         self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
 
     def reset(self) -> np.ndarray:
-        out, self.kept[:] = self.history.observe(
-            self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool), self._others
-        )
+        out, self.kept[:] = self.history.observe(self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool))
         return out
 
     def step_wait(self):
@@ -113,8 +115,8 @@ class HistoryVecEnv(VecEnvWrapper):
         ended = np.flatnonzero(dones)
         if ended.size:
             last = np.array([infos[k]["terminal_observation"] for k in ended])
-            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool), self._others)
+            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool))
             for k, row in zip(ended, last, strict=True):
                 infos[k]["terminal_observation"] = row
-        out, self.kept[:] = self.history.observe(observation, self.kept, dones, self._others)
+        out, self.kept[:] = self.history.observe(observation, self.kept, dones)
         return out, rewards, dones, infos

@@ -61,15 +61,15 @@ def switch(deterministic) -> bool:
     return bool(deterministic)
 
 
-def memory(state, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
-    """The arrays of a memory with these `shapes`, float32; ParameterError for anything else."""
-    expected = f"expected what the last predict of as many observations returned, arrays of shape {list(shapes)}"
+def memory(state, shape: tuple[int, ...]) -> np.ndarray:
+    """A memory of this `shape`, float32; ParameterError for anything else."""
+    expected = f"expected what the last predict of as many observations returned, an array of shape {shape}"
     try:
-        arrays = [np.asarray(one, dtype=np.float32) for one in state]
+        kept = np.asarray(state, dtype=np.float32)
     except (TypeError, ValueError):
         raise ParameterError(f"state = {state!r:.60}: {expected}") from None
-    if [one.shape for one in arrays] != list(shapes):
-        raise ParameterError(f"state: arrays of shape {[one.shape for one in arrays]}: {expected}")
-    if not all(np.isfinite(one).all() for one in arrays):
+    if kept.shape != shape:
+        raise ParameterError(f"state: an array of shape {kept.shape}: {expected}")
+    if not np.isfinite(kept).all():
         raise ParameterError(f"state: a number that is not finite: {expected}")
-    return arrays
+    return kept

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
-from .agent import INFO, OPTIMIZER, WEIGHTS, Info, contrib, load_weights, network, read_info
+from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_info
 from .config import PPOConfig
 from .environment import World, normalised
 
@@ -26,14 +25,15 @@ _SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range
 
 def build(
     scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None,
-    world: World = None, algorithm: str = "ppo",
+    world: World = None,
 ) -> PPO:  # fmt: skip
-    """A fresh agent with its normalised vector environment; `algorithm` as in `TrainConfig`."""
+    """A fresh agent with its normalised vector environment."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
-    policy, arguments = network(algorithm, config, scenario)
-    model = (contrib() if algorithm == "recurrent_ppo" else PPO)(
+    env = normalised(scenario, observation, config, seed, world)
+    policy, arguments = network(config, env.get_attr("observation_names")[0])
+    model = PPO(
         policy,
-        normalised(scenario, observation, config, seed, world),
+        env,
         learning_rate=lambda left: config.learning_rate * max(left, 0.05),  # of the share that is left
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
@@ -43,7 +43,7 @@ def build(
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
-    model.origin = {"algorithm": algorithm, "observation": observation, "ppo": to_dict(config)}
+    model.origin = {"observation": observation, "ppo": to_dict(config)}
     return model
 
 
@@ -74,29 +74,23 @@ def save(model: PPO, path: Path) -> None:
 
 def resume(
     path: Path, scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int,
-    tensorboard: Path | None, world: World = None, algorithm: str = "ppo",
+    tensorboard: Path | None, world: World = None,
 ) -> PPO:  # fmt: skip
     """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
     info = read_info(path)
     for key, stored, asked in (
         ("observation", info.observation, observation),
-        ("algorithm", info.algorithm, algorithm),
-        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "critic", "layer", "activation")),
+        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "layer", "activation")),
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
     seed = (seed + info.timesteps) % 2**31  # other courses and other noise than at the start of the run
-    model = build(scenario, observation, config, seed, tensorboard, world, algorithm)
+    model = build(scenario, observation, config, seed, tensorboard, world)
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)
     model.num_timesteps = info.timesteps
     env = model.get_vec_normalize_env()
-    env.obs_rms = _running(info.mean, info.var, info.count)
-    env.ret_rms = _running(info.return_mean, info.return_var, info.return_count)
+    seen, returns = env.obs_rms, env.ret_rms
+    seen.mean, seen.var, seen.count = np.array(info.mean), np.array(info.var), info.count
+    returns.mean, returns.var, returns.count = np.array(info.return_mean), np.array(info.return_var), info.return_count
     return model
-
-
-def _running(mean, var, count) -> RunningMeanStd:
-    out = RunningMeanStd(shape=np.shape(mean))
-    out.mean, out.var, out.count = np.asarray(mean, dtype=np.float64), np.asarray(var, dtype=np.float64), count
-    return out

@@ -18,31 +18,22 @@ except ModuleNotFoundError as error:
     said = f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'"
     raise ModuleNotFoundError(said, name=error.name) from None
 
-from soil_env._io.loading import unknown_value
 from soil_env.course_env import actions_of, check_count
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import STEP, Simulation
 from soil_env.env import action_space, build_scenario
-from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.rover_env import build_rover, rover_action_space
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.task import Cause, ObservedNumber, layout, truth
+from soil_env.simulation.task import Cause, layout, truth
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import load_model
 from soil_env.vehicle import DEFAULT_ROVER
 
 #: Keywords that are no part of a scenario.
-_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "critic", "scaled")
+_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "scaled")
 _OWN_OF_ROVER = ("num_envs", "rover", "observation", "action", "repeat", "threads", "model", "scaled")
-CRITICS = ("", "true_soil")  # values of the keyword `critic`
 _RUNNING = Cause.RUNNING.value
-
-
-def privileged(critic: str, course: CourseSpec) -> tuple[ObservedNumber, ...]:
-    """Entries of an observation that the value network alone reads; ParameterError for an unknown `critic`."""
-    if critic not in CRITICS:
-        raise unknown_value(critic, CRITICS, "critic")
-    return truth(course) if critic else ()
 
 
 class NativeVecEnv(VecEnv):
@@ -84,8 +75,6 @@ class CourseVecEnv(NativeVecEnv):
     ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
     not be written to. A subclass makes `simulation`.
     """
-
-    critic, privileged = "", 0  # entries for the value network alone: their kind, and their number
 
     def __init__(self, num_envs, threads, scenario, observation, scaling, actions, model):
         check_count("num_envs", num_envs)
@@ -155,33 +144,25 @@ class CourseVecEnv(NativeVecEnv):
 
 
 class SoilWheelVecEnv(CourseVecEnv):
-    """`num_envs` wheels.
-
-    Keyword arguments as in `SoilWheelEnv`, and `critic="true_soil"`: the entries that `true_soil` observes of the soil
-    come after the observation, for the value network of `agents.agent`.
-    """
+    """`num_envs` wheels; keyword arguments as in `SoilWheelEnv`."""
 
     def __init__(
         self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", action=None, repeat=None,
-        threads=None, model=None, critic="", scaled=True, **changes,
+        threads=None, model=None, scaled=True, **changes,
     ):  # fmt: skip
         scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        own, extra = layout(observation, scenario.course), privileged(critic, scenario.course)
-        scaling = Scaling((*own, *extra), scaled)
+        scaling = Scaling(layout(observation, scenario.course), scaled)
         super().__init__(num_envs, threads, scenario, observation, scaling, action_space(), model)
-        self.critic, self.privileged = critic, len(extra)
-        self.observation_names = tuple(e.name for e in own)
         self.simulation = Simulation(self.num_envs, scenario, observation, threads=threads, model=self.model)
 
     def _step(self, commands: np.ndarray) -> None:
         self.simulation.step_all(commands[:, 0], self._drive)
 
-    def _seen(self) -> np.ndarray:
-        """Observations, with what the value network sees beside them."""
-        if not self.critic:
-            return super()._seen()
-        seen = self.simulation.worlds.observation
-        return self.scaling(np.concatenate([seen, self.simulation.true_soils()], axis=1))
+    def true_soil(self) -> np.ndarray:
+        """What the variant `true_soil` observes now, in its units [num_envs, D]."""
+        own = dict(zip(self.observation_names, self.simulation.worlds.observation.T, strict=True))
+        own |= zip((e.name for e in truth(self.scenario.course)), self.simulation.true_soils().T, strict=True)
+        return np.column_stack([own[e.name] for e in layout("true_soil", self.scenario.course)])
 
 
 class SoilRoverVecEnv(CourseVecEnv):

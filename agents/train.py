@@ -1,4 +1,4 @@
-"""`soil-env train`: train a PPO agent and compare it with the classical controllers."""
+"""`soil-env train`: train an agent and compare it with the classical controllers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _keys() -> str:
 @click.option("--resume", type=PATH, metavar="RUN", help="Run folder to continue; takes no other option.")
 @keys_argument
 def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> None:
-    """Train a PPO agent and compare it with the classical controllers.
+    """Train an agent and compare it with the classical controllers.
 
     \b
     soil-env train                                       # two_lines, observation "identified"

@@ -17,8 +17,8 @@ from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.vehicle import RoverScenario, load_rover
 
-from . import ppo
-from .agent import Agent, contrib, load_agent
+from . import ppo, student
+from .agent import Agent, load_agent
 from .config import TrainConfig, load_config
 from .environment import hidden_worlds
 from .progress import Bar, show
@@ -79,8 +79,6 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
-    if config.algorithm == "recurrent_ppo":
-        contrib()  # ParameterError where it is missing
     folder = Path(config.runs) / name
     try:
         folder.mkdir(parents=True)
@@ -121,15 +119,18 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     checkpoint, worlds = folder / CHECKPOINT, config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
-    task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds, config.algorithm
+    task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds
     if checkpoint.is_file():
         model = ppo.resume(checkpoint, *task)
         show(f"Resuming at {model.num_timesteps:,} of {config.timesteps:,} steps.")
     else:
         model = ppo.build(*task)
-    left = config.timesteps - model.num_timesteps
-    if left > 0:
-        with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+    with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
+        if model.num_timesteps == 0 and config.taught:
+            student.teach(model, scenario, round(config.student * config.timesteps), config.seed, bar.update)
+            ppo.save(model, checkpoint)
+        left = config.timesteps - model.num_timesteps
+        if left > 0:
             watch = _Watch(folder, config.checkpoint_every, bar)
             try:
                 model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")

@@ -32,7 +32,7 @@ DESCRIPTION, COURSE, RUNNER = "policy.yaml", "course.npz", "run_policy.py"
 def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.
 
-    RUN is a run folder of train.py, or a .zip of Stable-Baselines3 (PPO, A2C, TRPO, RecurrentPPO, SAC, TQC, TD3) with
+    RUN is a run folder of train.py, or a .zip of Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3) with
     its vecnormalize.pkl beside it. A zip that train.py did not write is unpickled in part: name only what you trust.
 
     The file takes raw observations and gives actions; normalisation, clipping and history are inside. It is compared

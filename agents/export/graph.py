@@ -19,7 +19,7 @@ _TYPES = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE, "bool": T
           "int64": TensorProto.INT64}  # fmt: skip
 _UFUNCS = {
     np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div",
-    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal",
+    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal", np.greater: "Greater",
 }  # fmt: skip
 
 _ACTIVATIONS: dict[type, tuple[str, dict]] = {
@@ -87,7 +87,7 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
         if method != "__call__" or keywords or ufunc not in _UFUNCS:
             return NotImplemented
-        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc is np.equal else None)
+        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc in (np.equal, np.greater) else None)
 
     def __array_function__(self, function, types, args, keywords):
         if function is np.where:
@@ -125,32 +125,20 @@ def numbers(tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().astype(np.float32)
 
 
-def action_of(graph: Graph, policy, x: Traced, memory: dict[str, Traced], fresh: Traced | None):
-    """(actions [n, A] of the deterministic policy for observations `x` [n, D], {name: hidden state after it}).
-
-    `memory` holds the hidden states of `memory_sizes`, `fresh` [n] bool says where they are forgotten first.
-    ParameterError for a network that is not known here.
-    """
-    kept: dict[str, Traced] = {}
-    if hasattr(policy, "lstm_actor"):
-        x, kept = _lstm(graph, policy.lstm_actor, x, memory, fresh)
-    if hasattr(policy, "action_net"):  # PPO, A2C, TRPO, RecurrentPPO
-        x = _layers(graph, policy.mlp_extractor.policy_net, x)
-        return _layers(graph, policy.action_net, x), kept
+def action_of(graph: Graph, policy, x: Traced) -> Traced:
+    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an unknown network."""
+    if hasattr(policy, "action_net") and not hasattr(policy, "lstm_actor"):  # PPO, A2C, TRPO
+        own, hidden = policy.mlp_extractor, _layers(graph, policy.mlp_extractor.policy_net, x)
+        if hasattr(own, "line_net"):
+            ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
+            hidden = np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), hidden)
+        return _layers(graph, policy.action_net, hidden)
     actor = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed
-        return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x))), kept
+        return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x)))
     if isinstance(getattr(actor, "mu", None), nn.Sequential):  # TD3, DDPG: the last layer squashes
-        return _layers(graph, actor.mu, x), kept
-    raise ParameterError(f"policy {type(policy).__name__}: expected one of PPO, A2C, TRPO, RecurrentPPO, SAC, TQC, TD3")
-
-
-def memory_sizes(policy) -> dict[str, int]:
-    """{name: numbers} of the hidden states of a policy."""
-    lstm = getattr(policy, "lstm_actor", None)
-    if lstm is None:
-        return {}
-    return {f"memory_{kind}{k}": lstm.hidden_size for k in range(lstm.num_layers) for kind in "hc"}
+        return _layers(graph, actor.mu, x)
+    raise ParameterError(f"policy {type(policy).__name__}: expected one of PPO, A2C, TRPO, SAC, TQC, TD3")
 
 
 def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:
@@ -169,30 +157,3 @@ def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:
     if isinstance(module, nn.ELU):
         attributes = {"alpha": module.alpha}
     return graph.node(op, x, **attributes)
-
-
-def _lstm(graph: Graph, lstm: nn.LSTM, x: Traced, memory: dict[str, Traced], fresh: Traced):
-    """(hidden state [n, H] of the last layer, hidden states of all layers)."""
-    sequence, kept = _first_axis("Unsqueeze", graph, x), {}
-    keep = np.subtract(1.0, fresh.astype(np.float32))[:, None]
-    for k in range(lstm.num_layers):
-        h, c = (_first_axis("Unsqueeze", graph, memory[f"memory_{kind}{k}"] * keep) for kind in "hc")
-        weights = [_gates(numbers(getattr(lstm, f"weight_{part}_l{k}")))[None] for part in ("ih", "hh")]
-        bias = np.concatenate([_gates(numbers(getattr(lstm, f"bias_{part}_l{k}"))) for part in ("ih", "hh")])[None]
-        names = [graph.name() for _ in range(3)]
-        graph.node("LSTM", sequence, *weights, bias, None, h, c, outputs=names, hidden_size=lstm.hidden_size)
-        for kind, name in zip("hc", names[1:], strict=True):
-            kept[f"memory_{kind}{k}"] = _first_axis("Squeeze", graph, Traced(graph, name, np.float32))
-        sequence = Traced(graph, names[1], np.float32)
-    return kept[f"memory_h{lstm.num_layers - 1}"], kept
-
-
-def _gates(weights: np.ndarray) -> np.ndarray:
-    """Rows in the order of ONNX (input, output, forget, cell) for those of torch (input, forget, cell, output)."""
-    i, f, c, o = np.split(weights, 4)
-    return np.concatenate([i, o, f, c])
-
-
-def _first_axis(op: str, graph: Graph, x: Traced) -> Traced:
-    """`x` with a first axis more (Unsqueeze) or less (Squeeze)."""
-    return graph.node(op, x, graph.constant([0], np.int64), dtype=x.dtype)

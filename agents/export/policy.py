@@ -19,7 +19,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
-from .graph import OPSET, Graph, Traced, action_of, memory_sizes
+from .graph import OPSET, Graph, Traced, action_of
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 
@@ -27,42 +27,36 @@ TOLERANCE = 1e-5  # of the action, between the agent and its export
 def onnx_model(agent, description: dict):
     """The ONNX model of a loaded agent (`agents.evaluate.models.load_model`), `description` inside.
 
-    Inputs: `observation` [n, D] float32, raw; for agents with hidden states `new_course` [n] bool and the states.
-    Outputs: `action` [n, 1] float32 in [-1, 1], and `next_NAME` of each state. ParameterError for a network that has
-    no such form.
+    Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and `history`.
+    Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a network of no such form.
     """
     if agent.policy.action_space != action_space():
         raise ParameterError(f"action space {agent.policy.action_space}: expected {action_space()}")
     graph, entries = Graph(), len(description["inputs"])
     seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
-    sizes, history = _states(agent), getattr(agent, "history", None)
-    memory = {name: graph.input(name, "float32") for name in sizes}
-    raw, past = (agent.scaling(seen) if agent.scaling.scaled else seen), {}
-    if history is not None:
-        raw, past["history"] = history.observe(raw, memory["history"], fresh)
-    action, kept = action_of(graph, agent.policy, _normalised(raw, agent, entries), memory, fresh)
-    kept |= past
-    inputs = [graph.info(seen, ["n", entries])]
-    inputs += [graph.info(fresh, ["n"])] if sizes else []
-    inputs += [graph.info(memory[name], ["n", size]) for name, size in sizes.items()]
-    results = [(np.clip(action, -1.0, 1.0), "action", 1)]
-    results += [(kept[name], f"next_{name}", size) for name, size in sizes.items()]
+    raw, inputs, results = agent.scaling(seen) if agent.scaling.scaled else seen, [graph.info(seen, ["n", entries])], []
+    for name, size in _states(agent).items():
+        memory = graph.input(name, "float32")
+        raw, kept = agent.history.observe(raw, memory, fresh)
+        inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", size])]
+        results = [(kept, f"next_{name}", size)]
+    action = action_of(graph, agent.policy, _normalised(raw, agent))
+    results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
     outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
                for x, name, size in results]  # fmt: skip
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
 
 
 def _states(agent) -> dict[str, int]:
-    """{name: numbers} of the hidden states of an agent: of its network, and the readings it keeps."""
+    """{name: numbers} of what an agent keeps from step to step: its readings, if it has a history."""
     history = getattr(agent, "history", None)
-    return memory_sizes(agent.policy) | ({} if history is None else {"history": history.kept})
+    return {} if history is None else {"history": history.kept}
 
 
-def _normalised(x: Traced, agent, entries: int) -> Traced:
+def _normalised(x: Traced, agent) -> Traced:
     """Input of the network, float32, as `Agent._normalised` and `VecNormalize.normalize_obs` compute it."""
     if hasattr(agent, "mean"):
-        acting = entries + (agent.history.size if agent.history else 0)  # the rest is for the value network alone
-        mean, sd, clip = agent.mean[:acting], agent.sd[:acting], agent.clip
+        mean, sd, clip = agent.mean, agent.sd, agent.clip
     elif agent.normalisation is not None and agent.normalisation.norm_obs:
         of = agent.normalisation
         mean, sd, clip = of.obs_rms.mean, np.sqrt(of.obs_rms.var + of.epsilon), of.clip_obs

@@ -1,4 +1,4 @@
-"""Inputs of the networks: a history of readings for both, the true soil for the value network alone."""
+"""Inputs of the networks: a history of readings, and the two lines that are compared; worlds of a training."""
 
 import numpy as np
 import pytest
@@ -11,19 +11,20 @@ from agents.environment import HIDDEN, SeveralWorlds, hidden_worlds
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
 from agents.history import READINGS, SHARE, History, HistoryVecEnv
-from agents.sb3 import SoilWheelVecEnv, privileged
-from soil_env.parameters import CourseSpec, load_scenario
-from soil_env.simulation.task import layout, truth
+from agents.sb3 import SoilWheelVecEnv
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import layout
 from tests.agents.drivers import Half
 
 TINY = {"num_envs": 8, "n_steps": 16, "batch_size": 64, "n_epochs": 2, "layer": 8}
+SHORT = {"course": {"length": 2.0}, "control": {"time_limit": 4.0}}
 NAMES = [e.name for e in layout("blind")]
-BLIND, TRUE = len(NAMES), len(truth(CourseSpec()))
+BLIND = len(NAMES)
 
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 4.0}})
+    return load_scenario("mixed", SHORT)
 
 
 def driven(env, steps, seed=5):
@@ -34,20 +35,19 @@ def driven(env, steps, seed=5):
     return first, [env.step(rng.uniform(0.0, 1.0, (env.num_envs, 1)).astype(np.float32)) for _ in range(steps)]
 
 
-@pytest.mark.parametrize("critic", ["", "true_soil"])
-def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
+def test_the_history_holds_the_readings_of_the_last_steps(scenario):
     """Against a list of all past observations of each course; the last one of a course is of that course still."""
-    steps, more = 3, len(privileged(critic, scenario.course))
-    env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind", critic=critic), History(NAMES, steps))
-    plain = SoilWheelVecEnv(4, scenario, "blind", critic=critic)
+    steps = 3
+    env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind"), History(NAMES, steps))
+    plain = SoilWheelVecEnv(4, scenario, "blind")
     columns = [NAMES.index(name) for name in READINGS]
     first, results = driven(env, 60)
     plain_first, plain_results = driven(plain, 60)
-    assert first.shape == (4, BLIND + steps * len(READINGS) + more) == (4, *env.observation_space.shape)
+    assert first.shape == (4, BLIND + steps * len(READINGS)) == (4, *env.observation_space.shape)
 
     def expected(now, past):
         padded = [*past[::-1], *[past[0] if past else now] * steps][:steps]
-        return np.concatenate([now[:BLIND], *[one[columns] for one in padded], now[BLIND:]])
+        return np.concatenate([now, *[one[columns] for one in padded]])
 
     for k in range(4):
         past, fresh = [], plain_first[k]
@@ -64,12 +64,13 @@ def test_the_history_holds_the_readings_of_the_last_steps(scenario, critic):
 
 
 @pytest.mark.parametrize(
-    "variant, critic, steps",
-    [("identified", "", 0), ("true_soil", "", 0), ("blind", "", 3), ("blind", "true_soil", 3)],
+    "name, variant, steps",
+    [("mixed", "identified", 0), ("mixed", "true_soil", 0), ("mixed", "blind", 3), ("two_lines", "identified", 3)],
 )
-def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, variant, critic, steps):
-    """On raw observations, with the history of its own calls, without the true soil that its value network had."""
-    model = ppo.build(scenario, variant, PPOConfig(**TINY, history=steps, critic=critic), 0)
+def test_a_loaded_agent_drives_as_it_was_trained(tmp_path, name, variant, steps):
+    """On raw observations, with the history of its own calls."""
+    scenario = load_scenario(name, SHORT)
+    model = ppo.build(scenario, variant, PPOConfig(**TINY, history=steps), 0)
     model.learn(256)
     ppo.save(model, tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
@@ -86,7 +87,7 @@ def test_a_loaded_agent_drives_as_it_was_trained(scenario, tmp_path, variant, cr
         np.testing.assert_allclose(own, action, atol=1e-5)
         seen = env.step(action)[0]
         raw, _, fresh, _ = plain.step(action)
-    assert seen.shape == (8, raw.shape[1] + steps * len(READINGS) + len(privileged(critic, scenario.course)))
+    assert seen.shape == (8, len(agent.mean)) and raw.shape[1] + steps * len(READINGS) <= len(agent.mean)
     assert agent.predict(raw[0])[0].shape == (1,)
 
 
@@ -118,28 +119,29 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     assert low.shape == high.shape == (len(names) + history.size,)
 
 
-def test_the_critic_sees_the_lines_ahead_too():
-    """Entries as `true_soil` observes them, but for the error of the camera in where the patch begins."""
-    scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
-    seeing, plain = SoilWheelVecEnv(8, scenario, "blind", critic="true_soil"), SoilWheelVecEnv(8, scenario, "true_soil")
-    names, blind = plain.observation_names, {e.name for e in layout("blind", scenario.course)}
-    columns = [k for k, name in enumerate(names) if name not in blind]
-    assert seeing.privileged == len(columns) > TRUE
-    rows, expected = (
-        [first, *(result[0] for result in results)] for first, results in (driven(e, 150) for e in (seeing, plain))
-    )
-    rows = np.concatenate(rows)[:, -seeing.privileged :]
-    np.testing.assert_array_equal(rows, np.concatenate(expected)[:, columns])
-    assert (rows[:, -1] != 0.0).any()  # a second line has been in sight
-
-
-def test_only_the_value_network_sees_the_soil(scenario):
-    model = ppo.build(scenario, "blind", PPOConfig(**TINY, history=0, critic="true_soil"), 0)
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(20, BLIND + TRUE)).astype(np.float32)
-    y = np.column_stack([x[:, :BLIND], rng.normal(size=(20, TRUE))]).astype(np.float32)
-    own, other = (model.policy(torch.from_numpy(z), deterministic=True) for z in (x, y))
-    assert torch.equal(own[0], other[0]) and torch.equal(own[2], other[2]) and (own[1] != other[1]).all()
+def test_exchanged_lines_give_the_opposite_choice():
+    """And entries that are of no line do not count; they do where no line is chosen."""
+    scenario = load_scenario("two_lines")
+    model = ppo.build(scenario, "identified", PPOConfig(**TINY, history=2), 0)
+    names = model.get_vec_normalize_env().get_attr("observation_names")[0]
+    extractor, choice = model.policy.mlp_extractor, names.index("choice")
+    ahead, beside = extractor.lines
+    assert [names[k].partition("_")[2] for k in ahead[:14]] == [names[k].partition("_")[2] for k in beside[:14]]
+    x = torch.randn((20, model.observation_space.shape[0]), generator=torch.Generator().manual_seed(0))
+    x[:, choice] = 1.0
+    other, exchanged = x.clone(), x.clone()
+    other[:, [k for k in range(x.shape[1]) if k not in (*ahead, *beside, choice)]] += 1.0
+    exchanged[:, ahead], exchanged[:, beside] = x[:, beside], x[:, ahead]
+    found = extractor.forward_actor(x)
+    assert torch.equal(extractor.forward_actor(other), found) and found.abs().max() > 0.0
+    assert torch.equal(extractor.forward_actor(exchanged), -found)
+    for one in (x, other):
+        one[:, choice] = -1.0
+    assert (extractor.forward_actor(other) != extractor.forward_actor(x)).any()
+    moments = model.get_vec_normalize_env().obs_rms
+    model.learn(256)
+    for values in (moments.mean, moments.var):
+        np.testing.assert_array_equal(values[ahead], values[beside])
 
 
 def test_several_worlds_are_the_single_ones_side_by_side(scenario):

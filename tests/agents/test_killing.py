@@ -29,7 +29,8 @@ def small_study(folder):
     """A study whose trainings begin anew after a kill."""
     from tests.agents.test_study import config
 
-    train = {"timesteps": 192, "ppo": {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}}
+    own = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4}
+    train = {"timesteps": 192, "student": 0, "ppo": own}
     (folder.parent / "config").mkdir(exist_ok=True)
     path = config(folder.parent / "config", train=train, courses=3, seeds=1)
     assert soil_env(["study", "--config", str(path), "--out", str(folder)]) == 0

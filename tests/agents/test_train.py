@@ -28,8 +28,8 @@ FILES = {
     "comparison.json", "comparison.csv", "comparison.png", "course.png",
 }  # fmt: skip
 TINY = (
-    "--timesteps=256 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 --courses=4 "
-    "--tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
+    "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "
+    "--courses=4 --tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
 ).split()
 ROLLOUT = 128
 
@@ -115,7 +115,6 @@ def test_overrides_are_read_as_yaml_and_names_as_text():
 REFUSED = [  # (options, parts of the message)
     (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
     (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
-    (["--algorithm", "recurrent_ppo", "--ppo.critic", "true_soil"], ["ppo.critic", "recurrent_ppo"]),
     (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
     (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
     (["--courses"], ["courses", "value"]),
@@ -124,7 +123,6 @@ REFUSED = [  # (options, parts of the message)
     (["--resum=x.yaml"], ["unknown key 'resum'"]),  # no abbreviations: a misspelt key is no other option
     (["--name", "a/b"], ["a/b", "name"]),
     (["--config", "smoke.yaml", "--rover", "mars_rover"], ["smoke.yaml, command line: oracle_courses = 2: expected"]),
-    (["--config", "rover.yaml", "--ppo.critic", "true_soil"], ["expected none for a rover"]),
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
@@ -200,12 +198,6 @@ def test_kill_after_a_checkpoint(capsys, tmp_path):
     first, *rest = steps_logged(folder)
     assert [p.name for p in (folder / "tensorboard").iterdir()] == ["PPO_0"]
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])
-
-
-def test_recurrent_ppo_without_its_package_leaves_no_run_folder(capsys, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    assert train.main(["--runs", str(tmp_path / "runs"), "--algorithm", "recurrent_ppo"]) == 2
-    assert "needs sb3-contrib" in capsys.readouterr().err and not (tmp_path / "runs").exists()
 
 
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
