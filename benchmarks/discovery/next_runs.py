@@ -84,10 +84,10 @@ def draw(seed: int, index: int) -> Rig:
     name = NAMES[index % len(NAMES)]
     form = forms_of(name)[index // len(NAMES) % len(forms_of(name))]
     while True:
-        bench = draw_bench(rng, "rich", 0.1, None)
+        bench = draw_bench(rng, "rich", 0.1)
         scale = np.array([bench.wheel.radius, bench.load, bench.load * bench.wheel.radius])
         bench = replace(bench, noise=tuple(float(x) for x in NOISE * scale))
-        effect = Hidden(form, float(form.signs[rng.integers(len(form.signs))]), form.side(rng, bench.context))
+        effect = Hidden(form, float(form.signs[rng.integers(len(form.signs))]), form.side(rng, bench))
         strength, size = Measure(bench).strength(effect, SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform())
         if size < 0.97 * SEEN[0]:
             continue
