@@ -27,13 +27,13 @@ from soil_env.env import action_space
 from soil_env.parameters import Scenario
 from soil_env.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.task import LINES, ObservedNumber, layout
+from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.vehicle import RoverScenario
 
 from . import inputs
 from .config import NAMES, PPOConfig
-from .history import History
+from .history import History, lines_of
 
 INFO, WEIGHTS, OPTIMIZER = "soil_env.json", "policy.pth", "policy.optimizer.pth"  # members of the zip
 MOST_BYTES = 500_000_000  # of a member, unpacked
@@ -112,14 +112,6 @@ class ChoosingPolicy(ActorCriticPolicy):
 
     def _get_constructor_parameters(self) -> dict:
         return super()._get_constructor_parameters() | self.of_choice
-
-
-def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
-    """Columns of each of two lines in the input of a network; empty lists where there is no choice of a line."""
-    if "choice" not in names:
-        return [[], []]
-    own = [[k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n] for line in LINES]
-    return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
 
 
 def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:

@@ -17,9 +17,8 @@ from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from .agent import lines_of
 from .config import PPOConfig
-from .history import History, HistoryVecEnv
+from .history import History, HistoryVecEnv, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 
 #: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.

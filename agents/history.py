@@ -93,6 +93,14 @@ class History:
         return spaces.Box(*bounds, dtype=np.float32)
 
 
+def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
+    """Columns of each of two lines in the input of a network; empty lists where there is no choice of a line."""
+    if "choice" not in names:
+        return [[], []]
+    own = [[k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n] for line in LINES]
+    return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
+
+
 def _range(start: int, stop: int) -> list[int]:
     """Columns as a list, which an ONNX graph can gather."""
     return list(range(start, stop))
