@@ -105,7 +105,8 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
         share[name,], found[name,] = share[()] * ODDS, settle(problem, (forms(problem, name)[0],))
-    order = sorted((s for s in found if share[s] >= WITHIN_REACH), key=lambda s: -share[s])[:CANDIDATES]
+    ranked = sorted(found, key=lambda s: -share[s])
+    order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
     return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
 
 
