@@ -21,7 +21,7 @@ from .evaluate.tuning import tuned_settings
 from .progress import Bar, show
 
 _TUNING = "tuning.log"  # trials of the tuning, until the comparison is finished
-_WITH_TRUE_SOIL = ("best_slip_true", "ppo_true")
+_WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
 
 
 def written(config: TrainConfig) -> tuple[str, ...]:

@@ -9,8 +9,8 @@ from soil_env._io.loading import Checked, FieldError, load, quantity
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.terramechanics.model import WheelSoilModel
 
-#: Name of the PPO agent of each observation variant in tables and files.
-NAMES = {"blind": "ppo_blind", "identified": "ppo_identified", "true_soil": "ppo_true"}
+#: Name of the agent of each observation variant in tables and files.
+NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": "agent_true"}
 
 
 def _text(default: str, doc: str):

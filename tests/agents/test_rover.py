@@ -104,7 +104,7 @@ SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--cha
 def test_train_writes_the_comparison(tmp_path):
     assert main(["train", "--config", "rover.yaml", "--name", "small", "--runs", str(tmp_path), *SMALL]) == 0
     result = json.loads((tmp_path / "small" / "comparison.json").read_text())
-    assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "ppo_identified"}
+    assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "agent_identified"}
     for metrics in result["controllers"].values():
         assert set(metrics) == {*METRICS, *OF_ROVERS}
         assert all(m["low"] <= m["value"] <= m["high"] for m in metrics.values())

@@ -76,10 +76,10 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     scenario, agent = load_scenario(folder / "scenario.yaml"), load_agent(folder)
     assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
     assert scenario.control.time_limit == 5.0 and agent.info.task == scenario
-    assert agent.timesteps == 256 and agent.name == "ppo_identified"
+    assert agent.timesteps == 256 and agent.name == "agent_identified"
     result = json.loads((folder / "comparison.json").read_text())
     assert result["scenario"] == "two_lines" and result["courses"] == 4 and result["limit"]["courses"] == 2
-    assert set(result["controllers"]) == {*CONTROLLERS, "ppo_identified"}
+    assert set(result["controllers"]) == {*CONTROLLERS, "agent_identified"}
     assert all(set(METRICS) <= set(row) for row in result["controllers"].values())
 
     model = (folder / "model.zip").read_bytes()
@@ -95,11 +95,11 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
 @pytest.mark.parametrize("value, words", [(0.97, "more"), (0.90, "against .*overlap"), (0.60, "fewer")])
 def test_the_verdict_follows_from_the_intervals(value, words):
     """Against the best controller that does not know the true soil; no claim where the intervals overlap."""
-    rates = {"ppo_blind": value, "soft_start": 0.89, "best_slip_true": 0.93}
+    rates = {"agent_blind": value, "soft_start": 0.89, "best_slip_true": 0.93}
     rows = {name: {"finished": {"value": x, "low": x - 0.02, "high": x + 0.02}} for name, x in rates.items()}
     even = {"finished": {"value": 0.05, "low": 0.02, "high": 0.08}}
     text = comparison.verdict(
-        {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}, "ppo_blind"
+        {"controllers": rows, "paired": {a: dict.fromkeys(rows, even) for a in rows}}, "agent_blind"
     )
     assert re.search(words, text) and "soft_start" in text and "+5.0 [+2.0, +8.0]" in text
     assert ("overlap" in text) == (value == 0.90) and not (value == 0.90 and re.search("more|fewer", text))
