@@ -84,7 +84,7 @@ class SeveralWorlds(NativeVecEnv):
         return np.concatenate([p.reset() for p in self.parts])
 
     def true_soil(self) -> np.ndarray:
-        """What the variant `true_soil` observes now, in its units, [num_envs, D]."""
+        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
         return np.concatenate([p.true_soil() for p in self.parts])
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:

@@ -159,7 +159,7 @@ class SoilWheelVecEnv(CourseVecEnv):
         self.simulation.step_all(commands[:, 0], self._drive)
 
     def true_soil(self) -> np.ndarray:
-        """What the variant `true_soil` observes now, in its units [num_envs, D]."""
+        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
         own = dict(zip(self.observation_names, self.simulation.worlds.observation.T, strict=True))
         own |= zip((e.name for e in truth(self.scenario.course)), self.simulation.true_soils().T, strict=True)
         return np.column_stack([own[e.name] for e in layout("true_soil", self.scenario.course)])

@@ -293,7 +293,7 @@ def test_yaml_file_as_scenario(tmp_path):
     ({"max_episode_steps": 10}, (False, True, "RUNNING", 0.0)),
 ])  # fmt: skip
 def test_only_a_wrapper_truncates(changes, expected):
-    """To be late is to have lost, and costs; to be cut off by the user's own wrapper is neither."""
+    """A late finish counts as a loss and costs; an episode cut off by a wrapper is neither."""
     env = gymnasium.make("SoilWheel-v0", course={"length": 2.0, "grade_deg": [-2, 0]}, repeat=1, **changes)
     env.reset(seed=0)
     terminated = truncated = False

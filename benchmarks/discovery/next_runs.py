@@ -103,7 +103,7 @@ def draw(seed: int, index: int) -> Rig:
 
 
 class Known:
-    """What is known after some runs: probabilities of the hypotheses, and what each predicts of every run."""
+    """Knowledge after some runs: probabilities of the hypotheses, and the prediction of each for every run."""
 
     def __init__(self, rig: Rig, rows: list[int], before: Known | None = None, whole: bool = True) -> None:
         self.rig, self.rows, self.fitted, self.whole = rig, rows, len(rows), whole

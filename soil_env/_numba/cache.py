@@ -63,7 +63,7 @@ class _Index(IndexDataCacheFile):
 
 
 def _places(installed: bool) -> list[type]:
-    """Where numba looks for a folder, in turn: beside the sources last if the package is `installed`.
+    """Classes by which numba looks for a folder, in turn: beside the sources last if the package is `installed`.
 
     Files beside an installed package outlive it: pip leaves them, and the folder with them hides an editable install.
     """

@@ -114,7 +114,7 @@ class Finding:
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Where no effect is stated: those that are missing, or that something missing resembles, with `TOLD`."""
+        """Effects with at least `TOLD` that are missing, or resembled by what is missing; none beside a stated one."""
         near = {n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like)) for n in self.tried}
         return () if self.names else tuple(sorted((n for n in near if near[n] >= TOLD), key=lambda n: -near[n]))
 

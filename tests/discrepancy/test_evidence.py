@@ -133,7 +133,7 @@ def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
 
 
 def test_a_law_of_the_freedom_of_an_effect_takes_what_has_another_form(data):
-    """What bulldozing adds, as it is published, and turned about over slip and load."""
+    """Contribution of bulldozing, as it is published, and turned about over slip and load."""
     there = problem(table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS), np.random.default_rng(9))
     added = there.data.y - data.y - NOISE * np.random.default_rng(9).normal(size=data.y.shape)
     turned = added * (1.0 + 1.5 * np.sin(9.0 * data.rows.slip + data.rows.load / 40.0))[:, None]

@@ -179,7 +179,7 @@ def test_an_estimate_that_is_no_soil_is_forgotten():
 
 
 def test_without_identification_a_wheel_drives_as_with_it():
-    """To the bit; the estimate stays at the prior, and there is no such online identifier."""
+    """Equal to the bit; the estimate stays at the prior, and there is no such online identifier."""
     runs = []
     for method in ("filter", "none"):
         scenario = load_scenario("mixed", {"belief": {"method": method}})

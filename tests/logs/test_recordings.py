@@ -30,7 +30,7 @@ def drives(tmp_path_factory):
 
 @pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
 def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
-    """To the precision of the bag: what is observed is float32, and so is the range of a Range."""
+    """Equal to the precision of the bag: observations are float32, and so is the range of a Range."""
     folder, log_map, online = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "friction_angle_sd_deg"):

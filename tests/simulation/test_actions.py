@@ -49,7 +49,7 @@ def test_halts_take_the_commanded_speed_back_to_zero():
 
 @pytest.mark.parametrize("mode", HELD)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
-    """To the bit: world, sensors, identifier; rewards are summed, and the step ends with the episode."""
+    """Equal to the bit: world, sensors, identifier; rewards are summed, the step ends with the episode."""
     changes = {"course": {"length": 2.0}, "reward": {"information": 1.5, "information_discount": 0.9}}
     ends, halves, wheels, repeat = set(), 0, 6, 5
     held, single = (simulation(mode, n, range(4, 10), **changes) for n in (repeat, 1))

@@ -144,7 +144,7 @@ def next_test(report: Report, t: NextTest) -> str:
 
 
 def after_next(report: Report) -> str:
-    """How sure one will be after the next runs."""
+    """Sentence on the probability of the right candidate after the next runs."""
     now = sum(p.probability**2 for p in report.next_tests[0].predicted)
     return (
         "Make the runs in this order and add their rows. The right one of the candidates below has a probability of "

@@ -1,4 +1,4 @@
-"""What a reader needs first: the result in a sentence, what to do next, and each effect in plain words."""
+"""Result in a sentence, next step, and each effect in plain words: the head of the report."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def conclusion(report: Report) -> str:
 
 
 def next_step(report: Report) -> str:
-    """What to do now."""
+    """Return the next step, in words."""
     if report.doubts:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]

@@ -55,7 +55,7 @@ _ALWAYS = "log10_sinkage_coefficient"
 
 
 class Scaling:
-    """To order one and back, of observations [..., D] with these entries; both ways unchanged if not `scaled`.
+    """Scaling of observations [..., D] with these entries to order one and back; unchanged if not `scaled`.
 
     Entries of a line ahead are 0 while it is out of sight, on either side of the scaling.
     """
