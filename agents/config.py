@@ -98,8 +98,8 @@ class TrainConfig(OfWorld):
 
     @property
     def taught(self) -> bool:
-        """True if a student begins the training; the teacher drives a wheel."""
-        return self.student > 0.0 and not self.rover
+        """True if a student begins the training."""
+        return self.student > 0.0
 
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""

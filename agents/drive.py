@@ -14,10 +14,12 @@ from soil_env._io.files import check_outputs
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, seed_option
 from soil_env.parameters import DEFAULT_SCENARIO
+from soil_env.rendering.side_view import SCENE
 
 from .evaluate.contestants import parse
 from .evaluate.loading import load
 
+_TITLE = 36  # [pixels] above each of several drives
 _SUFFIXES = (".png", ".gif", ".mp4")
 
 
@@ -27,7 +29,7 @@ _SUFFIXES = (".png", ".gif", ".mp4")
     default="best_slip_identified",
     metavar="NAME",
     show_default=True,
-    help="Or run folder, .onnx, m:Class.",
+    help="Or run folder, .onnx, m:Class; several: side by side.",
 )
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @seed_option("the course")
@@ -41,6 +43,7 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     soil-env drive --seed 3
     soil-env drive --seed 3 --frame 200 --out wheel.png
     soil-env drive --controller runs/two_lines --out drive.gif
+    soil-env drive --controller rule=best_slip_identified,agent=runs/two_lines --out both.gif
     """
     if out is not None:
         if out.suffix not in _SUFFIXES:
@@ -49,32 +52,59 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
             raise ParameterError(f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif')
         check_outputs(out.parent, [out.name])
     contestants = list(parse(controller).values())
-    if len(contestants) != 1:
-        raise ParameterError(f"--controller {controller}: expected one, got {len(contestants)}")
     options: dict[str, Any] = {"repeat": 1, "scaled": False, "render_mode": "rgb_array" if out else None}
     plain = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario)
-    driver = load(contestants[0], plain.unwrapped.scenario)
+    drivers = {c.name: load(c, plain.unwrapped.scenario) for c in contestants}
+    held = plain.unwrapped.scenario.control.held
     plain.close()
-    env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, **options)
-    video = out is not None and out.suffix != ".png"
-    frames, info, steps = _drive(env, driver, seed, frame if out and not video else None, every if video else 0)
+    video, films = out is not None and out.suffix != ".png", {}
+    for name, driver in drivers.items():
+        env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, **options)
+        last = frame if out and not video else None
+        frames, info, steps = _drive(env, driver, held, seed, last, every if video else 0)
+        films[name] = frames or ([env.render()] if out else [])
+        env.close()
+        print(f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods")
     if out is not None:
-        _save(out, frames or [env.render()])
-    env.close()
-    state = info["state"]
-    print(f"{controller}: {info['cause']} at {state['x']:.2f} m after {steps} control periods")
-    if out is not None:
+        _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
         print(f"written: {out}")
 
 
-def _drive(env: gymnasium.Env, driver: Any, seed: int, last: int | None, every: int) -> tuple[list, dict, int]:
-    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most `last`."""
+def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
+    """Frames with the side views of several drives next to each other, without charts, the name of each above it.
+
+    The last frame of a drive stays until all have ended.
+    """
+    from PIL import Image, ImageDraw
+
+    together = []
+    for i in range(max(map(len, films.values()))):
+        parts = []
+        for name, frames in films.items():
+            view = frames[min(i, len(frames) - 1)][:, : SCENE[0] + SCENE[2] + 2]
+            part = Image.new("RGB", (view.shape[1], view.shape[0] + _TITLE), "white")
+            part.paste(Image.fromarray(view), (0, _TITLE))
+            ImageDraw.Draw(part).text((SCENE[0], 4), name, "black", font_size=24)
+            parts.append(np.asarray(part.resize((part.width * 7 // 10, part.height * 7 // 10))))
+        together.append(np.concatenate(parts, axis=1))
+    return together
+
+
+def _drive(
+    env: gymnasium.Env, driver: Any, held: int, seed: int, last: int | None, every: int
+) -> tuple[list, dict, int]:
+    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most `last`.
+
+    An action of the driver is held for so many control periods, as in the scenario.
+    """
     observation, info = env.reset(seed=seed)
-    frames, memory, start, steps, over = [], None, np.array([True]), 0, False
+    frames, memory, steps, over = [], None, 0, False
     while not over and (last is None or steps < last):
-        action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
+        if steps % held == 0:
+            start = np.array([steps == 0])
+            action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
         observation, _, terminated, truncated, info = env.step(action[0])
-        start, over, steps = np.array([False]), terminated or truncated, steps + 1
+        over, steps = terminated or truncated, steps + 1
         if every and (steps % every == 0 or over):
             frames.append(env.render())
     return frames, info, steps

@@ -180,3 +180,7 @@ class SoilRoverVecEnv(CourseVecEnv):
 
     def _step(self, commands: np.ndarray) -> None:
         self.simulation.step_all(commands, self._drive)
+
+    def true_soil(self) -> np.ndarray:
+        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
+        return self.simulation.true_soil()

@@ -57,23 +57,24 @@ class Teacher(BestSlipTrue):
         return SHARE * super().target_slip(observation, state)
 
     def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
+        """(actions [n, 1] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
         action, state = self.predict(batch, state, fresh)
-        action, weight = action[:, 0], 1.0 - batch[:, self.column["halted"]]
+        weight = 1.0 - batch[:, self.column["halted"]]
         choosing = np.zeros(len(batch), dtype=bool)
         if "choice" in self.column:
             choosing = batch[:, self.column["choice"]] > 0.5
             apart = np.abs(batch[:, self.column["ahead_margin"]] - batch[:, self.column["beside_margin"]])
             weight = np.where(choosing, np.minimum(apart / SURE, 1.0), weight)
-        return np.where(choosing, np.sign(action), action), choosing, weight, state
+        return np.where(choosing[:, None], np.sign(action), action), choosing, weight, state
 
 
 class Lessons:
     """The last steps of all wheels: arrays [steps, wheels], the oldest replaced first."""
 
-    def __init__(self, wheels: int, entries: int, steps: int):
+    def __init__(self, wheels: int, entries: int, steps: int, actions: int = 1):
         self.seen = np.zeros((steps, wheels, entries), dtype=np.float32)
-        self.action, self.weight, self.reward = np.zeros((3, steps, wheels), dtype=np.float32)
+        self.action = np.zeros((steps, wheels, actions), dtype=np.float32)
+        self.weight, self.reward = np.zeros((2, steps, wheels), dtype=np.float32)
         self.choosing, self.done = np.zeros((2, steps, wheels), dtype=bool)
         self.count = 0
 
@@ -102,26 +103,26 @@ class Lessons:
         return out, np.flatnonzero(known)
 
 
-def teach(model: PPO, scenario: Scenario, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None):
-    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more."""
+def teach(model: PPO, teacher, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None):
+    """Let an untrained `model` learn from a `teacher` for `steps` of its environment, or up to a round more."""
     env = model.get_vec_normalize_env()
     assert env is not None
     policy, rng, wheels = model.policy, np.random.default_rng([seed, 11]), env.num_envs
     rounds = math.ceil(steps / (ROUND * wheels))
-    teacher, state, fresh = Teacher(scenario), None, np.ones(wheels, dtype=bool)
-    seen, wander = env.reset(), np.zeros(wheels)
-    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, KEPT // (ROUND * wheels))) * ROUND)
+    state, fresh = None, np.ones(wheels, dtype=bool)
+    seen, wander = env.reset(), np.zeros((wheels, *env.action_space.shape))
+    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, KEPT // (ROUND * wheels))) * ROUND, wander.shape[1])
     optimizer = torch.optim.Adam(policy.parameters(), RATE)
     for k in range(rounds):
         for _ in range(ROUND):
             action, choosing, weight, state = teacher.lesson(env.unwrapped.true_soil(), state, fresh)
             row = {"seen": env.get_original_obs(), "action": action, "choosing": choosing, "weight": weight}
             if k > 0:
-                action = model.predict(seen, deterministic=True)[0][:, 0]
-            wander = MEMORY * wander + np.sqrt(1.0 - MEMORY**2) * rng.normal(size=wheels)
-            turned = np.where(rng.random(wheels) < FLIPPED, -action, action)
-            action = np.where(choosing, turned, np.clip(action + NOISE * wander, -1.0, 1.0))
-            seen, _, fresh, _ = env.step(action[:, None].astype(np.float32))
+                action = model.predict(seen, deterministic=True)[0]
+            wander = MEMORY * wander + np.sqrt(1.0 - MEMORY**2) * rng.normal(size=wander.shape)
+            turned = np.where(rng.random((wheels, 1)) < FLIPPED, -action, action)
+            action = np.where(choosing[:, None], turned, np.clip(action + NOISE * wander, -1.0, 1.0))
+            seen, _, fresh, _ = env.step(action.astype(np.float32))
             kept.add(**row, reward=env.get_original_reward(), done=fresh)
         last = k == rounds - 1
         updates = int(PASSES * ROUND * wheels / BATCH * (4 if last else 1)) + 1
@@ -143,9 +144,10 @@ def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
     """Squared errors of the accelerations, and logistic loss of the choices."""
     action, weight, choosing = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight, kept.choosing))
     hidden = policy.mlp_extractor.forward_actor(torch.from_numpy(env.normalize_obs(kept.seen[at])))
-    mean = policy.action_net(hidden)[:, 0]
-    loss = torch.where(choosing, CHOICE * functional.softplus(-SLOPE * mean * action), (mean - action).square())
-    return (weight * loss).mean()
+    mean = policy.action_net(hidden)
+    choice = CHOICE * functional.softplus(-SLOPE * mean * action)
+    loss = torch.where(choosing[:, None], choice, (mean - action).square())
+    return (weight * loss.mean(dim=1)).mean()
 
 
 def _descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:

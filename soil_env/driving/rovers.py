@@ -22,10 +22,12 @@ from soil_env.simulation.rover.rovers import (
     RoverRecord,
     lay_rovers,
     new_rover_worlds,
+    observe_true_soils,
     rover_numbers,
     step_rovers,
 )
 from soil_env.simulation.rover.ruts import Ruts
+from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.simulation.world.terrain import Courses
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
@@ -83,6 +85,14 @@ class RoverSimulation(Vehicles):
         trial = new_rover_worlds(1, scenario, task, False)
         self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
         self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
+
+    def true_soil(self) -> np.ndarray:
+        """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""
+        entries, sensed = rover_layout("true_soil", self.scenario.axles), first_soil(self.scenario.axles)
+        out = np.zeros((self.count, len(entries)), dtype=np.float32)
+        out[:, :sensed] = self.worlds.observation[:, :sensed]
+        observe_true_soils(self._world, self.numbers, out)
+        return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
 
     def _rows_of(self, k: Any) -> np.ndarray:
         """Rows of the wheels of rover k."""

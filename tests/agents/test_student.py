@@ -8,6 +8,7 @@ from agents import ppo, student
 from agents.config import PPOConfig, load_config
 from agents.environment import hidden_worlds, normalised
 from agents.sb3 import SoilWheelVecEnv
+from agents.teachers import teacher_of
 from soil_env.parameters import load_scenario
 
 CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
@@ -52,7 +53,7 @@ def test_a_student_comes_near_its_teacher(name, monkeypatch):
     scenario = load_scenario(name)
     models = [ppo.build(scenario, "true_soil", CONFIG, 0) for _ in range(2)]
     for model in models:
-        student.teach(model, scenario, 20_000, 0)
+        student.teach(model, teacher_of(scenario), 20_000, 0)
         assert model.num_timesteps == 20 * student.ROUND * 16
     assert all(torch.equal(a, b) for a, b in zip(*(m.policy.state_dict().values() for m in models), strict=True))
     env, teacher, state, fresh = model.get_vec_normalize_env(), student.Teacher(scenario), None, np.ones(16, bool)
@@ -60,8 +61,8 @@ def test_a_student_comes_near_its_teacher(name, monkeypatch):
     for _ in range(150):
         taught, choosing, weight, state = teacher.lesson(env.unwrapped.true_soil(), state, fresh)
         action = model.predict(seen, deterministic=True)[0][:, 0]
-        errors.append((action - taught)[(weight > 0.0) & ~choosing])
-        right.append(((action > 0.0) == (taught > 0.0))[choosing & (weight > 0.5)])
+        errors.append((action - taught[:, 0])[(weight > 0.0) & ~choosing])
+        right.append(((action > 0.0) == (taught[:, 0] > 0.0))[choosing & (weight > 0.5)])
         seen, _, fresh, _ = env.step(action[:, None])
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.2
     if name == "two_lines":

@@ -28,7 +28,12 @@ RUNS = {  # script -> (arguments, picture, pattern of the output, module it need
     "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
     "vector_env": ("--wheels 16 --steps 200", "vector_env.png", r"second; courses that ended: \{'", "gymnasium"),
     "model_with_effect": ("--courses 4", "bulldozing.png", r"with bulldozing +immobilised", "gymnasium"),
-    "train_ppo": ("--steps 16384 --courses 4", "training.png", r"full throttle +return", "stable_baselines3"),
+    "learning_curves": (
+        "--scenario mixed --steps 16384 --points 1 --seeds 1 --courses 4 --out learning.png",
+        "learning.png",
+        r"PPO alone, training seed 0\n +16,384 steps: \d",
+        "stable_baselines3",
+    ),
     "cleanrl_ppo": ("--steps 4096 --length 16 --courses 4", "", r"same 4 courses: ppo -?\d", "torch"),
     "sbx_ppo": ("--steps 8192 --courses 4", "", r"same 4 courses: ppo -?\d", "sbx"),
     "torchrl_ppo": ("--steps 16384", "", r"16,384 steps: return", "torchrl"),

@@ -326,3 +326,11 @@ def step_rovers(worlds, numbers, commands, what, progress, counter):
             for j in range(b * COUNT, end):
                 mark(progress, j, DRIVEN)
         block = take(counter, portion)
+
+
+@compiled_root(nogil=True)
+def observe_true_soils(worlds, numbers, out):
+    """Fill the true soils under the axles into observations `out` [rovers, D] of the variant `true_soil`."""
+    rovers, axles = worlds.rovers, numbers.suspension.axles
+    for j in range(len(out)):
+        write_true_soils(out[j], j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task)
