@@ -8,15 +8,32 @@ from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
 from .controllers.rover import RoverController
+from .controllers.wheel import BestSlipTrue
 from .student import Teacher
 
 
+START, SPEED = 0.1, 0.8  # of the teacher of a rover: [of the top rim speed]
+#: Limit of the slip over the best slip on the fresh soil under each axle, by number of axles. Wheels behind run in ruts,
+#: which are stiffer: on three axles they take more of the work.
+SHARES = {2: (1.0, 1.1), 3: (0.75, 0.95, 1.15)}
+
+
+class _OfWheels(Teacher):
+    """The teacher of the wheels of a rover."""
+
+    def target_slip(self, observation, state):
+        shares = SHARES[self.scenario.axles]
+        return BestSlipTrue.target_slip(self, observation, state) * np.tile(shares, len(observation) // len(shares))
+
+
 class RoverTeacher(RoverController):
-    """The teacher of a wheel for each wheel of a rover."""
+    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands now."""
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
-        self.own = Teacher(scenario)
+        self.own = _OfWheels(scenario)
+        top = self.own.top_speed
+        self.own.settings |= {"start": START * top, "speed": SPEED * top}
 
     def lesson(self, batch: np.ndarray, state, fresh):
         """(actions [n, axles], no choices [n], weight [n] of each row, state) for true observations."""

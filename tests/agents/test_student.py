@@ -7,9 +7,10 @@ import torch
 from agents import ppo, student
 from agents.config import PPOConfig, load_config
 from agents.environment import hidden_worlds, normalised
-from agents.sb3 import SoilWheelVecEnv
+from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
 from agents.teachers import teacher_of
 from soil_env.parameters import load_scenario
+from soil_env.vehicle import load_rover
 
 CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
 
@@ -69,6 +70,23 @@ def test_a_student_comes_near_its_teacher(name, monkeypatch):
         assert np.mean(np.concatenate(right)) > 0.9
 
 
-def test_no_student_for_a_rover():
-    assert not load_config({"rover": "mars_rover"}, "").taught and not load_config({"student": 0}, "").taught
-    assert load_config({}, "").taught
+def test_a_rover_has_a_student():
+    """Its teacher sees what a rover with the true soil observes; the student learns an action for each axle."""
+    rover = load_rover("mars_rover", {"course": {"length": 3.0}, "control": {"time_limit": 20.0}})
+    model = ppo.build(rover, "blind", CONFIG, 0)
+    env, plain = model.get_env().unwrapped, SoilRoverVecEnv(16, rover, "true_soil", scaled=False, threads=1)
+    env.seed(5), plain.seed(5)
+    env.reset(), plain.reset()
+    for _ in range(20):
+        actions = np.full((16, 3), 0.4, dtype=np.float32)
+        env.step(actions)
+        np.testing.assert_array_equal(env.true_soil(), plain.step(actions)[0])
+    teacher = teacher_of(rover)
+    actions, choosing, weight, _ = teacher.lesson(env.true_soil(), None, np.ones(16, dtype=bool))
+    assert actions.shape == (16, 3) and not choosing.any() and weight.max() == 1.0
+    student.teach(model, teacher, 2 * student.ROUND * 16, 0)
+    assert model.predict(model.get_env().reset())[0].shape == (16, 3)
+
+
+def test_taught_unless_asked_for_none():
+    assert load_config({"rover": "mars_rover"}, "").taught and not load_config({"student": 0}, "").taught
