@@ -11,10 +11,9 @@ from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 from .student import Teacher
 
-
 START, SPEED = 0.1, 0.8  # of the teacher of a rover: [of the top rim speed]
-#: Limit of the slip over the best slip on the fresh soil under each axle, by number of axles. Wheels behind run in ruts,
-#: which are stiffer: on three axles they take more of the work.
+#: Limit of the slip over the best slip on the fresh soil under each axle, by number of axles. Wheels behind run in
+#: ruts, which are stiffer: on three axles they take more of the work.
 SHARES = {2: (1.0, 1.1), 3: (0.75, 0.95, 1.15)}
 
 
