@@ -34,16 +34,24 @@ SLOPE = 1.0  # of the logit of a choice over the mean action
 CHOICE = 0.3  # weight of the choices beside the accelerations
 SURE = 0.1  # [of load] difference of margins that counts in full
 VALUE_STEPS = 600  # of the value network
-START, ACCELERATION, SPEED = 0.08, 0.3, 0.65  # of the teacher: [of the top rim speed], [m/s2], [of the top rim speed]
-SHARE = 1.1  # of the best slip, which it does not exceed
+#: Of the teacher: start and speed [of the top rim speed], acceleration [m/s2], share of the best slip as its limit.
+#: Found with 36 trials a scenario on 700 development courses each; where they were alike they are one.
+SETTINGS = {"start": 0.08, "acceleration": 0.25, "speed": 0.54, "share": 1.05}
+OF_SCENARIOS = {
+    "loose_slopes": {"start": 0.13, "acceleration": 0.31, "speed": 0.85},
+    "sticky": {"start": 0.1, "acceleration": 0.43, "speed": 0.58},
+    "field_vehicle": {"start": 0.04, "acceleration": 0.3, "speed": 0.36, "share": 1.5},
+}
 
 
 class Teacher(BestSlipTrue):
     """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
 
     def __init__(self, scenario: Scenario):
-        top = scenario.wheel.radius * scenario.wheel.no_load_speed
-        super().__init__(scenario, start=START * top, acceleration=ACCELERATION, speed=SPEED * top)
+        own, top = SETTINGS | OF_SCENARIOS.get(scenario.name, {}), scenario.wheel.radius * scenario.wheel.no_load_speed
+        rims = {name: own[name] * top for name in ("start", "speed")}
+        super().__init__(scenario, acceleration=own["acceleration"], **rims)
+        self.share = own["share"]
 
     def begin(self, batch, state, fresh):
         """The state of `BestSlipTrue`, with the ramp where the rim is commanded to be."""
@@ -54,7 +62,7 @@ class Teacher(BestSlipTrue):
         return state
 
     def target_slip(self, observation, state):
-        return SHARE * super().target_slip(observation, state)
+        return self.share * super().target_slip(observation, state)
 
     def lesson(self, batch: np.ndarray, state, fresh):
         """(actions [n] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
