@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch.nn import functional
 
 from soil_env.parameters import Scenario
@@ -25,7 +25,7 @@ from soil_env.parameters import Scenario
 from .controllers.wheel import BestSlipTrue
 
 ROUND = 64  # steps of each wheel
-KEPT = 800_000  # newest steps that are learnt from
+KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
 BATCH, RATE = 2048, 2e-3
 NOISE, MEMORY = 0.2, 0.8  # of the action: its sd, and its correlation from step to step
@@ -76,6 +76,23 @@ class Teacher(BestSlipTrue):
         return np.where(choosing, np.sign(action), action), choosing, weight, state
 
 
+class Teachers:
+    """A teacher for the wheels of each scenario of a vector environment."""
+
+    def __init__(self, env: VecEnv):
+        self.parts = [(part, Teacher(part.scenario)) for part in getattr(env, "parts", [env])]
+        self.states: list = [None] * len(self.parts)
+        self.starts = np.cumsum([part.num_envs for part, _ in self.parts])[:-1]
+
+    def lesson(self, fresh: np.ndarray) -> tuple[np.ndarray, ...]:
+        """(actions, mask of choices, weights) of all wheels [n]; `fresh` [n]: a course begins."""
+        out = []
+        for k, ((part, teacher), new) in enumerate(zip(self.parts, np.split(fresh, self.starts), strict=True)):
+            *lesson, self.states[k] = teacher.lesson(part.true_soil(), self.states[k], new)
+            out.append(lesson)
+        return tuple(np.concatenate(column) for column in zip(*out, strict=True))
+
+
 class Lessons:
     """The last steps of all wheels: arrays [steps, wheels], the oldest replaced first."""
 
@@ -110,19 +127,24 @@ class Lessons:
         return out, np.flatnonzero(known)
 
 
-def teach(model: PPO, scenario: Scenario, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None):
-    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more."""
+def teach(
+    model: PPO, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None, most: int = KEPT
+) -> None:
+    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more.
+
+    It learns from the newest steps, at `most` so many.
+    """
     env = model.get_vec_normalize_env()
     assert env is not None
     policy, rng, wheels = model.policy, np.random.default_rng([seed, 11]), env.num_envs
     rounds = math.ceil(steps / (ROUND * wheels))
-    teacher, state, fresh = Teacher(scenario), None, np.ones(wheels, dtype=bool)
+    teachers, fresh = Teachers(env.unwrapped), np.ones(wheels, dtype=bool)
     seen, wander = env.reset(), np.zeros(wheels)
-    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, KEPT // (ROUND * wheels))) * ROUND)
+    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, most // (ROUND * wheels))) * ROUND)
     optimizer = torch.optim.Adam(policy.parameters(), RATE)
     for k in range(rounds):
         for _ in range(ROUND):
-            action, choosing, weight, state = teacher.lesson(env.unwrapped.true_soil(), state, fresh)
+            action, choosing, weight = teachers.lesson(fresh)
             row = {"seen": env.get_original_obs(), "action": action, "choosing": choosing, "weight": weight}
             if k > 0:
                 action = model.predict(seen, deterministic=True)[0][:, 0]

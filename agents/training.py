@@ -127,7 +127,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         model = ppo.build(*task)
     with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
         if model.num_timesteps == 0 and config.taught:
-            student.teach(model, scenario, round(config.student * config.timesteps), config.seed, bar.update)
+            student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
