@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import CATALOGUE
@@ -20,7 +20,7 @@ from soil_env.vehicle import RoverScenario
 
 from . import common
 from .config import PPOConfig
-from .history import History, HistoryVecEnv, lines_of
+from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 
 #: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
@@ -131,6 +131,30 @@ class SeveralWorlds(NativeVecEnv):
         observation, rewards, dones, infos = zip(*(p.step_wait() for p in self.parts), strict=True)
         together = [info for some in infos for info in some]
         return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together
+
+
+class HistoryVecEnv(VecEnvWrapper):
+    """A vector environment whose observation has a history."""
+
+    def __init__(self, venv: VecEnv, history: History):
+        super().__init__(venv, history.space(venv.observation_space))
+        self.history = history
+        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
+
+    def reset(self) -> np.ndarray:
+        out, self.kept[:] = self.history.observe(self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool))
+        return out
+
+    def step_wait(self):
+        observation, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if ended.size:
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool))
+            for k, row in zip(ended, last, strict=True):
+                infos[k]["terminal_observation"] = row
+        out, self.kept[:] = self.history.observe(observation, self.kept, dones)
+        return out, rewards, dones, infos
 
 
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
