@@ -1,6 +1,6 @@
 """The agent that comes with the package: one student for every ground of a wheel. Needs numpy only.
 
-`generalist.py` trains it, and default_policy.json beside this file says how. The weights are arrays without pickles.
+`python -m soil_env_agents.generalist` trains it. The file of weights holds arrays without pickles, and how it was made.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
-from . import common, inputs
+from . import common_layout, inputs
 from .history import History, lines_of
 
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
@@ -29,7 +29,7 @@ class DefaultPolicy:
     name, variant = NAME, "identified"
 
     def __init__(self, scenario: Scenario, path: str | Path = WEIGHTS):
-        self.scaling = common.CommonScaling(scenario)
+        self.scaling = common_layout.CommonScaling(scenario)
         try:
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
@@ -40,8 +40,8 @@ class DefaultPolicy:
             self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise ParameterError(f"{path}: not the weights of a default policy ({error})") from None
-        if names != common.NAMES:
-            raise ParameterError(f"{path}: trained on another observation layout; expected that of agents.common")
+        if names != common_layout.NAMES:
+            raise ParameterError(f"{path}: trained on another observation layout; expected that of agents.common_layout")
         self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
         self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
 

@@ -18,7 +18,7 @@ from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from . import common
+from . import common_layout
 from .config import PPOConfig
 from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
@@ -84,7 +84,7 @@ class CommonVecEnv(SoilWheelVecEnv):
 
     def __init__(self, num_envs: int, scenario: Scenario, **options):
         super().__init__(num_envs, scenario, "identified", **options)
-        self.scaling, self.observation_names = common.CommonScaling(scenario), common.NAMES
+        self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
         self.observation_space = self.scaling.space
 
 

@@ -18,10 +18,10 @@ import numpy as np
 import soil_env
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict
-from soil_env.cli.running import PATH
+from soil_env.cli.running import PATH, run
 from soil_env.parameters import load_scenario
 
-from . import common, default_policy, ppo, student
+from . import common_layout, default_policy, ppo, student
 from .config import PPOConfig
 from .environment import Ground, hidden_worlds, on_grounds
 from .progress import Bar, show
@@ -73,7 +73,7 @@ def arrays(model, config: PPOConfig, made: dict) -> dict[str, np.ndarray]:
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
         out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
-    made = {"observation_names": list(common.NAMES), "history": config.history, **made}
+    made = {"observation_names": list(common_layout.NAMES), "history": config.history, **made}
     return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {"made": np.array(json.dumps(made))}
 
 
@@ -94,4 +94,4 @@ def command(config: Path | None, out: Path) -> None:
 
 
 if __name__ == "__main__":
-    command()
+    raise SystemExit(run(command, None, "generalist"))
