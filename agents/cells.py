@@ -46,7 +46,8 @@ Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (ce
 def code_version() -> str:
     """Version of soil_env with a hash of its code and weights and of this package."""
     here, there = Path(soil_env.__file__).parent, Path(__file__).parent
-    files = [*sorted(here.rglob("*.py")), *sorted(here.rglob("immobilisation.json")), *sorted(there.rglob("*.py"))]
+    weights = [*sorted(here.rglob("immobilisation.json")), *sorted(there.glob("*.npz"))]
+    files = [*sorted(here.rglob("*.py")), *weights, *sorted(there.rglob("*.py"))]
     return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
 
 

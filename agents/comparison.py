@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
@@ -15,6 +16,7 @@ from .agent import Agent
 from .config import NAMES, TrainConfig
 from .controllers.oracle import Oracle
 from .controllers.rover import controllers_of
+from .default_policy import NAME, DefaultPolicy
 from .evaluate import HELD_OUT_SET, Runs, comparing, run_courses
 from .evaluate.tables import percent, points
 from .evaluate.tuning import tuned_settings
@@ -38,7 +40,7 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
     settings["tuning_courses"] = config.tuning_courses
     known, make = controllers_of(scenario)
     classical = {name: make(name, scenario, **chosen.get(name, {})) for name in known}
-    contestants = classical | {agent.name: agent}
+    contestants = classical | _shipped(scenario) | {agent.name: agent}
     with Bar("Comparing", config.courses * len(contestants) + config.oracle_courses, "courses") as bar:
 
         def driven(name: str, driver, courses: int, batch: int = 500) -> Runs:
@@ -63,6 +65,14 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
     show(*comparing.table(result), *comparing.limit_lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in NAMES.values()))
     return result
+
+
+def _shipped(scenario: Scenario | RoverScenario) -> dict[str, DefaultPolicy]:
+    """{name: the policy that comes with the package}, where it can drive this scenario."""
+    try:
+        return {NAME: DefaultPolicy(scenario)}
+    except ParameterError:
+        return {}
 
 
 def verdict(result: dict, name: str) -> str:

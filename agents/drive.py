@@ -26,10 +26,12 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 @click.command("drive")
 @click.option(
     "--controller",
+    "--policy",
+    "controller",
     default="best_slip_identified",
     metavar="NAME",
     show_default=True,
-    help="Or run folder, .onnx, m:Class; several: side by side.",
+    help="Or default, run folder, .onnx, m:Class; or several.",
 )
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @seed_option("the course")
@@ -42,8 +44,8 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     \b
     soil-env drive --seed 3
     soil-env drive --seed 3 --frame 200 --out wheel.png
-    soil-env drive --controller runs/two_lines --out drive.gif
-    soil-env drive --controller rule=best_slip_identified,agent=runs/two_lines --out both.gif
+    soil-env drive --policy default --scenario sticky --out drive.gif
+    soil-env drive --controller rule=best_slip_identified,agent=default --out both.gif
     """
     if out is not None:
         if out.suffix not in _SUFFIXES:

@@ -5,11 +5,12 @@ Some worlds may have effects that the model of the identifier does not have (`hi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import CATALOGUE
@@ -17,8 +18,9 @@ from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
+from . import common_layout
 from .config import PPOConfig
-from .history import History, HistoryVecEnv, lines_of
+from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 
 #: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
@@ -37,6 +39,11 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     parts = [_courses(share, scenario, observation, config, one) for share, one in zip(shares, worlds, strict=True)]
+    return _normalised(parts, config, seed)
+
+
+def _normalised(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
+    """The `parts` side by side, with history and normalisation."""
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
@@ -51,6 +58,34 @@ def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -
     if isinstance(scenario, RoverScenario):
         return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
     return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Wheels of one scenario, in equal shares in several worlds."""
+
+    scenario: Scenario
+    wheels: int
+    worlds: Sequence[WheelSoilModel | None]
+
+
+def on_grounds(grounds: Sequence[Ground], config: PPOConfig, seed: int) -> VecNormalize:
+    """The vector environment of all `grounds` in the common layout, with running normalisation."""
+    parts = []
+    for ground in grounds:
+        shares = np.diff(np.linspace(0, ground.wheels, len(ground.worlds) + 1).astype(int))
+        for share, world in zip(shares, ground.worlds, strict=True):
+            parts.append(CommonVecEnv(share, ground.scenario, threads=config.threads, model=world))
+    return _normalised(parts, config, seed)
+
+
+class CommonVecEnv(SoilWheelVecEnv):
+    """Wheels whose observation `identified` has the common layout."""
+
+    def __init__(self, num_envs: int, scenario: Scenario, **options):
+        super().__init__(num_envs, scenario, "identified", **options)
+        self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
+        self.observation_space = self.scaling.space
 
 
 class Moments(RunningMeanStd):
@@ -83,10 +118,6 @@ class SeveralWorlds(NativeVecEnv):
     def reset(self) -> np.ndarray:
         return np.concatenate([p.reset() for p in self.parts])
 
-    def true_soil(self) -> np.ndarray:
-        """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
-        return np.concatenate([p.true_soil() for p in self.parts])
-
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed wheel k with seed + k, from the next reset on."""
         seeds = [None if seed is None else seed + k for k in self._starts]
@@ -102,17 +133,44 @@ class SeveralWorlds(NativeVecEnv):
         return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together
 
 
+class HistoryVecEnv(VecEnvWrapper):
+    """A vector environment whose observation has a history."""
+
+    def __init__(self, venv: VecEnv, history: History):
+        super().__init__(venv, history.space(venv.observation_space))
+        self.history = history
+        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
+
+    def reset(self) -> np.ndarray:
+        out, self.kept[:] = self.history.observe(self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool))
+        return out
+
+    def step_wait(self):
+        observation, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones)
+        if ended.size:
+            last = np.array([infos[k]["terminal_observation"] for k in ended])
+            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool))
+            for k, row in zip(ended, last, strict=True):
+                infos[k]["terminal_observation"] = row
+        out, self.kept[:] = self.history.observe(observation, self.kept, dones)
+        return out, rewards, dones, infos
+
+
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
 
 
-def hidden_worlds(scenario: Scenario, count: int, seed: int) -> list[WheelSoilModel]:
+def hidden_worlds(scenario: Scenario, count: int, seed: int, without: Collection[str] = ()) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
+
+    The effects `without` are left out.
 
     Sizes are drawn from the prior of the catalogue, cut at one standard deviation, so that most are of the size of the
     disagreement between published laws.
     """
     rng = np.random.default_rng([seed, count, 7])
-    return [_drawn(scenario, CATALOGUE[HIDDEN[k % len(HIDDEN)]], rng) for k in range(count)]
+    names = [name for name in HIDDEN if name not in without]
+    return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from soil_env.simulation.task import AXLES, LINES
 
@@ -104,27 +103,3 @@ def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
 def _range(start: int, stop: int) -> list[int]:
     """Columns as a list, which an ONNX graph can gather."""
     return list(range(start, stop))
-
-
-class HistoryVecEnv(VecEnvWrapper):
-    """A vector environment whose observation has a history."""
-
-    def __init__(self, venv: VecEnv, history: History):
-        super().__init__(venv, history.space(venv.observation_space))
-        self.history = history
-        self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
-
-    def reset(self) -> np.ndarray:
-        out, self.kept[:] = self.history.observe(self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool))
-        return out
-
-    def step_wait(self):
-        observation, rewards, dones, infos = self.venv.step_wait()
-        ended = np.flatnonzero(dones)
-        if ended.size:
-            last = np.array([infos[k]["terminal_observation"] for k in ended])
-            last, _ = self.history.observe(last, self.kept[ended], np.zeros(ended.size, dtype=bool))
-            for k, row in zip(ended, last, strict=True):
-                infos[k]["terminal_observation"] = row
-        out, self.kept[:] = self.history.observe(observation, self.kept, dones)
-        return out, rewards, dones, infos

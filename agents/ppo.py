@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
@@ -28,8 +29,14 @@ def build(
     world: World = None,
 ) -> PPO:  # fmt: skip
     """A fresh agent with its normalised vector environment."""
+    model = learner(normalised(scenario, observation, config, seed, world), config, seed, tensorboard)
+    model.origin = {"observation": observation, "ppo": to_dict(config)}
+    return model
+
+
+def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path | None = None) -> PPO:
+    """A fresh agent in this vector environment."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
-    env = normalised(scenario, observation, config, seed, world)
     policy, arguments = network(config, env.get_attr("observation_names")[0])
     model = PPO(
         policy,
@@ -43,7 +50,6 @@ def build(
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
-    model.origin = {"observation": observation, "ppo": to_dict(config)}
     return model
 
 

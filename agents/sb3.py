@@ -160,7 +160,8 @@ class SoilWheelVecEnv(CourseVecEnv):
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
-        own = dict(zip(self.observation_names, self.simulation.worlds.observation.T, strict=True))
+        names = [e.name for e in layout(self.observation_variant, self.scenario.course)]
+        own = dict(zip(names, self.simulation.worlds.observation.T, strict=True))
         own |= zip((e.name for e in truth(self.scenario.course)), self.simulation.true_soils().T, strict=True)
         return np.column_stack([own[e.name] for e in layout("true_soil", self.scenario.course)])
 

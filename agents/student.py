@@ -20,52 +20,17 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn import functional
 
-from soil_env.parameters import Scenario
-
-from .controllers.wheel import BestSlipTrue
+from .teachers import Teachers
 
 ROUND = 64  # steps of each wheel
-KEPT = 800_000  # newest steps that are learnt from
+KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
 BATCH, RATE = 2048, 2e-3
 NOISE, MEMORY = 0.2, 0.8  # of the action: its sd, and its correlation from step to step
 FLIPPED = 0.1  # share of the choices turned round, so that dead ends are met
 SLOPE = 1.0  # of the logit of a choice over the mean action
 CHOICE = 0.3  # weight of the choices beside the accelerations
-SURE = 0.1  # [of load] difference of margins that counts in full
 VALUE_STEPS = 600  # of the value network
-START, ACCELERATION, SPEED = 0.08, 0.3, 0.65  # of the teacher: [of the top rim speed], [m/s2], [of the top rim speed]
-SHARE = 1.1  # of the best slip, which it does not exceed
-
-
-class Teacher(BestSlipTrue):
-    """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
-
-    def __init__(self, scenario: Scenario):
-        top = scenario.wheel.radius * scenario.wheel.no_load_speed
-        super().__init__(scenario, start=START * top, acceleration=ACCELERATION, speed=SPEED * top)
-
-    def begin(self, batch, state, fresh):
-        """The state of `BestSlipTrue`, with the ramp where the rim is commanded to be."""
-        state = super().begin(batch, state, fresh)
-        name = "rim_command" if self.action == "rim_acceleration" else "rim_speed"
-        droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
-        state["ramp"] = np.maximum(batch[:, self.column[name]] - droop, 0.0) * self.top_speed
-        return state
-
-    def target_slip(self, observation, state):
-        return SHARE * super().target_slip(observation, state)
-
-    def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, 1] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
-        action, state = self.predict(batch, state, fresh)
-        weight = 1.0 - batch[:, self.column["halted"]]
-        choosing = np.zeros(len(batch), dtype=bool)
-        if "choice" in self.column:
-            choosing = batch[:, self.column["choice"]] > 0.5
-            apart = np.abs(batch[:, self.column["ahead_margin"]] - batch[:, self.column["beside_margin"]])
-            weight = np.where(choosing, np.minimum(apart / SURE, 1.0), weight)
-        return np.where(choosing[:, None], np.sign(action), action), choosing, weight, state
 
 
 class Lessons:
@@ -103,19 +68,24 @@ class Lessons:
         return out, np.flatnonzero(known)
 
 
-def teach(model: PPO, teacher, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None):
-    """Let an untrained `model` learn from a `teacher` for `steps` of its environment, or up to a round more."""
+def teach(
+    model: PPO, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None, most: int = KEPT
+) -> None:
+    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more.
+
+    It learns from the newest steps, at `most` so many.
+    """
     env = model.get_vec_normalize_env()
     assert env is not None
     policy, rng, wheels = model.policy, np.random.default_rng([seed, 11]), env.num_envs
     rounds = math.ceil(steps / (ROUND * wheels))
-    state, fresh = None, np.ones(wheels, dtype=bool)
+    teachers, fresh = Teachers(env.unwrapped), np.ones(wheels, dtype=bool)
     seen, wander = env.reset(), np.zeros((wheels, *env.action_space.shape))
-    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, KEPT // (ROUND * wheels))) * ROUND, wander.shape[1])
+    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, most // (ROUND * wheels))) * ROUND, wander.shape[1])
     optimizer = torch.optim.Adam(policy.parameters(), RATE)
     for k in range(rounds):
         for _ in range(ROUND):
-            action, choosing, weight, state = teacher.lesson(env.unwrapped.true_soil(), state, fresh)
+            action, choosing, weight = teachers.lesson(fresh)
             row = {"seen": env.get_original_obs(), "action": action, "choosing": choosing, "weight": weight}
             if k > 0:
                 action = model.predict(seen, deterministic=True)[0]

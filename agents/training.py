@@ -22,7 +22,6 @@ from .agent import Agent, load_agent
 from .config import TrainConfig, load_config
 from .environment import hidden_worlds
 from .progress import Bar, show
-from .teachers import teacher_of
 
 MODEL, CHECKPOINT = "model.zip", "checkpoint.zip"
 _RECENT = 1000  # courses whose mean return and rates are shown
@@ -128,8 +127,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         model = ppo.build(*task)
     with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
         if model.num_timesteps == 0 and config.taught:
-            steps = round(config.student * config.timesteps)
-            student.teach(model, teacher_of(scenario), steps, config.seed, bar.update)
+            student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:

@@ -43,6 +43,8 @@ class Contestant:
 
 VECNORMALIZE = "vecnormalize.pkl"  # that rl-baselines3-zoo writes beside a model
 _NAME = re.compile(r"[\w.+-]+")
+#: Policy that comes with the package: its names in a list, and its class.
+SHIPPED, SHIPPED_CLASS = ("default_policy", "default"), f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
@@ -93,6 +95,8 @@ def _sources(spec: str) -> tuple[str, list[str]]:
     """Kind and sources of one entry."""
     if spec in CONTROLLERS:
         return "classical", [spec]
+    if spec in SHIPPED:
+        return "class", [SHIPPED_CLASS]
     if _CLASS.fullmatch(spec):
         return "class", [spec]
     if any(c in spec for c in "*?[") and not Path(spec).exists():
@@ -103,7 +107,8 @@ def _sources(spec: str) -> tuple[str, list[str]]:
     path = Path(spec)
     if path.suffix in (".zip", ".onnx") or path.is_dir() or "/" in spec:
         return "model", [str(_file_of(path))]
-    raise ParameterError(f"{unknown_value(spec, CONTROLLERS, 'controllers')}; or model.zip, policy.onnx, module:Class")
+    known = (*CONTROLLERS, *SHIPPED)
+    raise ParameterError(f"{unknown_value(spec, known, 'controllers')}; or model.zip, policy.onnx, module:Class")
 
 
 def _is_model(path: Path) -> bool:
@@ -120,7 +125,7 @@ def _file_of(path: Path) -> Path:
 
 def _default_name(kind: str, source: str) -> str:
     if kind != "model":
-        return source
+        return SHIPPED[0] if source == SHIPPED_CLASS else source
     path = Path(source)
     of_folder = path.stem in ("model", Path(POLICY).stem)
     return (path.resolve().parent.name or path.stem) if of_folder else path.stem

@@ -18,6 +18,8 @@ from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
 from ..cli import needing_training
+from ..default_policy import WEIGHTS, DefaultPolicy
+from ..evaluate.contestants import SHIPPED
 from ..exported import POLICY
 from ..progress import show
 
@@ -27,13 +29,14 @@ DESCRIPTION, COURSE, RUNNER = "policy.yaml", "course.npz", "run_policy.py"
 @click.command("export")
 @click.argument("run", type=PATH, metavar="RUN")
 @click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder of the export.")
-@click.option("--scenario", metavar="NAME", help=f"Or YAML, of a foreign zip (default {DEFAULT_SCENARIO}).")
+@click.option("--scenario", metavar="NAME", help=f"Or YAML, of default or a foreign zip (default {DEFAULT_SCENARIO}).")
 @click.option("--steps", type=WholeNumber(1), default=1000, metavar="N", help="Steps compared (default 1000).")
 def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.
 
-    RUN is a run folder of train.py, or a .zip of Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3) with
-    its vecnormalize.pkl beside it. A zip that train.py did not write is unpickled in part: name only what you trust.
+    RUN is a run folder of train.py, "default" for the policy that comes with the package, or a .zip of
+    Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3) with its vecnormalize.pkl beside it. A zip that train.py did not
+    write is unpickled in part: name only what you trust.
 
     The file takes raw observations and gives actions; normalisation, clipping and history are inside. It is compared
     with the agent over steps of held-out courses, and written only if no action differs by more than 1e-5.
@@ -63,7 +66,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     path, task, world = _asked(run, scenario)
     check_outputs(out, (POLICY, DESCRIPTION, COURSE, RUNNER))
     try:
-        agent = load_model(path, task)
+        agent = DefaultPolicy(task) if str(run) in SHIPPED else load_model(path, task)
     except ParameterError as error:
         raise ParameterError(str(error).removeprefix("controllers: ")) from None
     name = path.resolve().parent.name if path.stem == "model" else path.stem
@@ -101,6 +104,8 @@ def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilMo
     """(the zip, its scenario, the model of its world)."""
     from ..agent import INFO, read_info, read_member
 
+    if str(run) in SHIPPED:
+        return WEIGHTS, load_scenario(scenario or DEFAULT_SCENARIO), None
     path = run / "model.zip" if run.is_dir() else run
     if not path.is_file():
         wrong = f"{run}: no model.zip in this folder" if run.is_dir() else f"{path}: is not there"

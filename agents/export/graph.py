@@ -18,7 +18,7 @@ OPSET, IR = 17, 8  # onnxruntime 1.14 and later
 _TYPES = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE, "bool": TensorProto.BOOL,
           "int64": TensorProto.INT64}  # fmt: skip
 _UFUNCS = {
-    np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div",
+    np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div", np.matmul: "MatMul",
     np.maximum: "Max", np.minimum: "Min", np.equal: "Equal", np.greater: "Greater",
 }  # fmt: skip
 

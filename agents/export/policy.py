@@ -17,6 +17,7 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.world.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
+from ..default_policy import DefaultPolicy
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
 from .graph import OPSET, Graph, Traced, action_of
@@ -30,7 +31,8 @@ def onnx_model(agent, description: dict):
     Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and `history`.
     Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a network of no such form.
     """
-    if agent.policy.action_space != action_space():
+    shipped = isinstance(agent, DefaultPolicy)
+    if not shipped and agent.policy.action_space != action_space():
         raise ParameterError(f"action space {agent.policy.action_space}: expected {action_space()}")
     graph, entries = Graph(), len(description["inputs"])
     seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
@@ -40,7 +42,8 @@ def onnx_model(agent, description: dict):
         raw, kept = agent.history.observe(raw, memory, fresh)
         inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", size])]
         results = [(kept, f"next_{name}", size)]
-    action = action_of(graph, agent.policy, _normalised(raw, agent))
+    x = _normalised(raw, agent)
+    action = agent.action(x) if shipped else action_of(graph, agent.policy, x)
     results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
     outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
                for x, name, size in results]  # fmt: skip
@@ -71,7 +74,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
     return {
         "format": FORMAT,
         "name": name,
-        "network": type(agent.policy).__name__,
+        "network": type(getattr(agent, "policy", agent)).__name__,
         "history": 0 if history is None else history.steps,
         "observation": agent.variant,
         "inputs": [

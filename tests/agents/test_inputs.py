@@ -10,7 +10,8 @@ from agents.config import PPOConfig
 from agents.environment import HIDDEN, SeveralWorlds, hidden_worlds
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.history import READINGS, SHARE, History, HistoryVecEnv
+from agents.environment import HistoryVecEnv
+from agents.history import READINGS, SHARE, History
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import layout

@@ -8,7 +8,7 @@ from agents import ppo, student
 from agents.config import PPOConfig, load_config
 from agents.environment import hidden_worlds, normalised
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from agents.teachers import teacher_of
+from agents.teachers import Teachers
 from soil_env.parameters import load_scenario
 from soil_env.vehicle import load_rover
 
@@ -30,8 +30,8 @@ def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
     for _ in range(100):
         actions = rng.uniform(-0.2, 0.6, (16, 1)).astype(np.float32)
         envs.step(actions)
-        seen = np.concatenate([env.step(part)[0] for env, part in zip(plain, np.split(actions, 2), strict=True)])
-        np.testing.assert_array_equal(envs.true_soil(), seen)
+        for part, env, own in zip(envs.parts, plain, np.split(actions, 2), strict=True):
+            np.testing.assert_array_equal(part.true_soil(), env.step(own)[0])
 
 
 def test_returns_are_those_of_courses_that_have_ended():
@@ -54,13 +54,14 @@ def test_a_student_comes_near_its_teacher(name, monkeypatch):
     scenario = load_scenario(name)
     models = [ppo.build(scenario, "true_soil", CONFIG, 0) for _ in range(2)]
     for model in models:
-        student.teach(model, teacher_of(scenario), 20_000, 0)
+        student.teach(model, 20_000, 0)
         assert model.num_timesteps == 20 * student.ROUND * 16
     assert all(torch.equal(a, b) for a, b in zip(*(m.policy.state_dict().values() for m in models), strict=True))
-    env, teacher, state, fresh = model.get_vec_normalize_env(), student.Teacher(scenario), None, np.ones(16, bool)
+    env, fresh = model.get_vec_normalize_env(), np.ones(16, bool)
+    teachers = Teachers(env.unwrapped)
     seen, errors, right = env.reset(), [], []
     for _ in range(150):
-        taught, choosing, weight, state = teacher.lesson(env.unwrapped.true_soil(), state, fresh)
+        taught, choosing, weight = teachers.lesson(fresh)
         action = model.predict(seen, deterministic=True)[0][:, 0]
         errors.append((action - taught[:, 0])[(weight > 0.0) & ~choosing])
         right.append(((action > 0.0) == (taught[:, 0] > 0.0))[choosing & (weight > 0.5)])
@@ -81,10 +82,9 @@ def test_a_rover_has_a_student():
         actions = np.full((16, 3), 0.4, dtype=np.float32)
         env.step(actions)
         np.testing.assert_array_equal(env.true_soil(), plain.step(actions)[0])
-    teacher = teacher_of(rover)
-    actions, choosing, weight, _ = teacher.lesson(env.true_soil(), None, np.ones(16, dtype=bool))
+    actions, choosing, weight = Teachers(env).lesson(np.ones(16, dtype=bool))
     assert actions.shape == (16, 3) and not choosing.any() and weight.max() == 1.0
-    student.teach(model, teacher, 2 * student.ROUND * 16, 0)
+    student.teach(model, 2 * student.ROUND * 16, 0)
     assert model.predict(model.get_env().reset())[0].shape == (16, 3)
 
 

@@ -1,4 +1,4 @@
-"""Without torch and SB3: soil_env and the controllers work, help is shown, commands name what to install."""
+"""Without torch and SB3: soil_env, the controllers and the default policy work, help is shown, commands name what to install."""
 
 import json
 import os
@@ -26,6 +26,10 @@ from agents.controllers import make_controller
 env = gymnasium.make("SoilWheel-v0", observation="blind", scaled=False)
 observation, _ = env.reset(seed=0)
 action, _ = make_controller("soft_start", env.unwrapped.scenario).predict(observation)
+env.step(action)
+from agents.default_policy import DefaultPolicy
+env = gymnasium.make("SoilWheel-v0", scaled=False)
+action, _ = DefaultPolicy(env.unwrapped.scenario).predict(env.reset(seed=0)[0])
 env.step(action)
 print(json.dumps(said))
 """

@@ -1,0 +1,60 @@
+"""One observation layout for every wheel scenario, so that one agent can drive all of them.
+
+It is the layout `identified` of a course with three terrain classes and two lines, a flag that is 1 where a camera sees
+them, and three constants of the drive. Without a camera its entries are 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import CourseSpec, Scenario
+from soil_env.simulation.task import layout
+from soil_env.simulation.task.scaling import Scaling
+from soil_env.vehicle import RoverScenario
+
+ACTION, PERIOD = "rim_acceleration", 0.5  # of the action; [s] between two actions
+COMMON = layout("identified", CourseSpec(classes=3, lines=2))
+#: Entries after those: change of the rim command by an action of 1, stall torque [of weight x radius], radius [m].
+ADDED = ("camera", "command_change", "stall_torque", "radius")
+NAMES = (*(e.name for e in COMMON), *ADDED)
+
+
+class CommonScaling(Scaling):
+    """Scaled observations in the common layout from the values of a scenario's own layout `identified`."""
+
+    def __init__(self, scenario: Scenario):
+        if isinstance(scenario, RoverScenario):
+            raise ParameterError(f"scenario {scenario.name!r}: a rover; expected one of a wheel")
+        control, wheel = scenario.control, scenario.wheel
+        if control.action != ACTION or abs(control.duration - PERIOD) > 1e-9:
+            raise ParameterError(
+                f"scenario {scenario.name!r}: action {control.action!r} of {control.duration:g} s: expected {ACTION!r} "
+                f"of {PERIOD:g} s"
+            )
+        own = layout("identified", scenario.course)
+        if own != COMMON[: len(own)] or scenario.course.classes not in (0, 3):
+            raise ParameterError(
+                f"scenario {scenario.name!r}: {scenario.course.classes} terrain classes, {scenario.course.lines} "
+                "lines: expected no classes, or 3 with 2 lines"
+            )
+        super().__init__(own)
+        change = control.rim_acceleration * control.duration / (wheel.radius * wheel.no_load_speed)
+        stall = wheel.stall_torque / (scenario.weight * wheel.radius)
+        unseen = [0.0] * (len(COMMON) - len(own))
+        camera = float(scenario.course.classes > 0)
+        self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
+
+    @property
+    def space(self) -> spaces.Box:
+        """Box of the common layout."""
+        box = Scaling(COMMON).space
+        low, high = (np.append(side, [x] * len(ADDED)) for side, x in ((box.low, 0.0), (box.high, 100.0)))
+        return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+    def __call__(self, values):
+        """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX graph."""
+        seen = super().__call__(values)
+        return np.concatenate([seen, 0.0 * seen[:, [0] * self.added.size] + self.added], axis=1)

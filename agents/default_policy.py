@@ -1,0 +1,72 @@
+"""The agent that comes with the package: one student for every ground of a wheel. Needs numpy only.
+
+`python -m soil_env_agents.generalist` trains it. The file of weights holds arrays without pickles, and how it was made.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import Scenario
+
+from . import common_layout, inputs
+from .history import History, lines_of
+
+WEIGHTS = Path(__file__).with_name("default_policy.npz")
+NAME = "default_policy"
+CLIP = 10.0  # of a normalised input
+LAYERS = ("policy_0", "policy_1", "line_0", "line_1", "action")  # each with a weight [out, in] and a bias [out]
+
+
+class DefaultPolicy:
+    """A trained student with `predict` on observations `identified` of the `scenario`, in their units."""
+
+    name, variant = NAME, "identified"
+
+    def __init__(self, scenario: Scenario, path: str | Path = WEIGHTS):
+        self.scaling = common_layout.CommonScaling(scenario)
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+            self.made = json.loads(str(arrays.pop("made")))
+            names = tuple(self.made["observation_names"])
+            self.history = History(names, int(self.made["history"]))
+            self.mean, self.sd = arrays["mean"], arrays["sd"]
+            self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise ParameterError(f"{path}: not the weights of a default policy ({error})") from None
+        if names != common_layout.NAMES:
+            raise ParameterError(
+                f"{path}: trained on another observation layout; expected that of agents.common_layout"
+            )
+        self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
+        self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
+        """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as `agents.agent.Agent.predict`."""
+        inputs.switch(deterministic)  # there is no other
+        seen = self._layout.observed(observation)
+        batch, shape = np.atleast_2d(seen), (len(np.atleast_2d(seen)), self.history.kept)
+        fresh = inputs.starts(episode_start, len(batch), state is None)
+        kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
+        batch, state = self.history.observe(self.scaling(batch), kept, fresh)
+        normal = np.clip((batch - self.mean) / self.sd, -self.clip, self.clip).astype(np.float32)
+        action = np.clip(self.action(normal), -1.0, 1.0)
+        return (action[0] if seen.ndim == 1 else action), state
+
+    def action(self, x):
+        """Actions [n, 1] for normalised observations [n, D]; arrays, or values of an ONNX graph."""
+        (w, b), (v, c), *of_line, (last, bias) = self.layers
+        drive = _relu(_relu(x @ w.T + b) @ v.T + c)
+        (w, b), (v, c) = of_line
+        ahead, beside = (_relu(_relu(x[:, columns] @ w.T + b) @ v.T + c) for columns in self.lines)
+        return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive) @ last.T + bias
+
+
+def _relu(x):
+    return np.maximum(x, np.float32(0.0))

@@ -1,0 +1,97 @@
+"""Training of the default policy: one student of the true-soil rule on several grounds.
+
+    python -m soil_env_agents.generalist --out agents/default_policy.npz
+
+The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds with hidden effects.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+import numpy as np
+
+import soil_env
+from soil_env._io.files import replace_file
+from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict
+from soil_env.cli.running import PATH, run
+from soil_env.parameters import load_scenario
+
+from . import common_layout, default_policy, ppo, student
+from .config import PPOConfig
+from .environment import Ground, hidden_worlds, on_grounds
+from .progress import Bar, show
+
+CONFIG = "default_policy.yaml"
+
+
+@dataclass(frozen=True)
+class OnGround(Checked):
+    """One ground of the training: a scenario with changes, and its number of wheels."""
+
+    wheels: int = quantity("", 2, 65536)
+    scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
+    changes: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Generalist(Checked):
+    """Content of configs/default_policy.yaml."""
+
+    grounds: dict[str, OnGround]
+    seed: int = quantity("", 0, 2**31 - 1, default=0)
+    steps: int = quantity("", 1, 10**12, default=5_000_000)
+    kept: int = quantity("newest steps that are learnt from", 1, 10**9, default=2_000_000)
+    hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
+    without: tuple[str, ...] = ()  # effects that no such world has
+    layer: int = quantity("", 1, 4096, default=128)
+
+    def build(self):
+        """The untrained agent in the vector environment of all grounds."""
+        grounds = []
+        for k, (name, own) in enumerate(self.grounds.items()):
+            scenario = load_scenario(own.scenario or name, own.changes)
+            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.without)
+            half = own.wheels // 2
+            grounds += [Ground(scenario, own.wheels - half, [None]), Ground(scenario, half, hidden)] if hidden else [
+                Ground(scenario, own.wheels, [None])
+            ]  # fmt: skip
+        wheels = sum(own.wheels for own in self.grounds.values())
+        config = PPOConfig(num_envs=wheels, n_steps=64, batch_size=wheels, layer=self.layer, threads=1)
+        return ppo.learner(on_grounds(grounds, config, self.seed), config, self.seed), config
+
+
+def arrays(model, config: PPOConfig, made: dict) -> dict[str, np.ndarray]:
+    """The content of the weights' file of a trained model."""
+    env, policy = model.get_vec_normalize_env(), model.policy
+    own = policy.mlp_extractor
+    modules = [own.policy_net[0], own.policy_net[2], own.line_net[0], own.line_net[2], policy.action_net]
+    out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
+    for name, module in zip(default_policy.LAYERS, modules, strict=True):
+        out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
+    made = {"observation_names": list(common_layout.NAMES), "history": config.history, **made}
+    return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {"made": np.array(json.dumps(made))}
+
+
+@click.command()
+@click.option("--config", type=PATH, default=None, metavar="YAML", help="Default: the shipped one.")
+@click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .npz.")
+def command(config: Path | None, out: Path) -> None:
+    """Train the default policy."""
+    path = config or config_dir() / CONFIG
+    asked = load(Generalist, read_yaml(path), str(path))
+    model, settings = asked.build()
+    with Bar("Training", asked.steps, "steps") as bar:
+        student.teach(model, asked.steps, asked.seed, bar.update, asked.kept)
+    stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
+    np.savez_compressed(stream, **arrays(model, settings, made))
+    replace_file(out, stream.getvalue())
+    show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(command, None, "generalist"))
