@@ -115,7 +115,7 @@ def test_it_is_a_contestant_and_drives_from_the_command(capsys):
         check(contestant, scenario)
     assert load(contestant, replace(scenario)).variant == "identified"
     assert soil_env(["drive", "--policy", "default", "--scenario", "loose_slopes", "--seed", "2"]) == 0
-    assert capsys.readouterr().out.startswith("default: ")
+    assert capsys.readouterr().out.startswith("default_policy: ")
 
 
 def test_it_is_exported_to_onnx(tmp_path):
