@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soil_env.parameters import Scenario
@@ -11,18 +13,31 @@ from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 from .student import Teacher
 
-START, SPEED = 0.1, 0.8  # of the teacher of a rover: [of the top rim speed]
-#: Limit of the slip over the best slip on the fresh soil under each axle, by number of axles. Wheels behind run in
-#: ruts, which are stiffer: on three axles they take more of the work.
-SHARES = {2: (1.0, 1.1), 3: (0.75, 0.95, 1.15)}
+
+class Manner(NamedTuple):
+    """Settings of the teacher of a rover, found on development courses."""
+
+    start: float = 0.3  # [of the top rim speed]
+    speed: float = 0.8  # [of the top rim speed]
+    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in ruts, which are stiffer.
+    shares: tuple[float, ...] = (1.0,)
+
+
+MANNERS = {
+    "mars_rover": Manner(0.1, 0.8, (0.75, 0.95, 1.15)),
+    "field_rover": Manner(0.35, 0.5),
+    "lunar_micro_rover": Manner(),
+}
 
 
 class _OfWheels(Teacher):
     """The teacher of the wheels of a rover."""
 
+    shares: tuple[float, ...] = (1.0,)
+
     def target_slip(self, observation, state):
-        shares = SHARES[self.scenario.axles]
-        return BestSlipTrue.target_slip(self, observation, state) * np.tile(shares, len(observation) // len(shares))
+        best = BestSlipTrue.target_slip(self, observation, state)
+        return best * np.tile(self.shares, len(best) // len(self.shares))
 
 
 class RoverTeacher(RoverController):
@@ -30,9 +45,9 @@ class RoverTeacher(RoverController):
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
-        self.own = _OfWheels(scenario)
-        top = self.own.top_speed
-        self.own.settings |= {"start": START * top, "speed": SPEED * top}
+        manner, self.own = MANNERS.get(scenario.name, Manner()), _OfWheels(scenario)
+        self.own.settings |= {"start": manner.start * self.own.top_speed, "speed": manner.speed * self.own.top_speed}
+        self.own.shares = manner.shares
 
     def lesson(self, batch: np.ndarray, state, fresh):
         """(actions [n, axles], no choices [n], weight [n] of each row, state) for true observations."""
