@@ -19,7 +19,7 @@ class Manner(NamedTuple):
 
     start: float = 0.3  # [of the top rim speed]
     speed: float = 0.8  # [of the top rim speed]
-    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in ruts, which are stiffer.
+    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in stiffer ruts.
     shares: tuple[float, ...] = (1.0,)
 
 
