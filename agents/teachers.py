@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -20,10 +22,23 @@ OF_SCENARIOS = {
     "sticky": {"start": 0.1, "acceleration": 0.43, "speed": 0.58},
     "field_vehicle": {"start": 0.04, "acceleration": 0.3, "speed": 0.36, "share": 1.5},
 }
-START, SPEED, ACCELERATION = 0.1, 0.8, 0.3  # of the teacher of a rover: [of the top rim speed], [m/s2]
-#: Limit of the slip over the best slip on the fresh soil under each axle, by number of axles. Wheels behind run in
-#: ruts, which are stiffer: on three axles they take more of the work.
-SHARES = {2: (1.0, 1.1), 3: (0.75, 0.95, 1.15)}
+
+
+class Manner(NamedTuple):
+    """Settings of the teacher of a rover, found on development courses."""
+
+    start: float = 0.3  # [of the top rim speed]
+    speed: float = 0.8  # [of the top rim speed]
+    acceleration: float = 0.3  # [m/s2]
+    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in stiffer ruts.
+    shares: tuple[float, ...] = (1.0,)
+
+
+MANNERS = {
+    "mars_rover": Manner(0.1, shares=(0.75, 0.95, 1.15)),
+    "field_rover": Manner(0.35, speed=0.5),
+    "lunar_micro_rover": Manner(),
+}
 
 
 class Teacher(BestSlipTrue):
@@ -61,9 +76,11 @@ class Teacher(BestSlipTrue):
 class _OfWheels(Teacher):
     """The teacher of the wheels of a rover."""
 
+    shares: tuple[float, ...] = (1.0,)
+
     def target_slip(self, observation, state):
-        shares = SHARES[self.scenario.axles]
-        return BestSlipTrue.target_slip(self, observation, state) * np.tile(shares, len(observation) // len(shares))
+        best = BestSlipTrue.target_slip(self, observation, state)
+        return best * np.tile(self.shares, len(best) // len(self.shares))
 
 
 class RoverTeacher(RoverController):
@@ -71,9 +88,10 @@ class RoverTeacher(RoverController):
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
-        self.own = _OfWheels(scenario)
-        top = self.own.top_speed
-        self.own.settings |= {"start": START * top, "speed": SPEED * top, "acceleration": ACCELERATION}
+        manner, self.own = MANNERS.get(scenario.name, Manner()), _OfWheels(scenario)
+        rims = {name: getattr(manner, name) * self.own.top_speed for name in ("start", "speed")}
+        self.own.settings |= rims | {"acceleration": manner.acceleration}
+        self.own.shares = manner.shares
 
     def lesson(self, batch: np.ndarray, state, fresh):
         """(actions [n, axles], no choices [n], weight [n] of each row, state) for true observations."""

@@ -1,8 +1,8 @@
 """Learning curves: the student of the true-soil rule, and PPO of Stable-Baselines3 alone.
 
     pip install "soil_env[train]"
-    python examples/learning_curves.py                       two training seeds; half an hour on two idle cores
-    python examples/learning_curves.py --steps 200_000 --seeds 1 --save agents
+    python examples/learning_curves.py                       two training seeds; minutes on two idle cores
+    python examples/learning_curves.py --seeds 1 --save agents
 
 Every agent drives the same courses, which no training uses, without exploration. `python train.py` trains one agent,
 with checkpoints, and compares it with the classical controllers.
@@ -55,7 +55,7 @@ def learn(kind: str, scenario, seed: int, options) -> list[tuple[int, float]]:
     curve = Curve(model, scenario, options.courses, options.steps // options.points)
     print(f"{kind}, training seed {seed}", flush=True)
     if kind == "student":
-        student.teach(model, teacher_of(scenario), min(options.steps, 910_000), seed, curve.note)
+        student.teach(model, teacher_of(scenario), options.steps, seed, curve.note)
     else:
         model.learn(options.steps, callback=lambda local, _: curve.note(local["self"].num_timesteps))
     if options.save:
@@ -68,10 +68,10 @@ def main() -> None:
     """Train, drive, draw."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scenario", default="two_lines", help="name or YAML file")
-    p.add_argument("--steps", type=int, default=2_000_000, help="of PPO; the student has 910,000 at most")
+    p.add_argument("--steps", type=int, default=600_000, help="of each training")
     p.add_argument("--seeds", type=int, default=2, help="training seeds of each")
-    p.add_argument("--courses", type=int, default=300)
-    p.add_argument("--points", type=int, default=15, help="of the curve of PPO")
+    p.add_argument("--courses", type=int, default=150)
+    p.add_argument("--points", type=int, default=12, help="of each curve")
     p.add_argument("--save", type=Path, help="folder for the agents")
     p.add_argument("--out", type=Path, default=Path("learning.svg"), help="the picture; its numbers beside it as .json")
     options = p.parse_args()

@@ -2,15 +2,19 @@
 
 import math
 
+import gymnasium
+import matplotlib.image
 import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.controllers.oracle import COUNT, Oracle
+from agents.drive import _drive
 from agents.evaluate import Runs, drive as evaluation_drive, driving, run_courses
 from agents.evaluate.comparing import avoidable
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
+from soil_env.cli import main
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
@@ -281,3 +285,28 @@ def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
     assert found["failures"] == 3 and found["value"] == pytest.approx(2 / 3)
     assert (found["low"], found["high"]) == wilson(2, 3)
     assert avoidable(oracle, [runs_of(1, 1, 1, 1)]) == {"failures": 0, "value": None, "low": None, "high": None}
+
+
+def test_drives_are_shown_side_by_side(tmp_path, capsys):
+    """And an action lasts as long as in the scenario, so that the course ends as in a comparison."""
+    out = tmp_path / "both.png"
+    drivers = "full_throttle,gentle=soft_start"
+    assert main(["drive", "--scenario", "mixed", "--frame", "15", "--controller", drivers, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "full_throttle: RUNNING at" in said and "gentle: RUNNING at" in said
+    left, right = np.split(matplotlib.image.imread(out), 2, axis=1)
+    assert left.shape == right.shape and np.abs(left - right).mean() > 0.003
+
+    held = load_scenario("mixed").control.held
+    asked = []
+
+    class Counting:
+        variant = "blind"
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            asked.append(bool(episode_start[0]))
+            return np.full((1, 1), 0.5, dtype=np.float32), state
+
+    env = gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed", observation="blind", repeat=1, scaled=False)
+    _drive(env, Counting(), held, 3, 3 * held, 0)
+    assert asked == [True, False, False]
