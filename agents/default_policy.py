@@ -41,7 +41,9 @@ class DefaultPolicy:
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise ParameterError(f"{path}: not the weights of a default policy ({error})") from None
         if names != common_layout.NAMES:
-            raise ParameterError(f"{path}: trained on another observation layout; expected that of agents.common_layout")
+            raise ParameterError(
+                f"{path}: trained on another observation layout; expected that of agents.common_layout"
+            )
         self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
         self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
 

@@ -160,9 +160,7 @@ class HistoryVecEnv(VecEnvWrapper):
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
 
 
-def hidden_worlds(
-    scenario: Scenario, count: int, seed: int, without: Collection[str] = ()
-) -> list[WheelSoilModel]:
+def hidden_worlds(scenario: Scenario, count: int, seed: int, without: Collection[str] = ()) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 
     The effects `without` are left out.

@@ -7,10 +7,9 @@ from gymnasium.spaces import Box
 
 from agents import ppo
 from agents.config import PPOConfig
-from agents.environment import HIDDEN, SeveralWorlds, hidden_worlds
+from agents.environment import HIDDEN, HistoryVecEnv, SeveralWorlds, hidden_worlds
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.environment import HistoryVecEnv
 from agents.history import READINGS, SHARE, History
 from agents.sb3 import SoilWheelVecEnv
 from soil_env.parameters import load_scenario
