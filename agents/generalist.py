@@ -1,4 +1,4 @@
-"""Training of the default policy: one student of the true-soil rule on several grounds.
+"""Training of the default policy: one student of the true-soil rule on several grounds, then PPO from there.
 
     python -m soil_env_agents.generalist --out agents/default_policy.npz
 
@@ -14,6 +14,8 @@ from pathlib import Path
 
 import click
 import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 
 import soil_env
 from soil_env._io.files import replace_file
@@ -44,28 +46,41 @@ class Generalist(Checked):
 
     grounds: dict[str, OnGround]
     seed: int = quantity("", 0, 2**31 - 1, default=0)
-    steps: int = quantity("", 1, 10**12, default=5_000_000)
-    kept: int = quantity("newest steps that are learnt from", 1, 10**9, default=2_000_000)
+    taught: int = quantity("steps as a student", 1, 10**12, default=3_000_000)
+    kept: int = quantity("newest steps that the student learns from", 1, 10**9, default=2_000_000)
+    improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
     without: tuple[str, ...] = ()  # effects that no such world has
-    layer: int = quantity("", 1, 4096, default=128)
+    ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
-    def build(self):
+    def build(self) -> PPO:
         """The untrained agent in the vector environment of all grounds."""
         grounds = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
             hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.without)
-            half = own.wheels // 2
-            grounds += [Ground(scenario, own.wheels - half, [None]), Ground(scenario, half, hidden)] if hidden else [
-                Ground(scenario, own.wheels, [None])
-            ]  # fmt: skip
-        wheels = sum(own.wheels for own in self.grounds.values())
-        config = PPOConfig(num_envs=wheels, n_steps=64, batch_size=wheels, layer=self.layer, threads=1)
-        return ppo.learner(on_grounds(grounds, config, self.seed), config, self.seed), config
+            half = own.wheels // 2 if hidden else 0
+            grounds.append(Ground(scenario, own.wheels - half, [None]))
+            if hidden:
+                grounds.append(Ground(scenario, half, hidden))
+        return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
 
 
-def arrays(model, config: PPOConfig, made: dict) -> dict[str, np.ndarray]:
+class _Progress(BaseCallback):
+    """Progress bar of PPO."""
+
+    def __init__(self, bar: Bar):
+        super().__init__()
+        self.bar = bar
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.bar.update(self.num_timesteps)
+
+
+def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     """The content of the weights' file of a trained model."""
     env, policy = model.get_vec_normalize_env(), model.policy
     own = policy.mlp_extractor
@@ -73,7 +88,7 @@ def arrays(model, config: PPOConfig, made: dict) -> dict[str, np.ndarray]:
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
         out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
-    made = {"observation_names": list(common_layout.NAMES), "history": config.history, **made}
+    made = {"observation_names": list(common_layout.NAMES), "history": history, **made}
     return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {"made": np.array(json.dumps(made))}
 
 
@@ -84,11 +99,14 @@ def command(config: Path | None, out: Path) -> None:
     """Train the default policy."""
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
-    model, settings = asked.build()
-    with Bar("Training", asked.steps, "steps") as bar:
-        student.teach(model, asked.steps, asked.seed, bar.update, asked.kept)
+    model = asked.build()
+    with Bar("Student", asked.taught, "steps") as bar:
+        student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
+    with Bar("PPO", asked.improved, "steps") as bar:
+        if asked.improved:
+            model.learn(asked.improved, callback=_Progress(bar))
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
-    np.savez_compressed(stream, **arrays(model, settings, made))
+    np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")
 

@@ -46,9 +46,10 @@ def command(
 ) -> None:
     """Compare controllers and agents on the same courses.
 
-    An entry of the list is a classical controller (full_throttle, fixed_slip, ...), default_policy, which comes with
-    the package, a run folder or model.zip, a policy.onnx, or my.module:Thing with predict(obs, state, episode_start, deterministic). NAME=ENTRY names it; a glob
-    makes one algorithm of several seeds. Models of others are unpickled and modules imported: name what you trust.
+    An entry of the list is a classical controller (full_throttle, fixed_slip, ...), default_policy (comes with the
+    package), a run folder or model.zip, a policy.onnx, or my.module:Thing with predict(obs, state, episode_start,
+    deterministic). NAME=ENTRY names it; a glob makes one algorithm of several seeds. Models of others are unpickled and
+    modules imported: name what you trust.
 
     \b
     soil-env evaluate --controllers full_throttle,best_slip_identified --out evaluation

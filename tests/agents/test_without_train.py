@@ -1,4 +1,4 @@
-"""Without torch and SB3: soil_env, the controllers and the default policy work, help is shown, commands name what to install."""
+"""Without torch and SB3: drives of controllers and the default policy, help, and commands that name what to install."""
 
 import json
 import os

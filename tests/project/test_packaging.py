@@ -50,6 +50,7 @@ def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(whee
     folders |= {name: f"soil_env/{name}" for name in ("configs", "examples")}
     assert names == {f"{there}/{name}" for here, there in folders.items() for name in sources(here)}
     assert "soil_env/configs/scenarios/mixed.yaml" in names and "soil_env_agents/train.py" in names
+    assert "soil_env_agents/default_policy.npz" in names
     assert set(re.findall(r"^(\S+) = ", scripts, re.MULTILINE)) == set(PROJECT["scripts"])
 
 
