@@ -35,8 +35,8 @@ PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
 DEEPEST = 0.7  # sinkage over the radius, with effects
-#: Standard deviations of a certificate: level [deg], gains, zeros over the mean load (times the radius), radius. Sensors
-#: of forces on a wheel err by half a percent each in linearity, hysteresis and repeatability (Sensor Review 45:207).
+#: Standard deviations of a certificate: level [deg], gains, zeros over the mean load (times the radius), radius. A
+#: force sensor in a wheel errs by half a percent each in linearity, hysteresis and repeatability (Sensor Rev. 45:207).
 CERTIFICATE = {"tilt_deg": 0.1, "force_gain": 0.01, "force_offset": 0.001, "torque_gain": 0.01, "torque_offset": 0.001,
                "wheel_radius": 0.002}  # fmt: skip
 
