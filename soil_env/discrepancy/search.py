@@ -38,6 +38,7 @@ ALIKE = 0.17
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
 TOLD = 0.05  # least probability of an alternative
+_FIRST = 8  # single effects, the best, beside which a second one is sought
 _PAIRS = 10  # pairs refitted after the screen
 _FORMS = 3  # of them, the best, in all their forms
 _FREE = 3  # best sets of effects that are tried with an anonymous contribution too
@@ -272,10 +273,10 @@ def log_prior(names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, f
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
-    """Pairs: all screened to first order from either side, the most promising refitted in their forms."""
+    """Pairs: all beside the best single effects screened to first order, the most promising refitted in their forms."""
     say("screening pairs")
     promise: dict[tuple[Choice, ...], float] = {}
-    for name in names:
+    for name in sorted(names, key=lambda n: -sets.best((n,)).log)[:_FIRST]:
         first = sets.best((name,))
         others = [c for n in names if n != name for c in forms(problem, n)]
         for choice, log in zip(others, promised(problem, first, others), strict=True):
