@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from soil_env.measurement.setup import Setup
+from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import (
@@ -73,14 +73,30 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
 
 
+def _known(sd: Calibration) -> dict[str, float | None]:
+    """Standard deviation by name to which a rig is known; None where it goes with the load."""
+    return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
+
+
+def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
+    """`_known` with numbers for zeros that go with the load."""
+    zero = {"force_offset": LEAST_OFFSET * bench.load, "torque_offset": LEAST_OFFSET * bench.load * bench.radius}
+    return {name: zero[name] if x is None else x for name, x in _known(sd).items()}
+
+
 def exact(setup: Setup) -> dict[str, str]:
     """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
-    sd = setup.calibration
-    known = {name: "calibrated, by the setup" for name in INSTRUMENT if getattr(sd, _KEYS[name]) == 0.0}
+    known = {name: "calibrated, by the setup" for name, sd in _known(setup.calibration).items() if sd == 0.0}
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 
-_KEYS = {name: name for name in INSTRUMENT} | {"tilt": "tilt_deg"}
+def odds(setup: Setup, bench: Bench) -> dict[str, float]:
+    """Prior odds by name of the errors of a rig, over those of one whose setup states nothing.
+
+    A rig that is known five times better than usual is wrong a fifth as often, since somebody looked.
+    """
+    own, usual = _spread(setup.calibration, bench), _spread(Calibration(), bench)
+    return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 
 
 def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
@@ -102,15 +118,13 @@ def reading(out: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
 
 def nuisances(setup: Setup, bench: Bench, load: np.ndarray, output: np.ndarray, named: tuple[str, ...]) -> np.ndarray:
     """[N, 3, R] change of the readings [N, 3] by one sd of each error that is not among the named ones."""
-    sd = setup.calibration
-    force = LEAST_OFFSET * bench.load if sd.force_offset is None else sd.force_offset
-    torque = LEAST_OFFSET * bench.load * bench.radius if sd.torque_offset is None else sd.torque_offset
+    sd = _spread(setup.calibration, bench)
     of = {
-        "tilt": (PULL, -load * math.sin(math.radians(sd.tilt_deg))),
-        "force_offset": (PULL, force),
-        "force_gain": (PULL, sd.force_gain * output[:, 1]),
-        "torque_offset": (TORQUE, torque),
-        "torque_gain": (TORQUE, sd.torque_gain * output[:, 2]),
+        "tilt": (PULL, -load * math.sin(math.radians(sd["tilt"]))),
+        "force_offset": (PULL, sd["force_offset"]),
+        "force_gain": (PULL, sd["force_gain"] * output[:, 1]),
+        "torque_offset": (TORQUE, sd["torque_offset"]),
+        "torque_gain": (TORQUE, sd["torque_gain"] * output[:, 2]),
     }
     there = [change for name, change in of.items() if name not in (*named, *exact(setup))]
     out = np.zeros((load.size, len(CHANNELS), len(there)))

@@ -85,7 +85,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     base = finding.best().evidence.fit
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
-    finding, (plain, final), held = _that_predicts(problem, finding, base, rng, settings.seed)
+    finding, (plain, final), held = _that_predicts(problem, finding, base, settings.seed)
     before, after = held[()], held[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
@@ -133,9 +133,7 @@ FAR = 8.0  # [sd of the setup] of a soil parameter
 Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
-def _that_predicts(
-    problem: Problem, finding: Finding, base: Fit, rng: np.random.Generator, seed: int
-) -> tuple[Finding, tuple[Fit, Fit], Held]:
+def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> tuple[Finding, tuple[Fit, Fit], Held]:
     """The finding without sets of effects that held-out rows speak against.
 
     With it the fits of the base model and of the named effects, and the held-out predictions of the base model, of the
@@ -143,19 +141,19 @@ def _that_predicts(
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
     be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
-    than the base model does, a second effect whose share of the gap beside the first has an interval that holds 0, and
-    effects that leave a pattern in a channel (`structure`) or need a soil far from the setup's. So is the base model
-    where nothing would be missing.
+    than the base model does, a second effect that closes nothing of the gap beside the first, effects that need a soil
+    far from the setup's, and effects that leave a pattern in a channel (`structure`) unless they are, by themselves,
+    more probable than an anonymous law. So is the base model with a pattern where nothing would be missing.
     """
     while True:
         own, names = finding.stated.evidence, finding.names
-        model = finding.best(*names).evidence
+        model, anonymous = finding.best(*names), finding.best(free=True)
         asserted = bool(names) or finding.verdict in ("none", "undetermined")
-        if asserted and names not in finding.refuted and (
-            _far(problem, model) or structure(problem, model, seed) < STRUCTURED
-        ):  # fmt: skip
-            finding = finding.without(names)
-            continue
+        if asserted and names not in finding.refuted:
+            weak = not names or model.probability <= anonymous.probability
+            if _far(problem, model.evidence) or (weak and structure(problem, model.evidence, seed) < STRUCTURED):
+                finding = finding.without(names)
+                continue
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
         # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
@@ -164,11 +162,9 @@ def _that_predicts(
             near = base if not some else own.fit if some == names else finding.best(*some).evidence.fit
             fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
         held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
-        closed = judgement.closed(problem, judgement.gaps(problem, held[()], held[names])) if names else None
-        if (closed is None or closed >= 0.0) and not any(
-            (judgement.closed_interval(problem, held[n,], held[names], rng) or (0.0,))[0] <= 0.0
-            for n in names if len(names) > 1
-        ):  # fmt: skip
+        beside = [some for some in held if some != names]
+        closed = [judgement.closed(problem, judgement.gaps(problem, held[some], held[names])) for some in beside]
+        if all(share is None or share >= 0.0 for share in closed):
             return finding, (fits[()], fits[names]), held
         finding = finding.without(names)
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from soil_env.discrepancy import instrument
+from soil_env.discrepancy import instrument, search as search_module
 from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.report import words
 from soil_env.discrepancy.search import candidates, search
@@ -63,6 +63,14 @@ def test_a_setup_can_rule_errors_out(level):
     assert not set(instrument.INSTRUMENT) & set(candidates(p)[0]) and p.fit().rig.shape[1] == 0
     read = setup_of({"wheel": {"radius": 0.1, "width": 0.1}, "calibration": {"force_gain": 0.01}}, "here")
     assert read.calibration == dataclasses.replace(Calibration(), force_gain=0.01)
+
+
+def test_a_rig_that_is_known_better_is_wrong_less_often(level):
+    p = problem(level, np.random.default_rng(0))
+    known = Calibration(tilt_deg=0.1, force_gain=0.04, torque_offset=0.0015 * p.bench.load * p.bench.radius)
+    expected = dict.fromkeys(instrument.INSTRUMENT, 1.0) | {"tilt": 0.2, "torque_offset": 0.5}
+    assert instrument.odds(dataclasses.replace(level.setup, calibration=known), p.bench) == pytest.approx(expected)
+    assert search_module.log_prior(("tilt",), of_rig={"tilt": 0.2}) == pytest.approx(np.log(0.2 * search_module.ODDS))
 
 
 def test_every_name_has_an_explanation():

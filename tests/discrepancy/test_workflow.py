@@ -42,6 +42,13 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
     assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
 
 
+def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_pattern(tmp_path, monkeypatch):
+    """A law that errs in an assumed-away way leaves patterns beside the right effect too."""
+    monkeypatch.setattr(workflow, "structure", lambda problem, model, seed: 0.0)
+    report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
+    assert [e.name for e in report.effects] == ["slip_sinkage"] and report.finding.refuted == ()
+
+
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
     """The linearised held-out predictions against true refits, one slip left out after the other."""
     problem = planted.problem

@@ -200,6 +200,14 @@ def test_says_that_the_model_does_not_fit(tmp_path):
         assert any(words in w for w in e.warnings) and e.converged
 
 
+def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
+    """Not those under the form error, which takes a part of the misfit of the pull away from the sinkage."""
+    rows = clean().copy()
+    rows[:, 3] *= 1.0 + 0.8 * rows[:, 0]
+    found = [w for w in identify_table(table_of(tmp_path, rows), setup_of(THREE)).warnings if "does not fit" in w]
+    assert len(found) == 3 and all(float(w.split(" times the given")[0].split()[-1]) > 1.0 for w in found)
+
+
 @pytest.mark.parametrize(("leave_out", "rows", "setup", "words"), [
     (("sinkage", "torque"), slice(None), setup_of(), "no row has a sinkage, or both drawbar_pull and torque"),
     ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),

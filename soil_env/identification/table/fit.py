@@ -323,11 +323,11 @@ def _doubts(
     for name, fit in fits.items():
         channel = name.replace("_", " ")
         if fit.p_value < 1e-3 / len(fits):
-            rms = math.sqrt(float(np.nanmean(fit.residual**2)))
+            rms = math.sqrt(float(np.nanmean(plain.fits[name].residual ** 2)))
             words.append(
-                f"The base model does not fit the {channel} to its noise: residuals are {rms:.3g} times the given "
-                "standard deviation. The intervals allow for stress laws that are wrong, not for a wrong unit or sign "
-                f"or an effect that is missing. {check}"
+                f"The base model does not fit the {channel} to its noise: were the stress laws exact, residuals would "
+                f"be {rms:.3g} times the given standard deviation. The intervals allow for wrong laws, not for a wrong "
+                f"unit or sign or an effect that is missing. {check}"
             )
         elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
             words.append(
