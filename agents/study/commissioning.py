@@ -3,9 +3,11 @@
 The drives go over one bed of a known kind of soil, prepared uniformly: a preset, scattered once as the soils of the
 scenario scatter (its digging stays that of the preset, and counts as known). Each drive has one payload and one grade,
 which sets the drawbar pull and with it the slip, and stretches of several rim speeds, held by the loop of
-`constant_speed`. The sensors are those of the scenario.
+`constant_speed`. The sensors are those of the scenario, and every log has errors of its instrument besides, drawn from
+the calibration that a setup without one stands for (`misread`).
 
-The log becomes a table of steady points, and `soil_env.discrepancy` finds what the simulation lacks. In a steady drive
+The log becomes a table of steady points, and `soil_env.discrepancy` finds what the simulation lacks. Where it names
+nothing, further drives near the runs that it proposes are added, one at a time (`proposed_drive`). In a steady drive
 the grade is a function of slip and load, so the table has no grade: every effect that acts through slip could pass for
 one of grade. `load` and `drawbar_pull` are those that the soil gives at the wheel, perpendicular to and along the
 ground: the weight along a slope is not in them.
@@ -27,8 +29,10 @@ from scipy.stats import chi2
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, ParameterError, quantity
 from soil_env.discrepancy import run as find_discrepancy
+from soil_env.discrepancy.instrument import LEAST_OFFSET
+from soil_env.discrepancy.result import Report
 from soil_env.driving.wheels import IDLE, STEP, Simulation
-from soil_env.measurement.setup import Prior
+from soil_env.measurement.setup import Calibration, Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
@@ -43,29 +47,38 @@ READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 COLUMNS = ("slip", "load", "speed", "run", "time", *CHANNELS)
 LEAST_REPEATS = 6  # differences of repeats that the noise is computed from
+STEEPER = 1.5  # [deg] of a further drive than the steepest one of the log
+_FILES = (("discrepancy", ""), ("table", ".csv"), ("setup", ".yaml"))  # of each run of the workflow
 
 
 def found_world(
     scenario: Scenario, hidden: WheelSoilModel, plan: Commissioning, folder: Path, seed: int = 0
 ) -> WheelSoilModel:
-    """The world that the workflow finds in the log of drives in the `hidden` one, kept in found.yaml of `folder`.
+    """The world that the workflow finds in the log `seed` of drives in the `hidden` one, kept in found.yaml of `folder`.
 
     Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
     that it was fitted with, and is left behind.
     """
-    data, setup_file, kept = folder / "table.csv", folder / "setup.yaml", folder / "found.yaml"
-    if kept.is_file():
+    if (kept := folder / "found.yaml").is_file():
         return WheelSoilModel.load(kept)
     folder.mkdir(parents=True, exist_ok=True)
-    if not setup_file.is_file():
-        points = steady_points(drive_all(scenario, hidden, plan, seed), scenario, plan)
-        content = setup(scenario, hidden.wheel, plan, points)
-        write_table(points, data)
-        replace_file(setup_file, yaml.safe_dump(content, sort_keys=False))
-    show(f"{folder.name}: discrepancy workflow")
-    for left in (folder / "discrepancy", *folder.glob(".report-*")):  # by a run that was killed
-        shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(data, setup_file, folder / "discrepancy", seed=seed)
+    points = steady_points(drive_all(scenario, hidden, plan, seed), scenario, plan)
+    content = yaml.safe_dump(setup(scenario, hidden.wheel, plan, points), sort_keys=False)
+    for further in range(plan.further + 1):
+        show(f"{folder.name}: discrepancy workflow, {further} further drives")
+        out, data, setup_file = (folder / f"{name}_{further}{end}" for name, end in _FILES)
+        for left in (out, *folder.glob(".report-*")):  # by a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        write_table(misread(points, scenario, seed), data)
+        replace_file(setup_file, content)
+        report = find_discrepancy(data, setup_file, out, seed=seed)
+        if report.effects or not report.next_tests or further == plan.further:
+            break
+        one, first = proposed_drive(report, points, scenario, plan), (plan.drives + further) * plan.repeats
+        try:
+            points += steady_points(drive_all(scenario, hidden, one, seed, first), scenario, plan)
+        except ParameterError:
+            show(f"{folder.name}: the wheel cannot drive on {one.grades_deg[0]:.1f} deg")
     named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
@@ -79,10 +92,11 @@ class Commissioning(Checked):
 
     soil: str = "lunar_simulant_hit_lss1"  # preset of the bed
     scatter: float = quantity("of the scenario's spread, of the bed about its preset", 0.0, 3.0, default=0.5)
-    grades_deg: tuple[float, ...] = (-16, -12, -9, -6, -4, -2, 0, 2, 4, 6, 8, 10, 12, 14, 17)
-    payloads: tuple[float, ...] = (0.0, 5.0, 10.0)  # [kg]
-    rim_speeds: tuple[float, ...] = (0.06, 0.13, 0.28)  # of the top rim speed
+    grades_deg: tuple[float, ...] = (-15, -12, -9, -6, -3, 0, 3, 6, 9, 12, 15)
+    payloads: tuple[float, ...] = (0.0, 10.0)  # [kg]
+    rim_speeds: tuple[float, ...] = (0.06, 0.2)  # of the top rim speed
     repeats: int = quantity("drives of each grade and payload", 2, 100, default=2)
+    further: int = quantity("proposed drives at most, with their repeats, where nothing is named", 0, 100, default=2)
     hold: float = quantity("s at each rim speed, after the run-in", 1.0, 600.0, default=20.0)
     window: float = quantity("s", 0.5, 60.0, default=2.0)
     run_in: float = quantity("sinkage relaxations driven at a new rim speed before it counts", 0.0, 50.0, default=8.0)
@@ -90,6 +104,11 @@ class Commissioning(Checked):
     sinkage_drift: float = quantity("m a metre, largest over a window", 1e-4, 1.0, default=0.004)
     slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
     slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
+
+    @property
+    def drives(self) -> int:
+        """Number of drives without repeats."""
+        return len(self.payloads) * len(self.grades_deg)
 
     def run_in_of(self, scenario: Scenario) -> float:
         """Length of the run-in [m]."""
@@ -128,14 +147,17 @@ def bed_soil(scenario: Scenario, plan: Commissioning, rng: np.random.Generator) 
     )
 
 
-def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, seed: int) -> Log:
-    """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log."""
-    rng = np.random.default_rng([seed, 7])
-    bed = WheelSoilModel(world.wheel, bed_soil(scenario, plan, rng), world.effects, world.residual, world.gravity)
-    rows, first = [], 0
-    with Bar("Commissioning", len(plan.payloads) * len(plan.grades_deg) * plan.repeats, "drives") as bar:
+def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, seed: int, first: int = 0) -> Log:
+    """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log.
+
+    `first` is the number of the first drive.
+    """
+    soil = bed_soil(scenario, plan, np.random.default_rng([seed, 7]))
+    bed, rows = WheelSoilModel(world.wheel, soil, world.effects, world.residual, world.gravity), []
+    with Bar("Commissioning", plan.drives * plan.repeats, "drives") as bar:
         for payload, grade in itertools.product(plan.payloads, plan.grades_deg):
-            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
+            rngs = [np.random.default_rng([seed, 8, first + k]) for k in range(plan.repeats)]
+            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rngs, first)
             first += plan.repeats
             bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
     if not rows:
@@ -253,6 +275,42 @@ def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) 
         and abs(slope["slip"]) <= plan.slip_drift * speed + by_noise * noise.slip
         and spread <= math.hypot(plan.slip_spread, noise.slip * (1.0 + 2.0 / math.sqrt(2.0 * n)))
     )
+
+
+def misread(points: list[Steady], scenario: Scenario, seed: int) -> list[Steady]:
+    """The points as a rig reads them: its errors are drawn from the calibration of a setup that says nothing of it.
+
+    Level, gains and zeros of the sensors of pull and torque, and the rolling radius that slip is computed with.
+    """
+    sd, draw = Calibration(), np.random.default_rng([seed, 9]).standard_normal(6)
+    zero = LEAST_OFFSET * float(np.median([p.mean["load"] for p in points]))
+    spread = math.radians(sd.tilt_deg), sd.force_gain, zero, sd.torque_gain, zero * scenario.wheel.radius
+    tilt, force_gain, force_zero, torque_gain, torque_zero, radius = draw * (*spread, sd.wheel_radius)
+    return [
+        dataclasses.replace(p, mean=(m := p.mean) | {
+            "slip": 1.0 - (1.0 - m["slip"]) * (1.0 + radius),
+            "drawbar_pull": (m["drawbar_pull"] - m["load"] * math.sin(tilt)) * (1.0 + force_gain) + force_zero,
+            "torque": m["torque"] * (1.0 + torque_gain) + torque_zero,
+        })
+        for p in points
+    ]  # fmt: skip
+
+
+def proposed_drive(report: Report, points: list[Steady], scenario: Scenario, plan: Commissioning) -> Commissioning:
+    """One drive near the first run that a report proposes, on the grade that had its slip in the log."""
+    asked, grades = report.next_tests[0].conditions, np.array(plan.grades_deg)
+    of_plan = [p for p in points if p.run < plan.drives * plan.repeats]
+    number = np.array([p.run for p in of_plan]) // plan.repeats
+    slip, load = (np.array([p.mean[name] for p in of_plan]) for name in ("slip", "load"))
+    near = number // grades.size == number[np.argmin(np.abs(load - asked["load"]))] // grades.size
+    order = np.argsort(slip[near])
+    grade = grades[number[near] % grades.size][order]
+    steepest = min(float(grade.max()) + STEEPER, float(grades.max()))
+    on = float(np.interp(asked["slip"], slip[near][order], grade, right=steepest))
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    speed = float(np.clip(asked["speed"] / (1.0 - asked["slip"]) / top, 0.5 * min(plan.rim_speeds), 0.6))
+    payload = plan.payloads[number[near][0] // grades.size]
+    return dataclasses.replace(plan, payloads=(payload,), grades_deg=(on,), rim_speeds=(speed,))
 
 
 def write_table(points: list[Steady], path: Path) -> None:
