@@ -54,7 +54,7 @@ _FILES = (("discrepancy", ""), ("table", ".csv"), ("setup", ".yaml"))  # of each
 def found_world(
     scenario: Scenario, hidden: WheelSoilModel, plan: Commissioning, folder: Path, seed: int = 0
 ) -> WheelSoilModel:
-    """The world that the workflow finds in the log `seed` of drives in the `hidden` one, kept in found.yaml of `folder`.
+    """The world that the workflow finds in the log `seed` of drives in the `hidden` one; found.yaml of `folder` has it.
 
     Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
     that it was fitted with, and is left behind.

@@ -13,7 +13,7 @@
     changes: {control: {action: torque}}            # changes that all scenarios have in common
     worlds:                          # named worlds that arms are made in
       planted: {model: worlds/bulldozing.yaml}
-      found: {log_of: worlds/bulldozing.yaml, seed: 1}  # effects that soil_env.discrepancy finds in a log of drives there
+      found: {log_of: worlds/bulldozing.yaml, seed: 1}  # effects that soil_env.discrepancy finds in a log there
     baseline: blind                  # arm that the table compares the others with (default: the last)
 
 The other keys are the numbers of `Study`. Files are looked for from here, then beside the YAML file.

@@ -77,6 +77,7 @@ def exact(setup: Setup) -> dict[str, str]:
     """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
     sd = setup.calibration
     known = {name: "calibrated, by the setup" for name in INSTRUMENT if getattr(sd, _KEYS[name]) == 0.0}
+    known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 

@@ -37,6 +37,25 @@ BASE = "base model"
 _LARGEST = 3000  # points of a grid
 
 
+class Check(NamedTuple):
+    """A reading of the instrument without soil, which finds the errors that it `decides` or rules them out."""
+
+    name: str
+    work: str  # to do
+    decides: tuple[str, ...]
+
+
+CHECKS = (
+    Check("level", "put a level on the rig", ("tilt",)),
+    Check("lifted", "lift the wheel, and read pull and torque at rest and turning",
+          ("force_offset", "torque_offset", "drivetrain_friction")),
+    Check("plate", "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
+          "have to read 0", ("sinkage_offset", "slip_bias", "wheel_radius")),
+    Check("weights", "hang known weights on the load cell and on a lever at the wheel",
+          ("force_gain", "torque_gain")),
+)  # fmt: skip
+
+
 class Predicted(NamedTuple):
     """A candidate at one run: its probability before it, and what it predicts, with noise."""
 
@@ -130,7 +149,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     before = 0.0
     while len(out) < most:
         overlap = overlaps(*of.joint(chosen))
-        gain, cost = information(of.share, overlap) - before, _costs(problem, grid, chosen)
+        gain, cost = information(of.share, overlap) - before, costs(problem, grid, chosen)
         forced = repeat and not chosen
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
         if not forced and not (able[g] and gain[g] > LEAST):
@@ -185,7 +204,13 @@ def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     return out
 
 
-def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
+def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
+    """[K, K] 0 for two sets of effects that a check tells apart, 1 for others."""
+    of = [{*check.decides} & {*n} for n in names]
+    return np.array([[float(a == b) for b in of] for a in of])
+
+
+def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run after the last chosen one, or the last of the table, by the setup's rig."""
     rig, table = problem.data.setup.rig, problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
