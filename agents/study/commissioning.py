@@ -27,9 +27,10 @@ import yaml
 from scipy.stats import chi2
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
 from soil_env.discrepancy import run as find_discrepancy
 from soil_env.discrepancy.instrument import LEAST_OFFSET
+from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.result import Report
 from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.measurement.setup import Calibration, Prior
@@ -47,6 +48,7 @@ READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 COLUMNS = ("slip", "load", "speed", "run", "time", *CHANNELS)
 LEAST_REPEATS = 6  # differences of repeats that the noise is computed from
+LEFT = 0.1  # of an error of the instrument that was checked and corrected
 STEEPER = 1.5  # [deg] of a further drive than the steepest one of the log
 _FILES = (("discrepancy", ""), ("table", ".csv"), ("setup", ".yaml"))  # of each run of the workflow
 
@@ -69,7 +71,7 @@ def found_world(
         out, data, setup_file = (folder / f"{name}_{further}{end}" for name, end in _FILES)
         for left in (out, *folder.glob(".report-*")):  # by a run that was killed
             shutil.rmtree(left, ignore_errors=True)
-        write_table(misread(points, scenario, seed), data)
+        write_table(misread(points, scenario, seed, plan.decided), data)
         replace_file(setup_file, content)
         report = find_discrepancy(data, setup_file, out, seed=seed)
         if report.effects or not report.next_tests or further == plan.further:
@@ -96,6 +98,7 @@ class Commissioning(Checked):
     payloads: tuple[float, ...] = (0.0, 10.0)  # [kg]
     rim_speeds: tuple[float, ...] = (0.06, 0.2)  # of the top rim speed
     repeats: int = quantity("drives of each grade and payload", 2, 100, default=2)
+    checks: tuple[str, ...] = ("plate",)  # of the instrument, before the drives: names of `next_tests.CHECKS`
     further: int = quantity("proposed drives at most, with their repeats, where nothing is named", 0, 100, default=2)
     hold: float = quantity("s at each rim speed, after the run-in", 1.0, 600.0, default=20.0)
     window: float = quantity("s", 0.5, 60.0, default=2.0)
@@ -104,6 +107,16 @@ class Commissioning(Checked):
     sinkage_drift: float = quantity("m a metre, largest over a window", 1e-4, 1.0, default=0.004)
     slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
     slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if left := {*self.checks} - {c.name for c in CHECKS}:
+            raise unknown_value(min(left), [c.name for c in CHECKS], "checks")
+
+    @property
+    def decided(self) -> tuple[str, ...]:
+        """Effects that the checks find, so that they are corrected, or rule out."""
+        return tuple(name for c in CHECKS if c.name in self.checks for name in c.decides)
 
     @property
     def drives(self) -> int:
@@ -277,23 +290,26 @@ def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) 
     )
 
 
-def misread(points: list[Steady], scenario: Scenario, seed: int) -> list[Steady]:
+def misread(points: list[Steady], scenario: Scenario, seed: int, checked: tuple[str, ...]) -> list[Steady]:
     """The points as a rig reads them: its errors are drawn from the calibration of a setup that says nothing of it.
 
-    Level, gains and zeros of the sensors of pull and torque, and the rolling radius that slip is computed with.
+    Level, gains and zeros of the sensors of pull and torque, and the rolling radius that slip is computed with. Of the
+    checked ones `LEFT` is left.
     """
-    sd, draw = Calibration(), np.random.default_rng([seed, 9]).standard_normal(6)
+    sd, rng = Calibration(), np.random.default_rng([seed, 9])
     zero = LEAST_OFFSET * float(np.median([p.mean["load"] for p in points]))
-    spread = math.radians(sd.tilt_deg), sd.force_gain, zero, sd.torque_gain, zero * scenario.wheel.radius
-    tilt, force_gain, force_zero, torque_gain, torque_zero, radius = draw * (*spread, sd.wheel_radius)
-    return [
-        dataclasses.replace(p, mean=(m := p.mean) | {
-            "slip": 1.0 - (1.0 - m["slip"]) * (1.0 + radius),
-            "drawbar_pull": (m["drawbar_pull"] - m["load"] * math.sin(tilt)) * (1.0 + force_gain) + force_zero,
-            "torque": m["torque"] * (1.0 + torque_gain) + torque_zero,
-        })
-        for p in points
-    ]  # fmt: skip
+    spread = {"tilt": math.radians(sd.tilt_deg), "force_gain": sd.force_gain, "force_offset": zero,
+              "torque_gain": sd.torque_gain, "torque_offset": zero * scenario.wheel.radius,
+              "wheel_radius": sd.wheel_radius}  # fmt: skip
+    e = {n: (LEFT if n in checked else 1.0) * x * rng.standard_normal() for n, x in spread.items()}
+
+    def read(m: dict[str, float]) -> dict[str, float]:
+        pull = (m["drawbar_pull"] - m["load"] * math.sin(e["tilt"])) * (1.0 + e["force_gain"]) + e["force_offset"]
+        torque = m["torque"] * (1.0 + e["torque_gain"]) + e["torque_offset"]
+        slip = 1.0 - (1.0 - m["slip"]) * (1.0 + e["wheel_radius"])
+        return m | {"slip": slip, "drawbar_pull": pull, "torque": torque}
+
+    return [dataclasses.replace(p, mean=read(p.mean)) for p in points]
 
 
 def proposed_drive(report: Report, points: list[Steady], scenario: Scenario, plan: Commissioning) -> Commissioning:
@@ -347,6 +363,7 @@ def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: li
             "dig_recovery": preset.dig_recovery,
         },
         "noise": repeat_noise(plan, points),
+        "checked": list(plan.decided),
     }
 
 
