@@ -76,6 +76,7 @@ class NextTest:
     expected_sigma: float  # difference of their predictions there over its standard deviation
     sure: float  # least probability of the right candidate, on average, once this run and those before it are made
     cost: float
+    information: float  # [nat] expected at least, beyond the runs before it
     repeat: bool = False  # of the run that the model misses most
 
 
@@ -116,10 +117,7 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
 
     Effects whose condition the table does not vary, and the rig could, are within reach with their prior odds.
     """
-    share: dict[tuple[str, ...], float] = {}
-    for h in finding.hypotheses:
-        if h.names or not h.free:  # what is unlisted predicts nothing
-            share[h.names] = share.get(h.names, 0.0) + h.probability
+    share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
     unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
@@ -127,6 +125,30 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     ranked = sorted(found, key=lambda s: -share[s])
     order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
     return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
+
+
+def next_checks(finding: Finding, least: float = LEAST) -> tuple[Check, ...]:
+    """Checks that are expected to say more than `least` [nat], a run for example, about which candidate is right."""
+    share = _shares(finding)
+    p, left, out, before = np.array([*share.values()]) / sum(share.values()), list(CHECKS), [], 0.0
+    overlap = np.ones((p.size, p.size))
+    while left:
+        worth = [float(information(p, (overlap * decided([*share], c))[:, :, None])[0]) - before for c in left]
+        k = int(np.argmax(worth))
+        if worth[k] <= least:
+            break
+        overlap, before = overlap * decided([*share], left[k]), before + worth[k]
+        out.append(left.pop(k))
+    return tuple(out)
+
+
+def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
+    """Probability of each set of effects, but of something unlisted alone, which predicts nothing."""
+    share: dict[tuple[str, ...], float] = {}
+    for h in finding.hypotheses:
+        if h.names or not h.free:
+            share[h.names] = share.get(h.names, 0.0) + h.probability
+    return share
 
 
 def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[float], most: int = MOST,
@@ -157,9 +179,10 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
+        said = _said(problem, of, g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
-        out.append(NextTest(point, *_said(problem, of, g), sure, float(cost[g]), forced))
+        out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
     return tuple(out)
 
 
