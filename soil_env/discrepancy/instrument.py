@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from soil_env._io.loading import unknown_value
 from soil_env.measurement.setup import Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -77,6 +78,9 @@ def exact(setup: Setup) -> dict[str, str]:
     """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
     sd = setup.calibration
     known = {name: "calibrated, by the setup" for name in INSTRUMENT if getattr(sd, _KEYS[name]) == 0.0}
+    for name in setup.checked:
+        if name not in LISTED:
+            raise unknown_value(name, LISTED, f"{setup.source}: checked")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
