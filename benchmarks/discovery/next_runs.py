@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -61,6 +61,7 @@ SURE, FIRST, MOST, REFIT = 0.9, 6, 40, (8, 14, 22, 32)
 FAR = 7.0  # [nat] of tempered odds beyond which an effect is fitted in one form only
 NAMES = tuple(m for m in MECHANISMS if m != "grousers")  # of one smooth wheel
 COLUMNS = ("slip", "load", "speed", "pass", "grade_deg", "wheel_radius", "wheel_width")
+ATTEMPTS = 200  # at a rig with a form of the size asked
 LEFT = 0.1  # of an error that was checked and corrected
 UNSEEN = ("slip_gain",)  # forms that no check shows: without pull the slip is right
 COST = {"run": 1.0, "load": 0.5, "grade_deg": 0.5, "wheel": 5.0, "pass": 0.5}
@@ -112,8 +113,8 @@ def draw(seed: int, index: int, wheels: int = 1) -> Rig:
     """Rig of a seed and a number; mechanisms and their forms take turns. A second wheel is half as large again."""
     rng = np.random.default_rng([seed, index, 36])
     name = NAMES[index % len(NAMES)]
-    form = forms_of(name)[index // len(NAMES) % len(forms_of(name))]
-    while True:
+    for attempt in count():  # a form that cannot be as large as asked gives its place to the next one
+        form = forms_of(name)[(index // len(NAMES) + attempt // ATTEMPTS) % len(forms_of(name))]
         bench = draw_bench(rng, "rich", 0.1)
         scale = np.array([bench.wheel.radius, bench.load, bench.load * bench.wheel.radius])
         bench = replace(bench, noise=tuple(float(x) for x in NOISE * scale))
