@@ -42,7 +42,7 @@ from .steady import Steady, misread, setup, steady_points, write_table
 _RUNNING = Cause.RUNNING.value
 #: Readings in the log: the first columns of the blind observation.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
-STEEPER = 1.5  # [deg] of a further drive than the steepest one of the log
+STEEPER = (1.5, 0.75, 0.3, 0.0)  # [deg] of a further drive than the steepest one of the log, tried in this order
 _FILES = (("discrepancy", ""), ("table", ".csv"), ("setup", ".yaml"))  # of each run of the workflow
 
 
@@ -69,11 +69,17 @@ def found_world(
         report = find_discrepancy(data, setup_file, out, seed=seed)
         if report.effects or not report.next_tests or further == plan.further:
             break
-        one, first = proposed_drive(report, points, scenario, plan), (plan.drives + further) * plan.repeats
-        try:
-            points += steady_points(drive_all(scenario, hidden, one, seed, first), scenario, plan)
-        except ParameterError:
-            show(f"{folder.name}: the wheel cannot drive on {one.grades_deg[0]:.1f} deg")
+        first = (plan.drives + further) * plan.repeats
+        for steeper in STEEPER:  # until the wheel can drive there
+            one = proposed_drive(report, points, scenario, plan, steeper)
+            try:
+                new = steady_points(drive_all(scenario, hidden, one, seed, first), scenario, plan)
+            except ParameterError:
+                new = []
+            if new:
+                points += new
+                break
+            show(f"{folder.name}: no steady drive on {one.grades_deg[0]:.1f} deg")
     named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
@@ -228,8 +234,13 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
     return rows
 
 
-def proposed_drive(report: Report, points: list[Steady], scenario: Scenario, plan: Commissioning) -> Commissioning:
-    """One drive near the first run that a report proposes, on the grade that had its slip in the log."""
+def proposed_drive(
+    report: Report, points: list[Steady], scenario: Scenario, plan: Commissioning, steeper: float
+) -> Commissioning:
+    """One drive near the first run that a report proposes, on the grade that had its slip in the log.
+
+    More slip than any drive had needs a grade that is `steeper` [deg] than the steepest one.
+    """
     asked, grades = report.next_tests[0].conditions, np.array(plan.grades_deg)
     of_plan = [p for p in points if p.run < plan.drives * plan.repeats]
     number = np.array([p.run for p in of_plan]) // plan.repeats
@@ -237,7 +248,7 @@ def proposed_drive(report: Report, points: list[Steady], scenario: Scenario, pla
     near = number // grades.size == number[np.argmin(np.abs(load - asked["load"]))] // grades.size
     order = np.argsort(slip[near])
     grade = grades[number[near] % grades.size][order]
-    steepest = min(float(grade.max()) + STEEPER, float(grades.max()))
+    steepest = min(float(grade.max()) + steeper, float(grades.max()))
     on = float(np.interp(asked["slip"], slip[near][order], grade, right=steepest))
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     speed = float(np.clip(asked["speed"] / (1.0 - asked["slip"]) / top, 0.5 * min(plan.rim_speeds), 0.6))

@@ -30,6 +30,7 @@ from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
+LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
 WITHIN_REACH = 0.01  # least probability of a candidate
 CANDIDATES = 14
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
@@ -127,15 +128,16 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
 
 
-def next_checks(finding: Finding, least: float = LEAST) -> tuple[Check, ...]:
-    """Checks that are expected to say more than `least` [nat], a run for example, about which candidate is right."""
+def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
+    """Checks that are expected to say more about which candidate is right than any of these runs."""
+    least = max((t.information for t in runs), default=0.0)
     share = _shares(finding)
     p, left, out, before = np.array([*share.values()]) / sum(share.values()), list(CHECKS), [], 0.0
     overlap = np.ones((p.size, p.size))
     while left:
         worth = [float(information(p, (overlap * decided([*share], c))[:, :, None])[0]) - before for c in left]
         k = int(np.argmax(worth))
-        if worth[k] <= least:
+        if worth[k] <= max(least, LEAST_OF_CHECK):
             break
         overlap, before = overlap * decided([*share], left[k]), before + worth[k]
         out.append(left.pop(k))

@@ -19,7 +19,7 @@ from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
-from soil_env.discrepancy.next_tests import LEAST, MOST, next_checks, next_tests
+from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.setup import Setup, read_setup
@@ -118,7 +118,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         gap=gap,
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
-        next_checks=next_checks(finding, max((t.information for t in runs), default=LEAST)),
+        next_checks=next_checks(finding, runs),
         next_tests=runs,
         fit=final,
         base_model=model_of(problem, plain),

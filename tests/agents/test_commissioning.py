@@ -103,14 +103,16 @@ def test_a_further_drive_is_near_the_proposed_run(drives):
     p = points[len(points) // 2]
     run = type("Run", (), {"conditions": {n: p.mean[n] for n in ("slip", "load", "speed")}})
     report = type("Report", (), {"next_tests": (run,)})
-    one = proposed_drive(report, points, SCENARIO, PLAN)
+    one = proposed_drive(report, points, SCENARIO, PLAN, 1.5)
     payload, grade = divmod(p.run // PLAN.repeats, len(PLAN.grades_deg))
     assert one.payloads == (PLAN.payloads[payload],)
     assert one.grades_deg[0] == pytest.approx(PLAN.grades_deg[grade], abs=0.5)
     assert one.rim_speeds[0] == pytest.approx(PLAN.rim_speeds[p.stretch], rel=0.05)
     run.conditions["slip"] = 0.9  # more than any drive had
     steepest = max(PLAN.grades_deg[q.run // PLAN.repeats % len(PLAN.grades_deg)] for q in points)
-    assert steepest < proposed_drive(report, points, SCENARIO, PLAN).grades_deg[0] <= steepest + 1.5
+    assert proposed_drive(report, points, SCENARIO, PLAN, 0.5).grades_deg[0] == min(
+        steepest + 0.5, max(PLAN.grades_deg)
+    )
 
 
 def test_named_effects_are_carried_over_and_a_law_is_not(drives, tmp_path, monkeypatch):
@@ -121,7 +123,15 @@ def test_named_effects_are_carried_over_and_a_law_is_not(drives, tmp_path, monke
     run = type("Run", (), {"conditions": {n: points[0].mean[n] for n in ("slip", "load", "speed")}})
     reports = [type("Report", (), {"effects": e, "model": model, "next_tests": (run,)}) for e in ((), ("bulldozing",))]
     first, sizes = [], []
-    monkeypatch.setattr(commissioning, "drive_all", lambda *x: first.append(x[4:]) or log)
+    stuck = [ParameterError("cannot climb")]
+
+    def drive(*x):
+        first.append(x[4:])
+        if len(first) > 1 and stuck:
+            raise stuck.pop()
+        return log
+
+    monkeypatch.setattr(commissioning, "drive_all", drive)
 
     def find(data, *_, **__):
         sizes.append(len(data.read_text().splitlines()) - 1)
@@ -131,4 +141,4 @@ def test_named_effects_are_carried_over_and_a_law_is_not(drives, tmp_path, monke
     found = commissioning.found_world(SCENARIO, hidden, PLAN, tmp_path)
     assert found.soil is None and found.effects == model.effects and found.residual == ()
     assert WheelSoilModel.load(tmp_path / "found.yaml") == found
-    assert sizes == [len(points), 2 * len(points)] and first == [(), (PLAN.drives * PLAN.repeats,)]
+    assert sizes == [len(points), 2 * len(points)] and first == [(), *[(PLAN.drives * PLAN.repeats,)] * 2]

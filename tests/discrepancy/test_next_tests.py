@@ -17,6 +17,7 @@ from soil_env.discrepancy.next_tests import (
     CHECKS,
     LEAST,
     SLIPS,
+    NextTest,
     decided,
     information,
     next_checks,
@@ -183,12 +184,12 @@ def test_checks_come_first_where_they_decide_more_than_a_run():
     p = problem(table({}), np.random.default_rng(1))
     base = settle(p, ())
 
-    def asked(least=LEAST, **share):
+    def asked(least=0.0, **share):
         sets = [((), 1.0 - sum(share.values())), *(((n,), x) for n, x in share.items())]
         found = tuple(Hypothesis(names, False, x, 0.0, base) for names, x in sets)
-        return next_checks(Finding(found, {}, {}), least)
+        return next_checks(Finding(found, {}, {}), [NextTest({}, (), ("", ""), "torque", 0.0, 0.0, 1.0, least)])
 
-    assert asked(bulldozing=0.6) == ()
+    assert asked(bulldozing=0.6) == asked(bulldozing=0.9, tilt=0.01) == ()
     assert asked(tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level, lifted)
     assert asked(0.4, tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level,)
     # Full knowledge of two halves is ln 2.
