@@ -131,15 +131,15 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
 def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
     """Checks that are expected to say more about which candidate is right than any of these runs."""
     least = max((t.information for t in runs), default=0.0)
-    share = _shares(finding)
-    p, left, out, before = np.array([*share.values()]) / sum(share.values()), list(CHECKS), [], 0.0
-    overlap = np.ones((p.size, p.size))
+    share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    names, p = [*share], np.array([*share.values()]) / sum(share.values())
+    left, out, before, overlap = list(CHECKS), [], 0.0, np.ones((p.size, p.size))
     while left:
-        worth = [float(information(p, (overlap * decided([*share], c))[:, :, None])[0]) - before for c in left]
+        worth = [float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before for c in left]
         k = int(np.argmax(worth))
         if worth[k] <= max(least, LEAST_OF_CHECK):
             break
-        overlap, before = overlap * decided([*share], left[k]), before + worth[k]
+        overlap, before = overlap * decided(names, left[k]), before + worth[k]
         out.append(left.pop(k))
     return tuple(out)
 

@@ -189,7 +189,7 @@ def test_checks_come_first_where_they_decide_more_than_a_run():
         found = tuple(Hypothesis(names, False, x, 0.0, base) for names, x in sets)
         return next_checks(Finding(found, {}, {}), [NextTest({}, (), ("", ""), "torque", 0.0, 0.0, 1.0, least)])
 
-    assert asked(bulldozing=0.6) == asked(bulldozing=0.9, tilt=0.01) == ()
+    assert asked(bulldozing=0.6) == asked(bulldozing=0.9, tilt=0.01, force_gain=0.0) == ()
     assert asked(tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level, lifted)
     assert asked(0.4, tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level,)
     # Full knowledge of two halves is ln 2.
