@@ -173,7 +173,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     before = 0.0
     while len(out) < most:
         overlap = overlaps(*of.joint(chosen))
-        gain, cost = information(of.share, overlap) - before, costs(problem, grid, chosen)
+        gain, cost = information(of.share, overlap) - before, _costs(problem, grid, chosen)
         forced = repeat and not chosen
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
         if not forced and not (able[g] and gain[g] > LEAST):
@@ -235,7 +235,7 @@ def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
     return np.array([[float(a == b) for b in of] for a in of])
 
 
-def costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
+def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run after the last chosen one, or the last of the table, by the setup's rig."""
     rig, table = problem.data.setup.rig, problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
