@@ -198,3 +198,5 @@ def test_checks_come_first_where_they_decide_more_than_a_run():
     assert decided(names, lifted).tolist() == [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     setup = {"wheel": {"radius": 0.1, "width": 0.1}, "checked": list(lifted.decides)}
     assert {*exact(setup_of(setup, "setup"))} == {*lifted.decides}
+    with pytest.raises(ParameterError, match="setup: checked: unknown .* did you mean 'tilt'"):
+        exact(setup_of(setup | {"checked": ["tlit"]}, "setup"))
