@@ -3,9 +3,11 @@
 The drives go over one bed of a known kind of soil, prepared uniformly: a preset, scattered once as the soils of the
 scenario scatter (its digging stays that of the preset, and counts as known). Each drive has one payload and one grade,
 which sets the drawbar pull and with it the slip, and stretches of several rim speeds, held by the loop of
-`constant_speed`. The sensors are those of the scenario.
+`constant_speed`. The sensors are those of the scenario, and every log has errors of its instrument besides, drawn from
+the calibration that a setup without one stands for (`misread`).
 
-The log becomes a table of steady points, and `soil_env.discrepancy` finds what the simulation lacks. In a steady drive
+The log becomes a table of steady points, and `soil_env.discrepancy` finds what the simulation lacks. Where it names
+nothing, further drives near the runs that it proposes are added, one at a time (`proposed_drive`). In a steady drive
 the grade is a function of slip and load, so the table has no grade: every effect that acts through slip could pass for
 one of grade. `load` and `drawbar_pull` are those that the soil gives at the wheel, perpendicular to and along the
 ground: the weight along a slope is not in them.
@@ -22,50 +24,62 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from scipy.stats import chi2
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env._io.loading import Checked, ParameterError, quantity, unknown_value
 from soil_env.discrepancy import run as find_discrepancy
+from soil_env.discrepancy.next_tests import CHECKS
+from soil_env.discrepancy.result import Report
 from soil_env.driving.wheels import IDLE, STEP, Simulation
-from soil_env.measurement.setup import Prior
 from soil_env.parameters import Scenario, Soil, load_scenario, soils
 from soil_env.simulation.task import Cause
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.model import WheelSoilModel
 
 from ..controllers import ConstantSpeed
-from ..evaluate.tables import save_csv
 from ..progress import Bar, show
+from .steady import Steady, misread, setup, steady_points, write_table
 
 _RUNNING = Cause.RUNNING.value
 #: Readings in the log: the first columns of the blind observation.
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed")
-CHANNELS = ("sinkage", "drawbar_pull", "torque")
-COLUMNS = ("slip", "load", "speed", "run", "time", *CHANNELS)
-LEAST_REPEATS = 6  # differences of repeats that the noise is computed from
+STEEPER = (1.5, 0.75, 0.3, 0.0)  # [deg] of a further drive than the steepest one of the log, tried in this order
+_FILES = (("discrepancy", ""), ("table", ".csv"), ("setup", ".yaml"))  # of each run of the workflow
 
 
 def found_world(
     scenario: Scenario, hidden: WheelSoilModel, plan: Commissioning, folder: Path, seed: int = 0
 ) -> WheelSoilModel:
-    """The world that the workflow finds in the log of drives in the `hidden` one, kept in found.yaml of `folder`.
+    """The world that the workflow finds in the log `seed` of drives in the `hidden` one; found.yaml of `folder` has it.
 
     Effects that are named, in part or among others too, keep their parameters. A law without a name belongs to the soil
     that it was fitted with, and is left behind.
     """
-    data, setup_file, kept = folder / "table.csv", folder / "setup.yaml", folder / "found.yaml"
-    if kept.is_file():
+    if (kept := folder / "found.yaml").is_file():
         return WheelSoilModel.load(kept)
     folder.mkdir(parents=True, exist_ok=True)
-    if not setup_file.is_file():
-        points = steady_points(drive_all(scenario, hidden, plan, seed), scenario, plan)
-        content = setup(scenario, hidden.wheel, plan, points)
-        write_table(points, data)
-        replace_file(setup_file, yaml.safe_dump(content, sort_keys=False))
-    show(f"{folder.name}: discrepancy workflow")
-    for left in (folder / "discrepancy", *folder.glob(".report-*")):  # by a run that was killed
-        shutil.rmtree(left, ignore_errors=True)
-    report = find_discrepancy(data, setup_file, folder / "discrepancy", seed=seed)
+    points = steady_points(drive_all(scenario, hidden, plan, seed), scenario, plan)
+    content = yaml.safe_dump(setup(scenario, hidden.wheel, plan, points), sort_keys=False)
+    for further in range(plan.further + 1):
+        show(f"{folder.name}: discrepancy workflow, {further} further drives")
+        out, data, setup_file = (folder / f"{name}_{further}{end}" for name, end in _FILES)
+        for left in (out, *folder.glob(".report-*")):  # by a run that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        write_table(misread(points, scenario, seed, plan.decided), data)
+        replace_file(setup_file, content)
+        report = find_discrepancy(data, setup_file, out, seed=seed)
+        if report.effects or not report.next_tests or further == plan.further:
+            break
+        first = (plan.drives + further) * plan.repeats
+        for steeper in STEEPER:  # until the wheel can drive there
+            one = proposed_drive(report, points, scenario, plan, steeper)
+            try:
+                new = steady_points(drive_all(scenario, hidden, one, seed, first), scenario, plan)
+            except ParameterError:
+                new = []
+            if new:
+                points += new
+                break
+            show(f"{folder.name}: no steady drive on {one.grades_deg[0]:.1f} deg")
     named = report.model.effects if report.effects else {}
     model = WheelSoilModel(hidden.wheel, None, named, (), report.model.gravity)
     model.save(kept)
@@ -79,10 +93,12 @@ class Commissioning(Checked):
 
     soil: str = "lunar_simulant_hit_lss1"  # preset of the bed
     scatter: float = quantity("of the scenario's spread, of the bed about its preset", 0.0, 3.0, default=0.5)
-    grades_deg: tuple[float, ...] = (-16, -12, -9, -6, -4, -2, 0, 2, 4, 6, 8, 10, 12, 14, 17)
-    payloads: tuple[float, ...] = (0.0, 5.0, 10.0)  # [kg]
-    rim_speeds: tuple[float, ...] = (0.06, 0.13, 0.28)  # of the top rim speed
+    grades_deg: tuple[float, ...] = (-15, -12, -9, -6, -3, 0, 3, 6, 9, 12, 15)
+    payloads: tuple[float, ...] = (0.0, 10.0)  # [kg]
+    rim_speeds: tuple[float, ...] = (0.06, 0.2)  # of the top rim speed
     repeats: int = quantity("drives of each grade and payload", 2, 100, default=2)
+    checks: tuple[str, ...] = ("plate",)  # of the instrument, before the drives: names of `next_tests.CHECKS`
+    further: int = quantity("proposed drives at most, with their repeats, where nothing is named", 0, 100, default=2)
     hold: float = quantity("s at each rim speed, after the run-in", 1.0, 600.0, default=20.0)
     window: float = quantity("s", 0.5, 60.0, default=2.0)
     run_in: float = quantity("sinkage relaxations driven at a new rim speed before it counts", 0.0, 50.0, default=8.0)
@@ -90,6 +106,21 @@ class Commissioning(Checked):
     sinkage_drift: float = quantity("m a metre, largest over a window", 1e-4, 1.0, default=0.004)
     slip_drift: float = quantity("a metre, largest over a window", 1e-4, 1.0, default=0.04)
     slip_spread: float = quantity("largest standard deviation in a window", 1e-4, 1.0, default=0.03)
+
+    def __post_init__(self):
+        super().__post_init__()
+        if left := {*self.checks} - {c.name for c in CHECKS}:
+            raise unknown_value(min(left), [c.name for c in CHECKS], "checks")
+
+    @property
+    def decided(self) -> tuple[str, ...]:
+        """Effects that the checks find, so that they are corrected, or rule out."""
+        return tuple(name for c in CHECKS if c.name in self.checks for name in c.decides)
+
+    @property
+    def drives(self) -> int:
+        """Number of drives without repeats."""
+        return len(self.payloads) * len(self.grades_deg)
 
     def run_in_of(self, scenario: Scenario) -> float:
         """Length of the run-in [m]."""
@@ -128,14 +159,17 @@ def bed_soil(scenario: Scenario, plan: Commissioning, rng: np.random.Generator) 
     )
 
 
-def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, seed: int) -> Log:
-    """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log."""
-    rng = np.random.default_rng([seed, 7])
-    bed = WheelSoilModel(world.wheel, bed_soil(scenario, plan, rng), world.effects, world.residual, world.gravity)
-    rows, first = [], 0
-    with Bar("Commissioning", len(plan.payloads) * len(plan.grades_deg) * plan.repeats, "drives") as bar:
+def drive_all(scenario: Scenario, world: WheelSoilModel, plan: Commissioning, seed: int, first: int = 0) -> Log:
+    """Drive the whole plan in `world`; drives that the wheel cannot make are left out. The same seed, the same log.
+
+    `first` is the number of the first drive.
+    """
+    soil = bed_soil(scenario, plan, np.random.default_rng([seed, 7]))
+    bed, rows = WheelSoilModel(world.wheel, soil, world.effects, world.residual, world.gravity), []
+    with Bar("Commissioning", plan.drives * plan.repeats, "drives") as bar:
         for payload, grade in itertools.product(plan.payloads, plan.grades_deg):
-            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rng.spawn(plan.repeats), first)
+            rngs = [np.random.default_rng([seed, 8, first + k]) for k in range(plan.repeats)]
+            rows += _drives(_course(scenario, plan, grade, payload), bed, plan, rngs, first)
             first += plan.repeats
             bar.update(advance=plan.repeats, note=f"payload {payload:g} kg, grade {grade:g} deg")
     if not rows:
@@ -200,127 +234,23 @@ def _drives(scenario: Scenario, bed: WheelSoilModel, plan: Commissioning, rngs, 
     return rows
 
 
-# --- the table ------------------------------------------------------------------------------------------------------
+def proposed_drive(
+    report: Report, points: list[Steady], scenario: Scenario, plan: Commissioning, steeper: float
+) -> Commissioning:
+    """One drive near the first run that a report proposes, on the grade that had its slip in the log.
 
-
-@dataclass(frozen=True)
-class Steady:
-    """One steady point: means of the readings."""
-
-    run: int
-    stretch: int
-    time: float  # [s] of its end
-    mean: dict[str, float]
-
-
-def steady_points(log: Log, scenario: Scenario, plan: Commissioning) -> list[Steady]:
-    """One point a stretch of a drive: the longest row of consecutive windows that are all steady.
-
-    Windows lie end to end, the first beginning after the run-in of the stretch. A window is steady where mean
-    acceleration, drift of sinkage and of slip, and scatter of slip are within the limits of the plan, widened by twice
-    what the noise of the sensors alone makes of them. Points of less than half the planned time are left out, so that
-    all have nearly the same noise.
+    More slip than any drive had needs a grade that is `steeper` [deg] than the steepest one.
     """
-    size = max(4, round(plan.window / scenario.control.period))
-    least = 0.5 * (plan.hold / plan.window)
-    out, key = [], log.run * 1000 + log.stretch
-    for k in np.unique(key):
-        rows = np.flatnonzero((key == k) & log.ran_in)
-        windows = [rows[i : i + size] for i in range(0, rows.size - size + 1, size)]
-        good = [steady(log, w, scenario, plan) for w in windows]
-        steady_ones = itertools.groupby(range(len(windows)), key=lambda w: good[w])
-        best = max((list(group) for is_good, group in steady_ones if is_good), key=len, default=[])
-        if best and len(best) >= least:
-            inside = np.concatenate([windows[w] for w in best])
-            last, mean = inside[-1], {n: float(x[inside].mean()) for n, x in log.readings.items()}
-            out.append(Steady(int(log.run[last]), int(log.stretch[last]), float(log.time[last]), mean))
-    return out
-
-
-def steady(log: Log, rows: np.ndarray, scenario: Scenario, plan: Commissioning) -> bool:
-    """True if the readings in `rows` are those of a steady drive."""
-    period, noise, n = scenario.control.period, scenario.noise, rows.size
-    t = period * (np.arange(n) - 0.5 * (n - 1))
-    slope = {name: float(t @ log.readings[name][rows]) / float(t @ t) for name in ("speed", "sinkage", "slip")}
-    by_noise = 2.0 / math.sqrt(float(t @ t))
-    speed = float(log.readings["speed"][rows].mean())
-    if speed <= 0.0:
-        return False
-    spread = float(log.readings["slip"][rows].std(ddof=1))
-    return (
-        abs(slope["speed"]) <= plan.acceleration + by_noise * noise.speed
-        and abs(slope["sinkage"]) <= plan.sinkage_drift * speed + by_noise * noise.sinkage
-        and abs(slope["slip"]) <= plan.slip_drift * speed + by_noise * noise.slip
-        and spread <= math.hypot(plan.slip_spread, noise.slip * (1.0 + 2.0 / math.sqrt(2.0 * n)))
-    )
-
-
-def write_table(points: list[Steady], path: Path) -> None:
-    """Write the measurement table."""
-    rows = [
-        [{"run": f"{p.run}", "time": f"{p.time:.1f}"}.get(c) or f"{p.mean[c]:.6g}" for c in COLUMNS] for p in points
-    ]
-    save_csv(path, [COLUMNS, *rows])
-
-
-def setup(scenario: Scenario, wheel: ModelWheel, plan: Commissioning, points: list[Steady]) -> dict:
-    """The mapping of setup.yaml: the wheel, what is known of the bed, and the noise of a point.
-
-    Priors: the preset with the standard deviations of the scenario's belief (K and S relative; n as the scenario
-    spreads it). The digging is known, as it is to the identifier. Noise: from repeats (`repeat_noise`).
-    """
-    preset, belief = soils()[plan.soil], scenario.belief
-    width = scenario.wheel.width
-
-    def prior(value, sd):
-        return dataclasses.asdict(Prior(float(f"{value:.6g}"), float(f"{sd:.4g}")))
-
-    S = preset.lumped(width)
-    return {
-        "wheel": {"radius": wheel.radius, "width": wheel.width, "grouser_height": wheel.grouser_height},
-        "soil": {
-            "friction_angle_deg": prior(preset.friction_angle_deg, belief.friction_sd_deg),
-            "cohesion": prior(preset.cohesion, min(belief.cohesion_sd, preset.cohesion)),
-            "shear_modulus": prior(preset.shear_modulus, belief.shear_modulus_sd * preset.shear_modulus),
-            "sinkage_coefficient": prior(S, belief.sinkage_coefficient_sd * S),
-            "sinkage_exponent": prior(preset.sinkage_exponent, scenario.spread.exponent * preset.sinkage_exponent),
-            "density": preset.density,
-            "dig_gain": preset.dig_gain,
-            "dig_recovery": preset.dig_recovery,
-        },
-        "noise": repeat_noise(plan, points),
-    }
-
-
-def repeat_noise(plan: Commissioning, points: list[Steady]) -> dict[str, float]:
-    """Standard deviation of a point by channel, from the drives that repeat each other.
-
-    What is given is the upper end of its 68 % interval: a noise that is taken for too small would show as an effect.
-    Slip enters the model as if it were exact. So where two repeats differ in slip, what the channel changes with slip
-    there, as the neighbouring grades show it, counts as noise of the channel: e = (y1 - y2) - dy/di (i1 - i2), which
-    has twice the variance of a point.
-    """
-    series: dict[tuple[int, int], dict[int, list[Steady]]] = {}
-    for p in points:
-        condition = p.run // plan.repeats
-        payload, grade = divmod(condition, len(plan.grades_deg))
-        series.setdefault((payload, p.stretch), {}).setdefault(grade, []).append(p)
-    squares: dict[str, list[float]] = {name: [] for name in CHANNELS}
-    for grades in series.values():
-        repeats = [grades[g] for g in sorted(grades)]
-        slip = np.array([np.mean([p.mean["slip"] for p in same]) for same in repeats])
-        if slip.size < 2 or not (np.diff(slip) > 0.0).all():
-            continue
-        for name in CHANNELS:
-            slope = np.gradient(np.array([np.mean([p.mean[name] for p in same]) for same in repeats]), slip)
-            for d, same in zip(slope, repeats, strict=True):
-                left = np.array([p.mean[name] - d * p.mean["slip"] for p in same])
-                if left.size > 1:
-                    squares[name] += [float(left.var(ddof=1))] * (left.size - 1)
-    if min(map(len, squares.values())) < LEAST_REPEATS:
-        raise ParameterError(
-            f"commissioning: {len(points)} steady points, too few that repeat each other; expected more grades_deg "
-            "that the rover can climb, or more repeats"
-        )
-    upper = {name: math.sqrt(np.sum(values) / chi2.ppf(0.16, len(values))) for name, values in squares.items()}
-    return {name: float(f"{value:.3g}") for name, value in upper.items()}
+    asked, grades = report.next_tests[0].conditions, np.array(plan.grades_deg)
+    of_plan = [p for p in points if p.run < plan.drives * plan.repeats]
+    number = np.array([p.run for p in of_plan]) // plan.repeats
+    slip, load = (np.array([p.mean[name] for p in of_plan]) for name in ("slip", "load"))
+    near = number // grades.size == number[np.argmin(np.abs(load - asked["load"]))] // grades.size
+    order = np.argsort(slip[near])
+    grade = grades[number[near] % grades.size][order]
+    steepest = min(float(grade.max()) + steeper, float(grades.max()))
+    on = float(np.interp(asked["slip"], slip[near][order], grade, right=steepest))
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    speed = float(np.clip(asked["speed"] / (1.0 - asked["slip"]) / top, 0.5 * min(plan.rim_speeds), 0.6))
+    payload = plan.payloads[number[near][0] // grades.size]
+    return dataclasses.replace(plan, payloads=(payload,), grades_deg=(on,), rim_speeds=(speed,))

@@ -13,7 +13,7 @@
     changes: {control: {action: torque}}            # changes that all scenarios have in common
     worlds:                          # named worlds that arms are made in
       planted: {model: worlds/bulldozing.yaml}
-      found: {log_of: worlds/bulldozing.yaml}       # effects that soil_env.discrepancy finds in the log of drives there
+      found: {log_of: worlds/bulldozing.yaml, seed: 1}  # effects that soil_env.discrepancy finds in a log there
     baseline: blind                  # arm that the table compares the others with (default: the last)
 
 The other keys are the numbers of `Study`. Files are looked for from here, then beside the YAML file.
@@ -64,6 +64,7 @@ class World(OfWorld):
 
     model: dict = field(default_factory=dict)  # content of its model.yaml; empty: no effects
     log_of: dict = field(default_factory=dict)  # the same of the world in which the logged drives are made
+    seed: int = quantity("of those drives", 0, 2**31 - 1, default=0)
 
 
 @dataclass(frozen=True)
@@ -216,6 +217,7 @@ class _World(Checked):
 
     model: str = ""
     log_of: str = ""
+    seed: int = 0
 
 
 def _target(path: Path, name: str, entry, common: dict) -> dict:
@@ -239,7 +241,8 @@ def _world(path: Path, name: str, entry) -> dict:
     entry = load(_World, entry, f"{path}: worlds.{name}")
     if entry.model and entry.log_of:
         raise ParameterError(f"{path}: worlds.{name}: expected model or log_of, not both")
-    return {key: _model(path, file) for key, file in to_dict(entry).items() if file}
+    files = {key: _model(path, file) for key, file in (("model", entry.model), ("log_of", entry.log_of)) if file}
+    return {**files, "seed": entry.seed}
 
 
 def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:

@@ -42,7 +42,7 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
         if world.log_of:
             first = next(t.scenario for t in study.targets.values() if not t.trained_on)
             hidden = WheelSoilModel.from_content(world.log_of, name)
-            found_world(first, hidden, study.commissioning, folder / "worlds" / name)
+            found_world(first, hidden, study.commissioning, folder / "worlds" / name, world.seed)
 
     def progress(cell: Cell) -> None:
         nonlocal left

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from soil_env._io.loading import unknown_value
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -87,6 +88,10 @@ def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
 def exact(setup: Setup) -> dict[str, str]:
     """Reason by name of the errors that a setup rules out, or has as an unknown of its own."""
     known = {name: "calibrated, by the setup" for name, sd in _known(setup.calibration).items() if sd == 0.0}
+    for name in setup.checked:
+        if name not in LISTED:
+            raise unknown_value(name, LISTED, f"{setup.source}: checked")
+    known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
 

@@ -30,11 +30,31 @@ from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
+LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
 WITHIN_REACH = 0.01  # least probability of a candidate
 CANDIDATES = 14
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
+
+
+class Check(NamedTuple):
+    """A reading of the instrument without soil, which finds the errors that it `decides` or rules them out."""
+
+    name: str
+    work: str  # to do
+    decides: tuple[str, ...]
+
+
+CHECKS = (
+    Check("level", "put a level on the rig", ("tilt",)),
+    Check("lifted", "lift the wheel, and read pull and torque at rest and turning",
+          ("force_offset", "torque_offset", "drivetrain_friction")),
+    Check("plate", "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
+          "have to read 0", ("sinkage_offset", "slip_bias", "wheel_radius")),
+    Check("weights", "hang known weights on the load cell and on a lever at the wheel",
+          ("force_gain", "torque_gain")),
+)  # fmt: skip
 
 
 class Predicted(NamedTuple):
@@ -57,6 +77,7 @@ class NextTest:
     expected_sigma: float  # difference of their predictions there over its standard deviation
     sure: float  # least probability of the right candidate, on average, once this run and those before it are made
     cost: float
+    information: float  # [nat] expected at least, beyond the runs before it
     repeat: bool = False  # of the run that the model misses most
 
 
@@ -97,10 +118,7 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
 
     Effects whose condition the table does not vary, and the rig could, are within reach with their prior odds.
     """
-    share: dict[tuple[str, ...], float] = {}
-    for h in finding.hypotheses:
-        if h.names or not h.free:  # what is unlisted predicts nothing
-            share[h.names] = share.get(h.names, 0.0) + h.probability
+    share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
     unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
@@ -108,6 +126,31 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     ranked = sorted(found, key=lambda s: -share[s])
     order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
     return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
+
+
+def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
+    """Checks that are expected to say more about which candidate is right than any of these runs."""
+    least = max((t.information for t in runs), default=0.0)
+    share = {s: p for s, p in _shares(finding).items() if p > 0.0}
+    names, p = [*share], np.array([*share.values()]) / sum(share.values())
+    left, out, before, overlap = list(CHECKS), [], 0.0, np.ones((p.size, p.size))
+    while left:
+        worth = [float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before for c in left]
+        k = int(np.argmax(worth))
+        if worth[k] <= max(least, LEAST_OF_CHECK):
+            break
+        overlap, before = overlap * decided(names, left[k]), before + worth[k]
+        out.append(left.pop(k))
+    return tuple(out)
+
+
+def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
+    """Probability of each set of effects, but of something unlisted alone, which predicts nothing."""
+    share: dict[tuple[str, ...], float] = {}
+    for h in finding.hypotheses:
+        if h.names or not h.free:
+            share[h.names] = share.get(h.names, 0.0) + h.probability
+    return share
 
 
 def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[float], most: int = MOST,
@@ -138,9 +181,10 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
         able[g] = False  # once each: a repeat says nothing of how far the laws err
         chosen.append(g)
         before += gain[g]
+        said = _said(problem, of, g)
         point = {name: float(grid.value[name][g]) for name in grid.asked}
         sure = float(sureness(of.share, overlap)[g])
-        out.append(NextTest(point, *_said(problem, of, g), sure, float(cost[g]), forced))
+        out.append(NextTest(point, *said, sure, float(cost[g]), float(gain[g]), forced))
     return tuple(out)
 
 
@@ -183,6 +227,12 @@ def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
     """[G] least probability that the right candidate has afterwards, on average (by Jensen's inequality)."""
     out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
     return out
+
+
+def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
+    """[K, K] 0 for two sets of effects that a check tells apart, 1 for others."""
+    of = [{*check.decides} & {*n} for n in names]
+    return np.array([[float(a == b) for b in of] for a in of])
 
 
 def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:

@@ -19,7 +19,7 @@ from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
-from soil_env.discrepancy.next_tests import MOST, next_tests
+from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
 from soil_env.measurement.setup import Setup, read_setup
@@ -104,6 +104,7 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
     say("choosing the next runs")
+    runs = next_tests(problem, finding, next_runs)
     model = model_of(problem, final, () if law is None else tuple(law.terms))
     intervals = judgement.intervals(finding, own)
     return Report(
@@ -117,7 +118,8 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
         gap=gap,
         closed=closed,
         closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
-        next_tests=next_tests(problem, finding, next_runs),
+        next_checks=next_checks(finding, runs),
+        next_tests=runs,
         fit=final,
         base_model=model_of(problem, plain),
         model=model,

@@ -179,6 +179,7 @@ class Setup(Checked):
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
     calibration: Calibration = Calibration()
+    checked: tuple[str, ...] = ()  # effects that a check has ruled out, or that the columns were corrected for
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
@@ -221,7 +222,7 @@ def read_setup(path: str | Path) -> Setup:
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
     """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for messages."""
     mapping = dict(mapping)
-    for section in ("soil", "noise", "calibration", "tilt_deg", "ignore_columns", "rig"):
+    for section in ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig"):
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):

@@ -12,10 +12,15 @@ from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
+from soil_env.discrepancy.instrument import exact
 from soil_env.discrepancy.next_tests import (
+    CHECKS,
     LEAST,
     SLIPS,
+    NextTest,
+    decided,
     information,
+    next_checks,
     next_tests,
     overlaps,
     proposed,
@@ -172,3 +177,26 @@ def test_who_is_left():
 def test_a_run_that_says_nothing_is_not_proposed(case):
     p, (a, _) = case
     assert proposed(p, (a, a), (0.5, 0.5)) == () and LEAST > 0.0
+
+
+def test_checks_come_first_where_they_decide_more_than_a_run():
+    level, lifted, _, _ = CHECKS
+    p = problem(table({}), np.random.default_rng(1))
+    base = settle(p, ())
+
+    def asked(least=0.0, **share):
+        sets = [((), 1.0 - sum(share.values())), *(((n,), x) for n, x in share.items())]
+        found = tuple(Hypothesis(names, False, x, 0.0, base) for names, x in sets)
+        return next_checks(Finding(found, {}, {}), [NextTest({}, (), ("", ""), "torque", 0.0, 0.0, 1.0, least)])
+
+    assert asked(bulldozing=0.6) == asked(bulldozing=0.9, tilt=0.01, force_gain=0.0) == ()
+    assert asked(tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level, lifted)
+    assert asked(0.4, tilt=0.4, torque_offset=0.1, bulldozing=0.2) == (level,)
+    # Full knowledge of two halves is ln 2.
+    assert asked(0.69, tilt=0.5) == (level,) and asked(0.70, tilt=0.5) == ()
+    names = [(), ("tilt",), ("force_offset", "bulldozing"), ("torque_offset",)]
+    assert decided(names, lifted).tolist() == [[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    setup = {"wheel": {"radius": 0.1, "width": 0.1}, "checked": list(lifted.decides)}
+    assert {*exact(setup_of(setup, "setup"))} == {*lifted.decides}
+    with pytest.raises(ParameterError, match="setup: checked: unknown .* did you mean 'tilt'"):
+        exact(setup_of(setup | {"checked": ["tlit"]}, "setup"))

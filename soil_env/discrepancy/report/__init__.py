@@ -139,6 +139,7 @@ def content(report: Report) -> dict[str, Any]:
                    "power": d.power}
             for name, d in report.finding.detectable.items()
         },
+        "next_checks": [c._asdict() for c in report.next_checks],
         "next_tests": [
             {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
              "expected_sigma": t.expected_sigma, "sure": t.sure, "cost": t.cost, "repeat": t.repeat,

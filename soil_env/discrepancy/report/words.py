@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from soil_env.discrepancy.instrument import INSTRUMENT
+from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report.sentences import listed, title
 from soil_env.discrepancy.result import Report
 
@@ -29,11 +30,6 @@ EXPLAINED = {
     "torque_gain": "The torque sensor reads too much or too little by a constant factor.",
     "wheel_radius": "The wheel has another radius than the setup says, and the slip was computed with that.",
 }
-_CHECK = {
-    "tilt": "put a level on the rig", "force_offset": "read the load cell with the wheel lifted",
-    "force_gain": "hang a known weight on the load cell", "torque_offset": "read the torque with the wheel lifted",
-    "torque_gain": "hang a known weight on a lever at the wheel", "wheel_radius": "measure the wheel",
-}  # fmt: skip
 
 
 def conclusion(report: Report) -> str:
@@ -60,8 +56,10 @@ def next_step(report: Report) -> str:
     if report.doubts:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
-    rig = [n for n in dict.fromkeys((*beside, *report.finding.candidates)) if n in INSTRUMENT]
-    steps = [f"{listed([_CHECK[n] for n in rig])}, and correct the columns or the setup"] if rig else []
+    asked = {*beside, *report.finding.candidates} & {*INSTRUMENT}
+    checks = [c.work for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
+    corrected = "correct the columns, and write in the setup what was `checked`"
+    steps = ["; ".join((*checks, corrected))] if checks else []
     steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
     if steps and report.verdict not in ("named", "none"):
         return f"{steps[0][:1].upper()}{'; then '.join(steps)[1:]}; then run this again."
