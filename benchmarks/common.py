@@ -42,13 +42,6 @@ def share(values: Iterable[bool]) -> dict | None:
     return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
 
 
-def percent(value: dict | None) -> str:
-    """Text of a share with its interval [%] and the number of cases."""
-    if value is None:
-        return "-"
-    return f"{100 * value['value']:.1f} [{100 * value['low']:.1f}, {100 * value['high']:.1f}] of {value['of']}"
-
-
 def machine() -> dict[str, Any]:
     """Processor, cores, load and versions that figures are measured with."""
     name = platform.processor() or platform.machine()
