@@ -79,7 +79,7 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     assert agent.timesteps == 256 and agent.name == "agent_identified"
     result = json.loads((folder / "comparison.json").read_text())
     assert result["scenario"] == "two_lines" and result["courses"] == 4 and result["limit"]["courses"] == 2
-    assert set(result["controllers"]) == {*CONTROLLERS, "agent_identified"}
+    assert set(result["controllers"]) == {*CONTROLLERS, "default_policy", "agent_identified"}
     assert all(set(METRICS) <= set(row) for row in result["controllers"].values())
 
     model = (folder / "model.zip").read_bytes()
