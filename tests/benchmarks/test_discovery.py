@@ -3,6 +3,8 @@
 import json
 import math
 import multiprocessing
+import subprocess
+import sys
 import time
 import zlib
 from dataclasses import replace
@@ -224,6 +226,14 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert "100010" in error and "100011" in error and error.count("\n") == 1
     (tmp_path / "answers" / "grade" / next(iter(after))).write_text("{")
     assert command.main(["score", "--out", str(tmp_path)]) == 2 and "delete the file" in capsys.readouterr().err
+
+
+def test_processes_of_the_command_find_their_work(tmp_path):
+    """They do not import the main module of a package, so what they call has to be in a named one."""
+    options = ["run", "--entrant", f"{__name__}:says_grade", "--set", "certified", "--limit", "1", "--jobs", "2"]
+    run = [sys.executable, "-m", "benchmarks.discovery", *options, "--out", str(tmp_path)]
+    assert subprocess.run(run, check=False, capture_output=True).returncode == 0
+    assert len(list((tmp_path / "answers").glob("*/*.json"))) == 1
 
 
 def test_interrupt_ends_the_processes_at_once():
