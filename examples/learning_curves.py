@@ -23,7 +23,6 @@ from soil_env_agents import ppo, student
 from soil_env_agents.agent import load_agent
 from soil_env_agents.controllers import make_controller
 from soil_env_agents.evaluate import run_courses
-from soil_env_agents.teachers import teacher_of
 
 COURSES = 9_000_401  # set of the courses of the curves
 RULE = {"start": 0.2419, "acceleration": 0.1235, "speed": 0.3784}  # configs/tuned/two_lines.yaml
@@ -55,7 +54,7 @@ def learn(kind: str, scenario, seed: int, options) -> list[tuple[int, float]]:
     curve = Curve(model, scenario, options.courses, options.steps // options.points)
     print(f"{kind}, training seed {seed}", flush=True)
     if kind == "student":
-        student.teach(model, teacher_of(scenario), options.steps, seed, curve.note)
+        student.teach(model, options.steps, seed, curve.note)
     else:
         model.learn(options.steps, callback=lambda local, _: curve.note(local["self"].num_timesteps))
     if options.save:

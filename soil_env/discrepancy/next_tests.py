@@ -165,6 +165,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     there, seen = problem_at(problem, grid.value), problem.used.any(axis=0)
     mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
     able = np.all(feasible, axis=0)
+    able[last] = False  # only as the repeat
     names = tuple(" and ".join(e.names) or BASE for e in evidence)
     of = Candidates(names, np.array(share) / sum(share), np.stack(mean)[:, :, seen],
                     tuple(r[:, seen] for r in root), np.stack(own)[:, :, seen])  # fmt: skip
@@ -255,10 +256,10 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
     passes, grade, timed = column["pass"], column["grade_deg"], bool(np.all(column["speed"] > 0.0))
     around = {
         "slip": list(SLIPS),
-        "load": _around(column["load"], 0.5, 2.0),
-        "speed": _around(column["speed"], 0.3, 3.0) if timed else [0.0],
+        "load": _around(column["load"], 0.7, 1.4),
+        "speed": _around(column["speed"], 0.5, 2.0) if timed else [0.0],
         "pass": sorted({1.0, 2.0, 3.0, float(passes.max())}),
-        "grade_deg": [min(-10.0, float(grade.min())), 0.0, max(10.0, float(grade.max()))] if np.ptp(grade) else [0.0],
+        "grade_deg": sorted({float(grade.min()), float(grade.max())}),
     }
     listed = {"slip": rig.slips, "load": rig.loads, "speed": rig.speeds if timed else (), "pass": rig.passes,
               "grade_deg": rig.grades_deg}  # fmt: skip
@@ -275,7 +276,8 @@ def _could_show(problem: Problem, name: str) -> bool:
 def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or about the table.
 
-    What no candidate knows is the middle speed, the first pass and the least grade of the table.
+    What no candidate knows is the middle speed, the first pass and the least grade of the table, or what the rig has
+    nearest to them.
     """
     column, varied, rig = problem.data.conditions, problem.data.varied, problem.data.setup.rig
     grade, timed = column["grade_deg"], bool(np.all(column["speed"] > 0.0))
@@ -285,7 +287,9 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
         known.add("speed")
     usual = {"speed": float(np.median(column["speed"])), "pass": float(column["pass"].min()),
              "grade_deg": min(max(0.0, float(grade.min())), float(grade.max()))}  # fmt: skip
-    levels = {n: x if n in known else [usual[n]] for n, x in _levels(problem).items()}
+    listed = {"speed": rig.speeds if timed else (), "pass": rig.passes, "grade_deg": rig.grades_deg}
+    usual = {n: min(listed[n], key=lambda v: abs(v - x)) if listed[n] else x for n, x in usual.items()}
+    levels = {n: x if n in known else [float(usual[n])] for n, x in _levels(problem).items()}
     wheels = np.unique(problem.data.rows.wheels, axis=0)
     if rig.wheels:
         unknown = problem.data.wheel.grouser_height

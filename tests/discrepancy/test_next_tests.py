@@ -106,9 +106,10 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     p, candidates = case
     last = {name: float(x[-1]) for name, x in p.data.conditions.items()}
     wheels = (SetupWheel(0.15, 0.12), SetupWheel(0.2, 0.12))
-    rig = {"slips": (0.2, 0.4), "loads": (90.0, last["load"]), "wheels": wheels}
+    rig = {"slips": (0.2, 0.4), "loads": (90.0, last["load"]), "speeds": (0.02,), "wheels": wheels}
     runs = proposed(with_rig(p, **rig), candidates, (0.6, 0.4))
     assert {t.conditions["slip"] for t in runs} <= {0.2, 0.4} and {t.conditions["load"] for t in runs} <= {90.0, 150.0}
+    assert {t.conditions["speed"] for t in runs} == {0.02}
     assert 0.2 in {t.conditions["wheel_radius"] for t in runs}
     dear = proposed(with_rig(p, **rig, cost={"wheel": 100.0}), candidates, (0.6, 0.4))
     kept = {t.conditions["wheel_radius"] for t in dear if t.cost == 1.0}

@@ -58,7 +58,8 @@ def next_step(report: Report) -> str:
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
     asked = {*beside, *report.finding.candidates} & {*INSTRUMENT}
     checks = [c.work for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
-    corrected = "correct the columns, and write in the setup what was `checked`"
+    done = ", ".join(n for c in CHECKS if c.work in checks for n in c.decides)
+    corrected = f"correct the columns, and write in the setup `checked: [{done}]`"
     steps = ["; ".join((*checks, corrected))] if checks else []
     steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
     if steps and report.verdict not in ("named", "none"):
