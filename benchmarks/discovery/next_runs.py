@@ -1,6 +1,6 @@
 """Value of proposed runs: how many a simulated rig needs until the mechanism that its laws lack is sure.
 
-    python -m benchmarks.discovery.next_runs --seed 2036 --rigs 24 --out DIR
+    python -m benchmarks.discovery.next_runs --seed 2061 --rigs 24 --out DIR
 
 A rig of this benchmark (law errors of 10 %, noise of the CMU rig, an instrument that errs within its calibration) hides
 one mechanism of 2 to 8 detection limits of a full plan. After six runs over slip at one load and speed, runs are added

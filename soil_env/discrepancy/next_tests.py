@@ -7,8 +7,8 @@ P_i is at least
     I = -sum_i P_i ln sum_j P_j exp(-B_ij),   B_ij the Bhattacharyya distance of what i and j predict there together
 
 (Kolchinsky & Tracey 2017, Entropy 19:361). exp(-B_ij) is also the factor by which the odds of j against i are expected
-to change if i is right, with the evidence tempered as in `search` (its square root). Runs are chosen one after the
-other, each by the information that it adds to those before it for its cost.
+to change if i is right, under the square root of the evidence; `search` tempers it a little less. Runs are chosen one
+after the other, each by the information that it adds to those before it for its cost.
 """
 
 from __future__ import annotations
