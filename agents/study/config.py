@@ -12,8 +12,8 @@
     train: {timesteps: 1000000}      # keys that all agents have in common
     changes: {control: {action: torque}}            # changes that all scenarios have in common
     worlds:                          # named worlds that arms are made in
-      planted: {model: worlds/bulldozing.yaml}
-      found: {log_of: worlds/bulldozing.yaml, seed: 1}  # effects that soil_env.discrepancy finds in a log there
+      plain: {}                    # without effects
+      found: {model: found/model.yaml}              # with these effects, as `soil-env discover` has written them
     baseline: blind                  # arm that the table compares the others with (default: the last)
 
 The other keys are the numbers of `Study`. Files are looked for from here, then beside the YAML file.
@@ -37,7 +37,6 @@ from ..config import OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..evaluate import HELD_OUT_SET
-from .commissioning import Commissioning
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "courses", "tuning_courses",
@@ -60,11 +59,9 @@ class Target(OfWorld):
 
 @dataclass(frozen=True)
 class World(OfWorld):
-    """A named world that arms are made in: none, some known effects, or those found in a log."""
+    """A named world that arms are made in."""
 
     model: dict = field(default_factory=dict)  # content of its model.yaml; empty: no effects
-    log_of: dict = field(default_factory=dict)  # the same of the world in which the logged drives are made
-    seed: int = quantity("of those drives", 0, 2**31 - 1, default=0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,6 @@ class Study(Checked):
     held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
     tuning_courses: int = quantity("to tune classical controllers on; 0: do not tune", 0, 10**6, default=200)
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
-    commissioning: Commissioning = Commissioning()
     version: str = field(default_factory=code_version)
 
     def __post_init__(self):
@@ -213,11 +209,9 @@ class _Scenario(Checked):
 
 @dataclass(frozen=True)
 class _World(Checked):
-    """Entry of `worlds` in the file: model.yaml of the world, or of that of the log."""
+    """Entry of `worlds` in the file."""
 
     model: str = ""
-    log_of: str = ""
-    seed: int = 0
 
 
 def _target(path: Path, name: str, entry, common: dict) -> dict:
@@ -239,16 +233,18 @@ def _target(path: Path, name: str, entry, common: dict) -> dict:
 def _world(path: Path, name: str, entry) -> dict:
     """The mapping of a `World` of an entry of `worlds` in the file `path`."""
     entry = load(_World, entry, f"{path}: worlds.{name}")
-    if entry.model and entry.log_of:
-        raise ParameterError(f"{path}: worlds.{name}: expected model or log_of, not both")
-    files = {key: _model(path, file) for key, file in (("model", entry.model), ("log_of", entry.log_of)) if file}
-    return {**files, "seed": entry.seed}
+    return {"model": _model(path, entry.model)} if entry.model else {}
 
 
 def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
-    """Content of a model.yaml that is named in a file: as seen from here, else from beside that file."""
+    """Content of a model.yaml that is named in a file: as seen from here, else from beside that file.
+
+    Without a scenario, of a fitted model only the named effects: its law without a name belongs to its soil.
+    """
     file = Path(name) if Path(name).is_file() else Path(path).parent / name
     model = WheelSoilModel.load(file)
+    if scenario is None and model.soil is not None:
+        model = WheelSoilModel(model.wheel, None, model.effects, (), model.gravity)
     if not model.effects and not model.residual:
         raise ParameterError(f"{file}: no effects; expected a world with at least one")
     if model.soil is not None:

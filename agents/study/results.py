@@ -20,8 +20,8 @@ FILES = ("study.json", "study.md", "study.png")
 def result(study: Study, folder: Path) -> dict:
     """The content of study.json, of the cells that are done.
 
-    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name: effects found in a
-    log}, "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
+    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name: effects},
+    "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
     """
     runs, settings = work.driven(study, folder)
     return {
@@ -30,9 +30,7 @@ def result(study: Study, folder: Path) -> dict:
         "baseline": study.compared_with,
         "courses": study.courses,
         "settings": settings,
-        "worlds": {
-            name: {} if model is None else dict(model.effects) for name, model in work.worlds(study, folder).items()
-        },
+        "worlds": {name: dict(w.world.effects) if w.world else {} for name, w in study.worlds.items()},
         "scenarios": {
             name: {
                 **comparing.comparison(study.targets[name].scenario, study.held_out, own, resamples=study.resamples),

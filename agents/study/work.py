@@ -1,7 +1,6 @@
-"""Work of a study: find worlds, train or tune arms, and drive them over the held-out courses.
+"""Work of a study: train or tune arms, and drive them over the held-out courses.
 
 study.yaml            the study, resolved; another study may not go on in this folder
-worlds/NAME/          of a world found in a log: table.csv, setup.yaml, discrepancy/, found.yaml
 trained/CELL/         run folder of a training: config.yaml, model.zip, checkpoint.zip on the way
 tuned/CELL.log        trials of a tuning
 cells/CELL.json       the courses of all scenarios as driven by one arm with one training seed: the cell is done
@@ -15,7 +14,6 @@ from pathlib import Path
 from soil_env._io.files import replace_files
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
 from ..controllers.rover import controllers_of
@@ -24,7 +22,6 @@ from ..evaluate.contestants import Contestant
 from ..evaluate.driving import Runs
 from ..evaluate.loading import load
 from ..progress import show
-from .commissioning import found_world
 from .config import Cell, Study
 
 
@@ -38,11 +35,6 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
     """Do all cells that are not done; `elsewhere`: on machines that do not share `folder`."""
     folder, todo = Path(folder), study.cells()
     left = len(todo)
-    for name, world in study.worlds.items():
-        if world.log_of:
-            first = next(t.scenario for t in study.targets.values() if not t.trained_on)
-            hidden = WheelSoilModel.from_content(world.log_of, name)
-            found_world(first, hidden, study.commissioning, folder / "worlds" / name, world.seed)
 
     def progress(cell: Cell) -> None:
         nonlocal left
@@ -55,23 +47,14 @@ def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> N
                 replace_files(folder / "trained" / str(cell), files)
             yield cell, content
 
-    cells.fill(Work(study, worlds(study, folder), None if elsewhere else folder), todo, folder, kept, progress)
-
-
-def worlds(study: Study, folder: Path) -> dict[str, WheelSoilModel | None]:
-    """{name: model} of the named worlds; those found in a log are read from their files."""
-    out = {}
-    for name, world in study.worlds.items():
-        found = WheelSoilModel.load(Path(folder) / "worlds" / name / "found.yaml") if world.log_of else world.world
-        out[name] = found if found is not None and (found.effects or found.residual) else None
-    return out
+    cells.fill(Work(study, None if elsewhere else folder), todo, folder, kept, progress)
 
 
 class Work:
     """Does cells; can be sent to other processes and, without a folder, to other machines."""
 
-    def __init__(self, study: Study, worlds: dict[str, WheelSoilModel | None], folder: Path | None):
-        self.study, self.worlds, self.folder = study, worlds, folder
+    def __init__(self, study: Study, folder: Path | None):
+        self.study, self.folder = study, folder
 
     def __call__(self, cell: Cell) -> dict:
         """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}.
@@ -86,7 +69,7 @@ class Work:
 
     def _done(self, cell: Cell, folder: Path) -> dict:
         study, arm, source = self.study, self.study.arms[cell.arm], self.study.targets[cell.source]
-        model = self.worlds[arm.world] if arm.world else source.world
+        model = (study.worlds[arm.world] if arm.world else source).world
         settings, contestant = {}, Contestant(cell.arm, 0, "class", arm.controller)
         if not arm.controller:
             from .. import training  # needs the extra `train`, which --help does not

@@ -12,13 +12,13 @@ from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.rover import ROVER_CONTROLLERS
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
-from agents.study import work
-from agents.study.config import Cell, Study, read_config
+from agents.study.config import Study, read_config
 from agents.training import open_run
 from soil_env._io.loading import config_dir
 from soil_env.cli import main as soil_env
 from soil_env.parameters import soils
-from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
+from soil_env.terramechanics.residual import ResidualTerm
 
 WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
@@ -144,38 +144,22 @@ def test_results_of_an_unfinished_study(copied, capsys):
 
 
 def test_an_arm_is_made_in_its_world(tmp_path):
-    """Without a world in that of its scenario; a world in which nothing was found is one without effects."""
-    worlds = {"none": {}, "planted": {"model": "effect.yaml"}, "found": {"log_of": "effect.yaml"}}
-    arms = {"plain": {"world": "none"}, "corrected": {"world": "found"}, "truth": {"world": "planted"}, "own": {}}
-    scenarios = {"mixed": {"model": "effect.yaml"}}
-    study = read_config(config(tmp_path, scenarios=scenarios, controllers=[], arms=arms, worlds=worlds))
-    found = tmp_path / "out" / "worlds" / "found" / "found.yaml"
-    found.parent.mkdir(parents=True)
-    wheel = WheelSoilModel.load(tmp_path / "effect.yaml").wheel
-    WheelSoilModel(wheel).save(found)
-    models = work.worlds(study, tmp_path / "out")
-    assert models["none"] is None and models["found"] is None and list(models["planted"].effects) == ["bulldozing"]
-    assert study.targets["mixed"].world.effects == models["planted"].effects
-    WheelSoilModel(wheel, effects={"bulldozing": {"hegedus": 0.5}}).save(found)
-    found_model = work.worlds(study, tmp_path / "out")["found"]
-    assert study.training(Cell("mixed", "corrected", 0), found_model, tmp_path).world.effects == found_model.effects
-    assert study.training(Cell("mixed", "plain", 0), None, tmp_path).world is None
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("unrendered")
-def test_from_the_log_of_a_hidden_world_to_a_corrected_agent(tmp_path):
-    """The effect that was planted in the hidden world is found, and the corrected agent is trained with it."""
-    plan = {"grades_deg": [-12, -9, -6, -4, -2, 0, 3, 6], "payloads": [0, 8], "rim_speeds": [0.08, 0.2], "hold": 10}
-    arms = {"agent": {"world": "none"}, "corrected": {"world": "found"}}
-    changes = {"worlds": {"none": {}, "found": {"log_of": "effect.yaml"}}, "commissioning": plan, "seeds": 1}
-    path = config(tmp_path, controllers=[], arms=arms, **changes)
-    assert main(["--config", str(path), "--out", str(tmp_path / "out")]) == 0
-    result = read(tmp_path / "out")
-    assert result["worlds"]["none"] == {} and list(result["worlds"]["found"]) == ["bulldozing"]
-    assert result["worlds"]["found"]["bulldozing"]["hegedus"] == pytest.approx(1.0, rel=0.1)
-    trained = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
-    assert trained["agent"] is None and trained["corrected"].effects == result["worlds"]["found"]
+    """Without a world in that of its scenario; of a model that discovery has fitted only the effects count."""
+    term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
+    fitted = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,))
+    fitted.save(tmp_path / "found.yaml")
+    arms = {"plain": {"world": "none"}, "corrected": {"world": "found"}, "own": {}}
+    changes = {
+        "worlds": {"none": {}, "found": {"model": "found.yaml"}},
+        "scenarios": {"mixed": {"model": "effect.yaml"}},
+    }
+    path = config(tmp_path, controllers=[], arms=arms, seeds=1, **changes)
+    assert main(["--config", path, "--out", tmp_path / "out"]) == 0
+    worlds = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
+    assert worlds["plain"] is None and list(worlds["own"].effects["bulldozing"]) == ["hegedus"]
+    found = worlds["corrected"]
+    assert found.effects == fitted.effects and found.soil is None and found.residual == ()
+    assert read(tmp_path / "out")["worlds"] == {"none": {}, "found": fitted.effects}
 
 
 def test_a_study_of_a_rover(tmp_path):
