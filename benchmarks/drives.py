@@ -25,7 +25,6 @@ QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of 
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
-_STATE = ("x", "slip", "sinkage", "mass", "load", "grade", "wheel_speed", "bearing_sinkage", "halt_left", "last_action")
 _READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
 
 
@@ -71,33 +70,26 @@ def record(
 
     `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
     them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
-    `soil` [T, 7] of it; `since` [T] m since the last border; `edges`, `soils`, `grades` of the patches; and `_STATE`.
+    `halt_left` [T] s.
     """
     wheel, weight = scenario.wheel, scenario.weight
     r, top = wheel.radius, wheel.radius * wheel.no_load_speed
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
-    rows, readings, known, running, ground = [], [], [], [], np.empty((courses, 9))
+    true, halts, readings, known, running, ground = [], [], [], [], [], np.empty((courses, 9))
     for w, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
         x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
-        rows.append(np.column_stack([ground, *(np.array(w.state[name]) for name in _STATE)]))
+        load = np.array(w.state["mass"]) * scenario.gravity
+        true.append(truth(ground[:, :7], np.array(w.state["bearing_sinkage"]), load, scenario))
+        halts.append(np.array(w.state["halt_left"]))
         readings.append(w.observation[:, _READ] * scale)
         known.append(np.column_stack([w.ids.estimate, w.ids.best_pull[:, 0], w.ids.sd, w.ids.best_pull[:, 1]]))
         running.append(alive.copy())
-    rows, readings, known, running = np.array(rows), np.array(readings, float), np.array(known), np.array(running)
-    logs = []
-    for k in range(courses):
-        T, patches = int(running[:, k].sum()), int(w.courses.patches[k])
-        log = dict(zip(_STATE, rows[:T, k, 9:].T.copy(), strict=True))
-        log["soil"], log["since"] = rows[:T, k, :7].copy(), rows[:T, k, 8].copy()
-        log["readings"] = np.ascontiguousarray(readings[:T, k])
-        log["estimate"], log["sd"] = known[:T, k, :6].copy(), known[:T, k, 6:].copy()
-        log["edges"], log["soils"] = w.courses.edges[k, 1:patches].copy(), w.courses.soils[k, :patches].copy()
-        log["grades"] = w.courses.grades[k, :patches].copy()
-        log["truth"] = truth(log["soil"], log["bearing_sinkage"], log["mass"] * scenario.gravity, scenario)
-        logs.append(log)
-    return logs
+    columns = {"truth": np.array(true), "halt_left": np.array(halts), "readings": np.array(readings, float)}
+    columns["estimate"], columns["sd"] = np.split(np.array(known), 2, axis=2)
+    steps = np.sum(running, axis=0)
+    return [{name: rows[: steps[k], k].copy() for name, rows in columns.items()} for k in range(courses)]
 
 
 def truth(soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario) -> np.ndarray:

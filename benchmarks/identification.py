@@ -8,7 +8,7 @@
 A row is a scenario, perhaps with an effect that the identifier does not have (`configs/worlds`), and a drive: each
 controller as it ships and in the action of the scenario, a swinging speed, a ramp, other actions, wheels of the rovers.
 Nothing was chosen on the courses of the seed. Errors are those of the ground under the wheel at all steps but halts,
-whatever the status of the estimate. Bounds (`benchmarks.bound`) are of the same drives, on the first courses.
+whatever the status of the estimate.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ import numpy as np
 from agents.controllers import CONTROLLERS
 from agents.evaluate.contestants import parse
 from agents.evaluate.loading import load
-from benchmarks.bound import bound
 from benchmarks.common import machine, machine_text, page, ready, short, study_options, write
 from benchmarks.drives import (
     QUANTITIES,
@@ -133,10 +132,6 @@ def measure(case: Case, options: SimpleNamespace) -> dict[str, Any]:
     prior = np.concatenate([(before - log["truth"])[d] for log, d in pairs])
     course = np.concatenate([np.full(int(d.sum()), k) for k, d in enumerate(driven)])
     found = case._asdict() | {"courses": options.courses} | statistics(error, sd, prior, course, UNITS)
-    if not case.world and case.scenario in OWN and options.bounds:
-        best = np.concatenate([bound(log, scenario)[1] for log in logs[: options.bounds]])
-        found["bound"] = np.sqrt((best**2).mean(0)) * UNITS
-        found["rms_there"] = np.sqrt((error[course < options.bounds] ** 2).mean(0)) * UNITS
     return short(found)
 
 
@@ -154,7 +149,7 @@ def measure_rover(case: Case, options: SimpleNamespace) -> dict[str, Any]:
 
 def study(options: SimpleNamespace, file: Path) -> Iterator[dict]:
     """Measure all rows that `file` does not have, or that --only names; yield the result so far after each."""
-    settings = {name: getattr(options, name) for name in ("seed", "courses", "bounds")}
+    settings = {name: getattr(options, name) for name in ("seed", "courses")}
     result = read_json(file) if file.exists() else {}
     if {name: result.get(name) for name in settings} != settings:
         result = settings | {"rows": {}}
@@ -191,16 +186,13 @@ def verdict(rows: list[dict], quantity: int) -> dict[str, float]:
 def _row(name: str, rows: list[dict]) -> tuple[str, ...]:
     """Medians over the drives of a scenario, each cell with friction angle, ln K and best pull."""
 
-    def cell(key: str, form: str, over: str = "") -> str:
-        chosen = [row for row in rows if key in row]
-        shown = [j for j in SHOWN if chosen and j < len(chosen[0][key])]
-        values = [np.median([row[key][j] / (row[over][j] if over else 1.0) for row in chosen]) for j in shown]
-        return " / ".join(format(v, form) for v in values)
+    def cell(key: str, form: str) -> str:
+        return " / ".join(
+            format(np.median([row[key][j] for row in rows]), form) for j in SHOWN if j < len(rows[0][key])
+        )
 
-    return (
-        name, str(len(rows)), cell("prior_rms", ".3g"), cell("rms", ".3g"), cell("rms_there", ".2f", "bound"),
-        cell("holds_68", ".0f"), cell("holds_95", ".0f"), cell("far", ".1f"),
-    )  # fmt: skip
+    forms = {"prior_rms": ".3g", "rms": ".3g", "holds_68": ".0f", "holds_95": ".0f", "far": ".1f"}
+    return (name, str(len(rows)), *(cell(key, form) for key, form in forms.items()))
 
 
 def tables(result: dict) -> dict[str, Table]:
@@ -212,7 +204,7 @@ def tables(result: dict) -> dict[str, Table]:
         name = f"{scenario} with {world}" if world else scenario
         groups[name] = [row for row in rows if (row["scenario"], row["world"]) == (scenario, world)]
     groups |= {name: [row for row in rows if row["scenario"] == name] for name in ROVERS}
-    header = ("scenario", "drives", "prior RMS", "RMS", "RMS over bound", "68 % hold", "95 % hold", "beyond 3 sd [%]")
+    header = ("scenario", "drives", "prior RMS", "RMS", "68 % hold", "95 % hold", "beyond 3 sd [%]")
     counts = [(name, *(f"{v:.0f}" for v in verdict(own, q).values())) for q, name in enumerate(QUANTITIES)]
     asked = ("quantity", "rows", "68 % hold 63 to 73 %", "95 % hold 92 to 97 %", "at most 1 % beyond 3 sd",
              "bias below 0.25 sd", "better than the prior", "all five", "farthest [sd]")  # fmt: skip
@@ -227,7 +219,6 @@ def tables(result: dict) -> dict[str, Table]:
 @click.command(NAME)
 @study_options(NAME)
 @click.option("--courses", type=WholeNumber(1), default=150, metavar="N", help="Courses of each row (default 150).")
-@click.option("--bounds", type=WholeNumber(), default=20, metavar="N", help="Courses with a bound (default 20).")
 @click.option("--seed", type=WholeNumber(), default=SEED, metavar="N", help=f"Seed of the courses (default {SEED}).")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Measure only rows of this scenario again; repeatable.")
 @click.option("--agent", default="", metavar="FOLDER", help="Trained agent to drive two_lines.")
@@ -238,7 +229,7 @@ def command(**given: Any) -> None:
     if unknown := set(options.only) - known:
         raise ParameterError(f"--only {' '.join(sorted(unknown))}: expected of {', '.join(sorted(known))}")
     if options.smoke:
-        options.courses, options.bounds = 2, 1
+        options.courses = 2
     file = ready(options.out, NAME)
     for result in study(options, file):
         write_json(file, result)

@@ -10,6 +10,7 @@ import pytest
 from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
+from tests.logs.driven import SteppedSpeed, log_of
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +18,6 @@ def logs():
     """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
     from agents.controllers import ConstantSpeed
     from benchmarks.drives import record
-    from benchmarks.logs import SteppedSpeed, log_of
 
     out = {}
     for name, controller in (("mixed", SteppedSpeed), ("sticky", ConstantSpeed), ("field_vehicle", SteppedSpeed)):
