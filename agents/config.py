@@ -96,11 +96,6 @@ class TrainConfig(OfWorld):
         if self.hidden_worlds >= self.ppo.num_envs:
             raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
 
-    @property
-    def taught(self) -> bool:
-        """True if a student begins the training."""
-        return self.student > 0.0
-
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""
         beside = f"expected none beside rover = {self.rover!r}"

@@ -126,7 +126,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     else:
         model = ppo.build(*task)
     with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
-        if model.num_timesteps == 0 and config.taught:
+        if model.num_timesteps == 0 and config.student > 0.0:
             student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps

@@ -1,11 +1,10 @@
-"""Speed of the environments in one run: wheel, rover and others side by side, scaling, and the first start.
+"""Speed of the environments in one run, wheels and rovers side by side, and the first start.
 
     python -m benchmarks.throughput                  minutes; writes docs/results/throughput.json and .md
     python -m benchmarks.throughput --smoke --out X  every part in seconds, numbers without meaning
 
-EnvPool and MuJoCo are measured where they are installed (`pip install -e '.[bench]'`). Torque commands are random, one
-a control period, held for eight; resets included. Everything is measured in turns; each figure is a median over rounds
-with the lowest and the highest. Run it on an idle machine.
+Torque commands are random, one a control period, held for eight; resets included. Everything is measured in turns;
+each figure is a median over rounds with the lowest and the highest. Run it on an idle machine.
 """
 
 from __future__ import annotations
@@ -43,21 +42,20 @@ class Runner(NamedTuple):
 
     size: int
     step: Callable[[], object]
-    wheels: int = 1  # of one side of a rover
 
 
-def vector(env: Any, wheels: int = 1) -> Runner:
-    """Run a vector environment of soil_env."""
+def vector(env: Any) -> Runner:
+    """Run a vector environment."""
     env.reset(seed=0)
     draws = np.random.default_rng(0).uniform(0.0, 0.8, (16, *env.action_space.shape)).astype(np.float32)
     held = itertools.cycle(np.repeat(draws, HELD, axis=0))
-    return Runner(env.num_envs, lambda: env.step(next(held)), wheels)
+    return Runner(env.num_envs, lambda: env.step(next(held)))
 
 
-def single(env: gymnasium.Env, low: float = 0.0, high: float = 0.8, wheels: int = 1) -> Runner:
+def single(env: gymnasium.Env) -> Runner:
     """Run one environment, reset where an episode ends."""
     env.reset(seed=0)
-    draws = np.random.default_rng(0).uniform(low, high, (512, *env.action_space.shape)).astype(np.float32)
+    draws = np.random.default_rng(0).uniform(0.0, 0.8, (512, *env.action_space.shape)).astype(np.float32)
     held = itertools.cycle(np.repeat(draws, HELD, axis=0))
 
     def step() -> None:
@@ -65,41 +63,21 @@ def single(env: gymnasium.Env, low: float = 0.0, high: float = 0.8, wheels: int 
         if terminated or truncated:
             env.reset()
 
-    return Runner(1, step, wheels)
+    return Runner(1, step)
 
 
-def envpool_cartpole(size: int, threads: int) -> Runner:
-    """Run EnvPool's CartPole-v1, C++, under random actions."""
-    import envpool
-
-    env = envpool.make("CartPole-v1", env_type="gymnasium", num_envs=size, num_threads=threads)
-    env.reset()
-    actions = itertools.cycle(np.random.default_rng(0).integers(0, 2, (16, size)))
-    return Runner(size, lambda: env.step(next(actions)))
-
-
-def runners(size: int, threads: int) -> tuple[dict[str, Runner], list[str]]:
-    """Return all environments by name, and why others are not measured."""
+def runners(size: int, threads: int) -> dict[str, Runner]:
+    """Return all environments by name."""
     torque: dict[str, Any] = {"action": "torque", "threads": threads}
-    found = {
+    return {
         "wheels, mixed": vector(SoilWheelVectorEnv(size, "mixed", **torque)),
         "wheels, mixed, blind, no identifier": vector(SoilWheelVectorEnv(size, "mixed", **torque, **BLIND)),
         "wheels, default scenario": vector(SoilWheelVectorEnv(size, **torque)),
-        "rovers, two axles": vector(SoilRoverVectorEnv(size, "lunar_micro_rover", **torque), 2),
-        "rovers, three axles": vector(SoilRoverVectorEnv(size, "mars_rover", **torque), 3),
+        "rovers, two axles": vector(SoilRoverVectorEnv(size, "lunar_micro_rover", **torque)),
+        "rovers, three axles": vector(SoilRoverVectorEnv(size, "mars_rover", **torque)),
         "one wheel, mixed": single(SoilWheelEnv("mixed", action="torque")),
-        "one rover, two axles": single(SoilRoverEnv("lunar_micro_rover", action="torque", info="none"), wheels=2),
+        "one rover, two axles": single(SoilRoverEnv("lunar_micro_rover", action="torque", info="none")),
     }
-    notes = []
-    for name, make in (
-        ("EnvPool CartPole-v1", lambda: envpool_cartpole(size, threads)),
-        ("Gymnasium HalfCheetah-v5, one", lambda: single(gymnasium.make("HalfCheetah-v5"), -1.0, 1.0)),
-    ):
-        try:
-            found[name] = make()
-        except (ImportError, gymnasium.error.Error) as error:
-            notes.append(f"{name}: not measured ({str(error).splitlines()[0]})")
-    return found, notes
 
 
 def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, list[float]]:
@@ -115,15 +93,6 @@ def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, 
             if turn:
                 found[name].append(steps / (time.perf_counter() - start))
     return found
-
-
-def scaling(seconds: float, rounds: int, sizes: tuple[int, ...]) -> list[dict]:
-    """Steps a second over the number of wheels, on one thread and on two."""
-    rows = []
-    for size in sizes:
-        envs = {str(t): vector(SoilWheelVectorEnv(size, "mixed", action="torque", threads=t)) for t in (1, 2)}
-        rows.append({"wheels": size} | {t: spread(v) for t, v in rates(envs, seconds, rounds).items()})
-    return rows
 
 
 _START = """
@@ -160,20 +129,9 @@ def startup(rounds: int) -> dict:
 
 def tables(result: dict) -> dict[str, Table]:
     """Return the tables of the page."""
-    about = result["wheels"]
-    speeds = [
-        (name, range_text(v, 0, 1e-3), range_text(v, 0, 1e-3 * about[name])) for name, v in result["rates"].items()
-    ]
-    found = {
-        "Speed": Table(("environment", "1000 steps/s", "1000 wheels of one side/s"), speeds),
-        "Over the number of wheels": Table(
-            ("wheels", "1 thread, 1000 steps/s", "2 threads, 1000 steps/s"),
-            [(r["wheels"], range_text(r["1"], 0, 1e-3), range_text(r["2"], 0, 1e-3)) for r in result["scaling"]],
-        ),
-    }
-    ratios = [(name, range_text(v)) for name, v in result["ratios"].items()]
-    found |= {"Ratios, round by round": Table(("of", "ratio"), ratios)} if ratios else {}
+    speeds = [(name, range_text(v, 0, 1e-3)) for name, v in result["rates"].items()]
     starts = [(name, range_text(v)) for name, v in result["startup"].items()]
+    found = {"Speed": Table(("environment", "1000 steps/s"), speeds)}
     return found | ({"First reset and step": Table(("start", "seconds"), starts)} if starts else {})
 
 
@@ -184,19 +142,13 @@ def command(smoke: bool, out: Path) -> None:
     file = ready(out, NAME)
     about = machine()
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 7, 1024)
-    envs, notes = runners(size, min(2, about["cores"]))
-    found = rates(envs, seconds, rounds)
-    pairs = (("wheels, mixed", "EnvPool CartPole-v1"), ("one wheel, mixed", "Gymnasium HalfCheetah-v5, one"))
+    found = rates(runners(size, min(2, about["cores"])), seconds, rounds)
     result = {
-        "machine": about, "size": size, "notes": notes, "wheels": {name: r.wheels for name, r in envs.items()},
-        "rates": {name: spread(values) for name, values in found.items()},
-        "ratios": {f"{a} / {b}": spread(np.divide(found[a], found[b])) for a, b in pairs if b in found},
-        "scaling": scaling(0.4 * seconds, rounds, (1, 32) if smoke else (1, 4, 16, 64, 256, 1024, 4096, 16384)),
+        "machine": about, "size": size, "rates": {name: spread(values) for name, values in found.items()},
         "startup": {} if smoke else startup(5),
     }  # fmt: skip
     write_json(file, result)
-    text = " ".join([f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on "
-                     f"{machine_text(about)}.", *notes])  # fmt: skip
+    text = f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on {machine_text(about)}."
     write(out, NAME, page("Speed", text, tables(result)))
 
 

@@ -1,15 +1,13 @@
-"""Controllers of a user, work for the engines, and observations of wheels that drive."""
+"""Controllers of a user, and observations of wheels that drive."""
 
 import os
-import signal
-import time
 from pathlib import Path
 
 import numpy as np
 
-from soil_env._io.loading import ParameterError
 from soil_env.driving.wheels import Simulation
 from soil_env.simulation.task import Cause
+from tests.agents.tasks import kill_once
 
 
 def observations(scenario, variant, n=6, seed=5):
@@ -86,36 +84,3 @@ OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[
 class Raises:
     def __init__(self):
         raise OSError("no such device\nand more")
-
-
-def kill_once(mark):
-    """Kill this process unless the file `mark` is there, and leave that."""
-    if not mark.exists():
-        mark.write_text("killed")
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-def double(x):
-    """Work that dies once: (number, file that it leaves before, empty: never)."""
-    number, mark = x
-    if mark:
-        kill_once(Path(mark))
-    return 2 * number
-
-
-def refuse(x):
-    raise ParameterError(f"no {x[0]}")
-
-
-def waiting(name):
-    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
-    if name == "short":
-        while not Path("begun").exists():
-            time.sleep(0.01)
-        return
-    try:
-        Path("begun").touch()
-        time.sleep(60.0)
-    except KeyboardInterrupt:
-        Path("interrupted").touch()
-        raise

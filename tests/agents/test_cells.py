@@ -8,7 +8,7 @@ import pytest
 
 from agents import cells
 from soil_env._io.loading import ParameterError
-from tests.agents import drivers
+from tests.agents import tasks as work
 
 
 @pytest.fixture(params=["processes", "ray"])
@@ -20,14 +20,14 @@ def engine(request):
 
 def test_a_killed_worker_loses_nothing(tmp_path, engine):
     tasks = [(k, str(tmp_path / "mark") if k == 3 else "") for k in range(8)]
-    assert sorted(engine(drivers.double, tasks)) == [(task, 2 * task[0]) for task in tasks]
+    assert sorted(engine(work.double, tasks)) == [(task, 2 * task[0]) for task in tasks]
     assert (tmp_path / "mark").exists()
 
 
 def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, monkeypatch):
     """And an idle worker beside it is left alone."""
     monkeypatch.chdir(tmp_path)
-    done = cells.processes(drivers.waiting, ["long", "short"], workers=2)
+    done = cells.processes(work.waiting, ["long", "short"], workers=2)
     assert next(done) == ("short", None)
     done.close()
     assert (tmp_path / "interrupted").exists()
@@ -35,7 +35,7 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
 
 def test_bad_input_found_by_a_worker_comes_back(engine):
     with pytest.raises(ParameterError, match="^no 5$"):
-        list(engine(drivers.refuse, [(5, "")]))
+        list(engine(work.refuse, [(5, "")]))
 
 
 @pytest.mark.parametrize("content", ["{", "{}", "[1]"])
@@ -50,7 +50,7 @@ def test_a_damaged_cell_is_named(tmp_path, content):
 
 def test_a_worker_with_other_code_is_refused(monkeypatch):
     with pytest.raises(ParameterError, match=r"a worker has soil_env .*, the study 0.1.0\+other"):
-        cells._on_node(drivers.double, "0.1.0+other", (1, ""))
+        cells._on_node(work.double, "0.1.0+other", (1, ""))
 
 
 @pytest.mark.parametrize(

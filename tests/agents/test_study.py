@@ -2,16 +2,19 @@
 
 import dataclasses
 import json
+import pickle
 import shutil
 
 import pytest
 import yaml
 
 from agents import cells
+from agents.agent import load_agent
 from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.rover import ROVER_CONTROLLERS
 from agents.evaluate import run_courses
 from agents.evaluate.models import load_model
+from agents.study import work
 from agents.study.config import Study, read_config
 from agents.training import open_run
 from soil_env._io.loading import config_dir
@@ -111,15 +114,23 @@ def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
 
 
-@pytest.mark.usefixtures("unrendered", "importable")
-def test_lost_cells_are_done_again_by_other_processes_and_give_the_same(finished, copied):
+@pytest.mark.usefixtures("unrendered")
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere):
+    """By work that can be sent to other processes, and to machines that do not share the folder."""
     for name in ("mixed-true_soil-1", "mixed-full_throttle-0", "mixed-identified-0"):
         (copied / "cells" / f"{name}.json").unlink()
     shutil.rmtree(copied / "trained" / "mixed-identified-0")
     kept = copied / "trained" / "mixed-true_soil-1" / "model.zip"
     before = kept.stat().st_mtime_ns
-    assert main(["--out", copied, "--workers", "2"]) == 0
-    assert kept.stat().st_mtime_ns == before
+
+    def sent(do, missing):
+        return cells.in_process(pickle.loads(pickle.dumps(do)), missing)
+
+    work.fill(cells.load_study(Study, copied), copied, sent, elsewhere)
+    assert (kept.stat().st_mtime_ns == before) != elsewhere
+    assert load_agent(copied / "trained" / "mixed-identified-0").info.observation == "identified"
+    assert main(["--out", copied, "--report"]) == 0
     assert (copied / "study.json").read_bytes() == (finished / "study.json").read_bytes()
 
 
