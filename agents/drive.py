@@ -47,6 +47,8 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     soil-env drive --policy default --scenario sticky --out drive.gif
     soil-env drive --controller rule=best_slip_identified,agent=default --out both.gif
     """
+    if frame is not None and (out is None or out.suffix != ".png"):
+        raise ParameterError(f"--frame {frame}: expected --out with a .png, the picture of it")
     if out is not None:
         if out.suffix not in _SUFFIXES:
             raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
@@ -62,11 +64,11 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     video, films = out is not None and out.suffix != ".png", {}
     for name, driver in drivers.items():
         env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, **options)
-        last = frame if out and not video else None
-        frames, info, steps = _drive(env, driver, held, seed, last, every if video else 0)
+        frames, info, steps = _drive(env, driver, held, seed, frame, every if video else 0)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
-        print(f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods")
+        early = f", before --frame {frame}" if frame is not None and steps < frame else ""
+        print(f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods{early}")
     if out is not None:
         _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
         print(f"written: {out}")

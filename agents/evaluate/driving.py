@@ -220,7 +220,7 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
     if action.shape != (len(alive), axles):
-        raise ControllerError(f"action of shape {action.shape}: expected {(len(alive), axles)}")
+        raise ControllerError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
     bad = np.flatnonzero(alive & ~np.isfinite(action).all(axis=1))
     if bad.size:
         value = action[bad[0]].tolist()

@@ -80,13 +80,29 @@ class _Wrapped:
         self.thing, self.variant, self.spec = thing, variant, spec
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """As the object's own, with a copy of the observation."""
+        """As the object's own, with a copy of the observation, checked."""
         try:
-            return self.thing.predict(
+            answer = self.thing.predict(
                 observation.copy(), state=state, episode_start=episode_start, deterministic=deterministic
             )
         except Exception as error:
             raise ParameterError(f"controllers: {self.spec}: predict failed ({describe(error)})") from error
+        return _checked(answer, len(observation), self.spec)
+
+
+def _checked(answer, count: int, who: str) -> tuple[np.ndarray, object]:
+    """(actions [count, 1], state) of a call of `predict`; ParameterError for anything else."""
+    where = f"controllers: {who}: predict gave"
+    if not (isinstance(answer, tuple) and len(answer) == 2):
+        given = f"{len(answer)} values" if isinstance(answer, tuple) else "nothing" if answer is None else "one value"
+        raise ParameterError(f"{where} {given}: expected (action, state)")
+    try:
+        action = np.asarray(answer[0], dtype=float)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{where} an action that is no number: expected shape [{count}, 1]") from None
+    if action.shape != (count, 1):
+        raise ParameterError(f"{where} actions of shape {list(action.shape)}: expected [{count}, 1]")
+    return action, answer[1]
 
 
 def describe(error: BaseException) -> str:
@@ -107,15 +123,8 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    where = f"controllers: {contestant.label}: predict gave"
-    if not (isinstance(answer, tuple) and len(answer) == 2):
-        raise ParameterError(f"{where} a {type(answer).__name__}: expected (action, state)")
-    try:
-        action = np.asarray(answer[0], dtype=float)
-    except (TypeError, ValueError):
-        raise ParameterError(f"{where} {answer[0]!r:.60}: expected actions of shape (3, 1)") from None
-    if action.shape != (3, 1):
-        raise ParameterError(f"{where} actions of shape {action.shape} for three wheels: expected (3, 1)")
+    action, _ = _checked(answer, 3, contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
-        raise ParameterError(f"{where} {action[wrong[0], 0]} for wheel {wrong[0]}: expected finite numbers")
+        given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"
+        raise ParameterError(f"controllers: {contestant.label}: predict gave {given}: expected finite numbers")

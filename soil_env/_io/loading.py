@@ -59,7 +59,7 @@ def check(instance) -> None:
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
                 raise FieldError(instance, f.name, f" = {_said(value)}: expected a number in {limits}")
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise FieldError(instance, f.name, f" = {value!r}: expected the smaller number first")
+            raise FieldError(instance, f.name, f" = {list(value)}: expected the smaller number first")
 
 
 def _said(value: object) -> str:

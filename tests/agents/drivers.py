@@ -78,6 +78,7 @@ def answering(answer):
 
 
 WrongShape = answering(lambda obs: (np.zeros(len(obs)), None))
+Alone = answering(lambda obs: np.zeros((len(obs), 1)))
 OneNaN = answering(lambda obs: (np.where(np.arange(len(obs)) == 1, np.nan, 0.4)[:, None], None))
 
 

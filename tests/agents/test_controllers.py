@@ -294,6 +294,7 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert main(["drive", "--scenario", "mixed", "--frame", "15", "--controller", drivers, "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert "full_throttle: RUNNING at" in said and "gentle: RUNNING at" in said
+    assert main(["drive", "--frame", "15"]) == 2 and "--frame 15: expected --out" in capsys.readouterr().err
     left, right = np.split(matplotlib.image.imread(out), 2, axis=1)
     assert left.shape == right.shape and np.abs(left - right).mean() > 0.003
 
