@@ -16,7 +16,7 @@ from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario, scenar
 from .cells import code_version
 from .cli import continued_by
 from .evaluate.driving import TUNING_SET
-from .evaluate.tuning import load_spaces, tuned_settings
+from .evaluate.tuning import trials_of, tuned_settings
 from .progress import show
 
 ACTIONS = get_args(get_type_hints(Control)["action"])
@@ -30,7 +30,7 @@ ACTIONS = get_args(get_type_hints(Control)["action"])
 def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     """Tune the classical controllers on a scenario.
 
-    Every controller gets the same number of trials (configs/tuning.yaml) on the first N courses of the tuning set, for
+    Every controller gets the same number of trials on the first N courses of the tuning set, for
     each action of the drive. OUT then holds NAME.yaml for configs/tuned, where train.py and soil-env evaluate find it.
     The same command continues an interrupted tuning.
     """
@@ -55,7 +55,7 @@ def _tune(out: Path, name: str, actions: list[str], courses: int) -> None:
             best = max(tried[n], key=lambda trial: (trial["finished"], trial["return"]))
             said = ", ".join(f"{key} {value:g}" for key, value in values.items())
             lines.append(f"{action}, {n}: {100 * best['finished']:.1f} % of the tuning courses finished with {said}")
-    content = {"courses": courses, "seed": TUNING_SET, "trials": load_spaces().trials_of(courses),
+    content = {"courses": courses, "seed": TUNING_SET, "trials": trials_of(courses),
                "version": code_version(), "settings": settings}  # fmt: skip
     file = out / f"{name}.yaml"
     typed = f"soil-env tune --scenario {name} --courses {courses} --actions {','.join(actions)}"

@@ -19,14 +19,16 @@ class Setting(NamedTuple):
     default: float  # in its unit; of a rim speed: share of the top rim speed
     unit: str
     meaning: str
+    tuned: tuple[float, float]  # range that `soil-env tune` draws from, as the default
+    log: bool = False  # drawn evenly in the logarithm
     high: float = math.inf
     zero: bool = False  # 0 is allowed
     rim_speed: bool = False
 
 
-SPEED = Setting(1.0, "m/s", "highest rim speed", rim_speed=True)
-START = Setting(0.13, "m/s", "rim speed below which the slip does not limit it", rim_speed=True)
-ACCELERATION = Setting(0.1, "m/s2", "of the rim, from rest and after halts", high=100.0)
+SPEED = Setting(1.0, "m/s", "highest rim speed", (0.1, 1.0), rim_speed=True)
+START = Setting(0.13, "m/s", "rim speed below which the slip does not limit it", (0.01, 0.5), True, rim_speed=True)
+ACCELERATION = Setting(0.1, "m/s2", "of the rim, from rest and after halts", (0.02, 1.0), True, high=100.0)
 
 
 class Controller:

@@ -11,7 +11,7 @@ from .base import SPEED, START, Controller, Ramped, Setting
 
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
-_SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", high=MOST_SLIP, zero=True)
+_SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
 CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
 
 # --- blind ------------------------------------------------------------------------------------------------------------
@@ -31,7 +31,7 @@ class ConstantTorque(FullThrottle):
     """A constant command, as a share of the largest action."""
 
     name = "constant_torque"
-    bounds = {"share": Setting(0.4, "of the highest action", "the command", high=1.0)}
+    bounds = {"share": Setting(0.4, "of the highest action", "the command", (0.05, 1.0), high=1.0)}
 
 
 class ConstantSpeed(Controller):
@@ -84,7 +84,7 @@ class FixedSlip(Controller):
     """
 
     name = "fixed_slip"
-    bounds = {"slip": _SLIP, "start": START._replace(default=0.04), "speed": SPEED}
+    bounds = {"slip": _SLIP, "start": START._replace(default=0.04, tuned=(0.01, 0.15)), "speed": SPEED}
     memory = {**Controller.memory, "rim": 0, "gain": 0}
     step = 1.5  # [m/s2] change of the acceleration per action and unit of slip
     most = 1.0  # [m/s2]
@@ -106,7 +106,7 @@ class SlipLimiter(SlipFollower):
     """A ramp of the rim speed that waits where the slip reaches its limit."""
 
     name = "slip_limiter"
-    bounds = {"slip": _SLIP._replace(default=0.5), **SlipFollower.bounds}
+    bounds = {"slip": _SLIP._replace(default=0.5, tuned=(0.05, 0.9)), **SlipFollower.bounds}
 
     def target_slip(self, observation, state):
         return np.full(len(observation), self.settings["slip"])
@@ -121,8 +121,8 @@ class ExtremumSeeking(SlipFollower):
 
     name = "extremum_seeking"
     bounds = {
-        "gain": Setting(0.3, "1/s", "of the estimate by the slope of the pull [of weight, a unit of slip]", high=1e3),
-        "swing": Setting(0.05, "-", "amplitude of the slip about its estimate", high=0.3),
+        "gain": Setting(0.3, "1/s", "of the estimate by the slope of the pull", (0.01, 3.0), True, high=1e3),
+        "swing": Setting(0.05, "-", "amplitude of the slip about its estimate", (0.01, 0.15), high=0.3),
         **SlipFollower.bounds,
     }
     memory = {**SlipFollower.memory, "best": 0, "phase": 0, "slip_mean": 0, "pull_mean": 0, "power": 0, "product": 0}

@@ -1,6 +1,6 @@
 """Tuning of the classical controllers by Optuna, on courses that no comparison uses.
 
-The settings of a controller are drawn from its space in configs/tuning.yaml by the tree-structured Parzen estimator
+The settings of a controller are drawn from their ranges (`Setting.tuned`) by the tree-structured Parzen estimator
 (Bergstra et al. 2011, NeurIPS 24; Akiba et al. 2019, KDD 2623), beginning with its defaults; every controller has as
 many trials on as many courses as every other. The one that finishes most courses is kept, the return breaking ties. The
 sampler of each trial has a seed of its own, so that a tuning that goes on from its log ends as one without a break.
@@ -11,14 +11,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from soil_env._io.loading import Checked, ParameterError, config_dir, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
 from soil_env.parameters import Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
@@ -28,61 +27,16 @@ from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
 from ..progress import Bar
 from .driving import TUNING_SET, run_courses
 
-SPACES, TUNED = "tuning.yaml", "tuned"  # in configs/
+TUNED = "tuned"  # folder of configs/
+TRIALS = 40  # settings tried of each controller
 _TIE = 1e-4  # weight of the return beside the share of courses finished
 _COURSES_A_TRIAL = 5  # fewer courses cannot distinguish more settings
 _LOCKED = 5  # [s] after which the lock of a process that was killed is taken over
 
 
-# --- spaces -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Range(Checked):
-    """Range that one setting is drawn from."""
-
-    low: float = quantity("", 0.0, 1e6)
-    high: float = quantity("", 0.0, 1e6)
-    of: Literal["", "top_rim_speed"] = ""
-    log: bool = False
-
-    def __post_init__(self):
-        super().__post_init__()
-        if not self.low < self.high or (self.log and self.low == 0.0):
-            positive = "> 0 and " if self.log else ""
-            raise ParameterError(f"Range.high = {self.high!r}: expected low {positive}below high, low = {self.low}")
-
-    def bounds(self, scenario: Scenario) -> tuple[float, float]:
-        """(low, high) in the unit of the setting."""
-        scale = scenario.wheel.radius * scenario.wheel.no_load_speed if self.of else 1.0
-        return self.low * scale, self.high * scale
-
-
-@dataclass(frozen=True)
-class Spaces(Checked):
-    """The content of configs/tuning.yaml."""
-
-    trials: int = quantity("settings tried of each controller", 1, 100_000)
-    controllers: dict[str, dict[str, Range]] = field(default_factory=dict)
-
-    def __post_init__(self):
-        super().__post_init__()
-        for name, space in self.controllers.items():
-            if name not in CONTROLLERS:
-                raise unknown_key(name, CONTROLLERS, "Spaces.controllers")
-            for key in space:
-                if key not in CONTROLLERS[name].bounds:
-                    raise unknown_key(key, CONTROLLERS[name].bounds, f"Spaces.controllers.{name}")
-
-    def trials_of(self, courses: int) -> int:
-        """Trials of each controller on so many courses: all, but at most one for every five courses."""
-        return max(1, min(self.trials, courses // _COURSES_A_TRIAL))
-
-
-def load_spaces(path: Path | None = None) -> Spaces:
-    """The search spaces of a YAML file, by default those of configs/tuning.yaml."""
-    path = config_dir() / SPACES if path is None else Path(path)
-    return load(Spaces, read_yaml(path), path.name)
+def trials_of(courses: int) -> int:
+    """Trials of each controller on so many courses: all, but at most one for every five courses."""
+    return max(1, min(TRIALS, courses // _COURSES_A_TRIAL))
 
 
 # --- settings that come with the package ------------------------------------------------------------------------------
@@ -124,13 +78,13 @@ def tuned_settings(
     if courses == 0:
         return {}, {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
-    spaces = load_spaces().controllers
+    spaces = {name: kind.bounds for name, kind in CONTROLLERS.items() if kind.bounds}
     if isinstance(scenario, RoverScenario):  # that of the controller of its wheels
         spaces = {name: spaces[kind.of_wheel] for name, kind in ROVER_CONTROLLERS.items()}
     names = [name for name in (spaces if names is None else names) if name in spaces]
     chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
     missing = [name for name in names if name not in shipped]
-    trials = load_spaces().trials_of(courses)
+    trials = trials_of(courses)
     with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
         for name in missing:
             tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
@@ -143,7 +97,8 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
     optuna = _optuna()
     _, make = controllers_of(scenario)
-    bounds = {key: range_.bounds(scenario) for key, range_ in space.items()}
+    top = scenario.wheel.radius * scenario.wheel.no_load_speed
+    bounds = {key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()}
     task = json.dumps([name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True)
     storage = None
     if log is not None:
@@ -163,7 +118,7 @@ def _trials(name, space, trials, scenario, courses, model, log, progress) -> lis
             defaults = make(name, scenario).settings
             study.enqueue_trial({key: float(np.clip(defaults[key], *bounds[key])) for key in space})
         trial = study.ask()
-        settings = {key: trial.suggest_float(key, *bounds[key], log=range_.log) for key, range_ in space.items()}
+        settings = {key: trial.suggest_float(key, *bounds[key], log=s.log) for key, s in space.items()}
         runs = run_courses(make(name, scenario, **settings), scenario, TUNING_SET, courses, model=model)
         score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
         for key, value in score.items():
