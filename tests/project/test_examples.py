@@ -20,9 +20,6 @@ RUNS = {  # script -> (arguments, picture, pattern of the output, module it need
     ),
     "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
     "own_controller": ("", "own_controller.png", "written", "gymnasium"),
-    "own_soil": ("--steps 40", "own_soil.png", r"RUNNING at 0\.\d+ m", "pygame"),
-    "vector_env": ("--wheels 16 --steps 200", "vector_env.png", r"second; courses that ended: \{'", "gymnasium"),
-    "model_with_effect": ("--courses 4", "bulldozing.png", r"with bulldozing +immobilised", "gymnasium"),
     "cleanrl_ppo": ("--steps 4096 --length 16 --courses 4", "", r"same 4 courses: ppo -?\d", "torch"),
 }
 
