@@ -20,7 +20,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, compiled_root
-from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
+from soil_env.identification.online.estimate import assess_ground, published
 from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
@@ -279,7 +279,7 @@ class OnlineIdentifier:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
         ids, out = self._ids, np.empty((1, 6))
-        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, ground_numbers(self.scenario), out)
+        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out)
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
 

@@ -3,8 +3,6 @@
 Errors are `OSError` whose `filename` and `strerror` make a sentence.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -5,8 +5,6 @@ compiled code; the system releases it when its process ends, however that ends. 
 process compiles for itself, and says so.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import multiprocessing

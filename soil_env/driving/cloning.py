@@ -6,8 +6,6 @@ come included. A planner that is not to foresee those gives its clones random st
 the ground to come is drawn from the stream of the course and stays as it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

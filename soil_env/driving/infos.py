@@ -1,7 +1,5 @@
 """Info of the environments of a wheel, in the same words for one wheel and for many."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +9,7 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
 from soil_env.driving.wheels import Simulation, Worlds
 from soil_env.identification import Status
-from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
+from soil_env.identification.online.estimate import assess_ground, published
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
@@ -79,7 +77,7 @@ class Infos:
         self.scenario: Scenario = simulation.scenario
         self.kind: str = kind
         self._simulation, wheels = simulation, simulation.count
-        self._assess, self._ground = FastCall(assess_ground), ground_numbers(self.scenario)
+        self._assess = FastCall(assess_ground)
         self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
@@ -140,8 +138,8 @@ class Infos:
         """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
         rows = rows[self._stale[rows]]
         if rows.size:
-            ids = worlds.ids
-            self._assess(rows, ids.estimate, ids.best_pull, self._seen, self._ground, self._warnings)
+            ids, numbers = worlds.ids, self._simulation.belief.identifier.filter
+            self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
             self._stale[rows] = False
         return self._warnings
 

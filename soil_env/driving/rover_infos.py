@@ -1,7 +1,5 @@
 """Info of the environments of a rover, for one rover and for many."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of the rover's environments."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,7 +101,3 @@ class RoverSimulation(Vehicles):
 
     def _x(self) -> np.ndarray:
         return self._world.rovers.body["x"]
-
-    def _first(self, k: int) -> int:
-        """Block of rover k."""
-        return 0 if self.count <= COUNT else k // COUNT

@@ -1,7 +1,5 @@
 """Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Report of a log: tables, pictures and a self-contained page."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Identified soil of a table as text, plain values and a picture."""
 
-from __future__ import annotations
-
 import io
 import math
 from typing import Any

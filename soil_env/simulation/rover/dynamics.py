@@ -5,8 +5,6 @@ operation acts on the same axle of eight rovers. They share no number: a rover a
 All wheels of a rover run over the same course, each leaving its rut to those behind it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

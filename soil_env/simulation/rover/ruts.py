@@ -11,8 +11,6 @@ Each wheel keeps its own rut, as a wheel by itself does, and meets it again wher
 it have left it does not meet.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -8,8 +8,6 @@ grade leaves less than the margin, or in which the wheel would be bogged, are dr
 with two lines is drawn by `lines`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

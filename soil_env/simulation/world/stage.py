@@ -4,8 +4,6 @@ The equations are those of `newton`, which solves them; the `Footing` is the gro
 undisturbed and then as the wheel meets it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
