@@ -178,37 +178,16 @@ class SoilWheelEnv(CourseEnv):
     | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
     | n+12 | choice | 0 or 1, 1 while the sign of the action chooses the line: below 0 that beside | 0 | 1 |
 
-    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` and then, in the
-    same order, `beside_NAME`:
+    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` of entries 14 to
+    19 and 21 to 24, before them `ahead_met` (n+13; 0 while the estimate of that class is the prior, else 1), then
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | n+13 | ahead_met | 0 or 1, 0 while the estimate of that class is the prior | 0 | 1 |
-    | n+14 | ahead_friction_angle | rad | 0 | 1.6 |
-    | n+15 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
-    | n+16 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
-    | n+17 | ahead_friction_angle_sd | rad | 0 | 2 |
-    | n+18 | ahead_shear_modulus_sd | relative | 0 | 20 |
-    | n+19 | ahead_sinkage_coefficient_sd | relative | 0 | 20 |
-    | n+20 | ahead_cohesion | kPa | 0 | 1000 |
-    | n+21 | ahead_dig_gain | - | 0 | 100 |
-    | n+22 | ahead_cohesion_sd | kPa | 0 | 1000 |
-    | n+23 | ahead_dig_gain_sd | relative | 0 | 20 |
     | n+24 | ahead_margin | of load, best drawbar pull of that class over the grade that is seen | -2 | 2 |
     | n+25 | ahead_margin_sd | of load, of that pull | 0 | 2 |
 
-    and `"true_soil"` with the true soil of each line:
-
-    | # | name | unit | min | max |
-    |---|------|------|-----|-----|
-    | n+13 | ahead_friction_angle | rad | 0 | 1.6 |
-    | n+14 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
-    | n+15 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
-    | n+16 | ahead_cohesion | kPa | 0 | 1000 |
-    | n+17 | ahead_sinkage_exponent | - | 0 | 4 |
-    | n+18 | ahead_dig_gain | - | 0 | 100 |
-    | n+19 | ahead_dig_recovery | - | 0 | 10 |
-    | n+20 | ahead_margin | of load, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
+    then the same as `beside_NAME`. `"true_soil"` goes on with `ahead_NAME` of its entries 14 to 20 and `ahead_margin`
+    (n+20) of the true soil of each line, then the same as `beside_NAME`.
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
