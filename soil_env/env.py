@@ -1,8 +1,5 @@
 """The Gymnasium environment of one driven wheel."""
 
-from __future__ import annotations
-
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +10,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
+from soil_env.identification.online.estimate import published, soil_of_numbers
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
@@ -278,7 +276,7 @@ class SoilWheelEnv(CourseEnv):
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
         self.infos: Infos = Infos(self.simulation, info)
 
-    def _new_view(self, mode: str) -> CourseView:
+    def _new_view(self, mode: str) -> "CourseView":
         from soil_env.rendering.side_view import Renderer
 
         return Renderer(self.scenario, mode)
@@ -287,16 +285,9 @@ class SoilWheelEnv(CourseEnv):
         """The identified soil, with the belief's exponent and recovery of digging."""
         if self.simulation.worlds.ids is None:
             raise ParameterError("estimate: nothing is identified; expected observation='identified' or info='full'")
-        x, belief = self.simulation.worlds.ids.estimate[0], self.scenario.belief
-        return Soil(
-            friction_angle_deg=math.degrees(x[0]),
-            cohesion=x[3],
-            shear_modulus=math.exp(x[1]),
-            sinkage_exponent=belief.sinkage_exponent,
-            sinkage_coefficient=min(math.exp(x[2]), 1e13),
-            dig_gain=min(belief.dig_gain * math.exp(x[4]), 20.0),
-            dig_recovery=belief.dig_recovery,
-        )
+        ids, belief = self.simulation.worlds.ids, self.scenario.belief
+        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain)
+        return soil_of_numbers(numbers, belief)
 
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""

@@ -1,7 +1,5 @@
 """The Gymnasium environment of a rover on two or three axles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -180,7 +178,7 @@ class SoilRoverEnv(CourseEnv):
         self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
-    def _new_view(self, mode: str) -> CourseView:
+    def _new_view(self, mode: str) -> "CourseView":
         from soil_env.rendering.rover_view import RoverRenderer
 
         return RoverRenderer(self.scenario, mode)

@@ -43,17 +43,20 @@ def asks(kind: str) -> bool:
     return kind in ("full", "numeric")
 
 
-def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
-    """Flat numbers of a full info: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """All numbers of a full info without nesting.
+
+    `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`, `AXLE_estimate_NAME` of an axle.
+    """
+    prefixes = {"reward_terms": "reward_", "estimate": "estimate_", "state": "", "traversability": ""}
     out: dict[str, Any] = {}
-    prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
     for key, value in nested.items():
         if isinstance(value, Mapping):
-            out |= {prefixes.get(key, "") + name: number for name, number in value.items()}
+            out |= flat(value, prefix + prefixes.get(key, f"{key}_"))
+        elif isinstance(value, str):
+            out[prefix + key] = (Cause if key == "cause" else Status)[value].value
         else:
-            out[key] = value
-    if isinstance(out["cause"], str):
-        out["cause"], out["estimate_status"] = Cause[out["cause"]].value, Status[out["estimate_status"]].value
+            out[prefix + key] = value
     return out
 
 

@@ -45,20 +45,22 @@ class Record(NamedTuple):
     After a restart it holds one set of readings.
     """
 
-    periods: np.ndarray  # [wheels] control periods of the last step
+    periods: np.ndarray  # [vehicles] control periods of the last step
     readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    halted: np.ndarray  # [wheels, repeat] True in a commanded halt
+    halted: np.ndarray  # [vehicles, repeat] True in a commanded halt
+    places: np.ndarray  # [vehicles, repeat] odometry [m]
     images: np.ndarray  # [wheels, repeat, 12] `Image`; no rows without a camera
 
 
-def new_record(wheels: int, scenario: Scenario, images: bool) -> Record:
-    """Empty record of so many wheels; `images`: with those of a camera."""
+def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:
+    """Empty record of so many vehicles with their wheels."""
     repeat = scenario.control.held
     return Record(
-        np.zeros(wheels, dtype=np.int64),
+        np.zeros(vehicles, dtype=np.int64),
         np.zeros((wheels, repeat, len(SensorReading._fields))),
-        np.zeros((wheels, repeat), dtype=np.bool_),
-        np.zeros((wheels if images else 0, repeat, len(Image._fields))),
+        np.zeros((vehicles, repeat), dtype=np.bool_),
+        np.zeros((vehicles, repeat)),
+        np.zeros((wheels if scenario.course.classes else 0, repeat, len(Image._fields))),
     )
 
 
@@ -92,7 +94,7 @@ def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorde
         WheelCounts(wheels),
         new_courses(wheels, scenario),
         np.zeros(wheels, dtype=np.uint64),
-        new_record(wheels if recorded else 0, scenario, recorded and scenario.course.classes > 0),
+        new_record(wheels, wheels, scenario) if recorded else new_record(0, 0, scenario),
         np.zeros((wheels, task.low.size), dtype=np.float32),
         np.zeros((wheels, len(REWARD_TERMS))),
         np.zeros(wheels),
@@ -178,7 +180,7 @@ def _record(worlds, numbers, k, period, reading, sight):
         return
     record.periods[k] = period + 1
     store_reading(reading, record.readings[k, period])
-    record.halted[k, period] = worlds.state.halt_left[k] > 0.0
+    record.halted[k, period], record.places[k, period] = worlds.state.halt_left[k] > 0.0, worlds.state.odometer[k]
     if numbers.task.camera.classes > 0:
         image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
         _store_image(image, record.images[k, period])

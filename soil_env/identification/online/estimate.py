@@ -1,12 +1,14 @@
 """The soil that an estimate of the identifier stands for."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_root, uncompiled
-from soil_env.parameters import Belief, SoilState
+from soil_env.parameters import Belief, Soil, SoilState
 from soil_env.terramechanics.traversability import best_working_point
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
@@ -72,3 +74,14 @@ def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:
     phi, *rest = estimate.tolist()
     x = math.radians(math.degrees(phi)), *rest
     return uncompiled(soil_of_estimate)(x, belief.dig_gain, belief.sinkage_exponent, belief.dig_recovery)
+
+
+_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
+
+
+def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
+    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are the belief's."""
+    within = {
+        name: min(max(numbers[name], limit["low"]), limit["high"]) for name, limit in _BOUNDS.items() if name in numbers
+    }
+    return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within)

@@ -34,7 +34,9 @@ from soil_env.simulation.wheels import (
     RUNNING,
     STEP,
     TRY,
+    Record,
     clear_reward,
+    new_record,
     start_passable,
     store_reading,
 )
@@ -61,27 +63,6 @@ from soil_env.vehicle import RoverScenario
 _DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
 
 
-class RoverRecord(NamedTuple):
-    """Sensor record of the last step, for what runs on board; no rows if nothing does.
-
-    After a restart it holds one set of readings.
-    """
-
-    periods: np.ndarray  # [rovers] control periods of the last step
-    readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    places: np.ndarray  # [rovers, repeat] odometry [m]
-
-
-def new_rover_record(rovers: int, wheels: int, scenario: RoverScenario) -> RoverRecord:
-    """Empty record of so many rovers with their wheels."""
-    repeat = scenario.control.held
-    return RoverRecord(
-        np.zeros(rovers, dtype=np.int64),
-        np.zeros((wheels, repeat, len(SensorReading._fields))),
-        np.zeros((rovers, repeat)),
-    )
-
-
 class RoverWorlds(NamedTuple):
     """Arrays that the compiled step reads and writes: one row a rover, or one a wheel (`wheel.wheel_of`)."""
 
@@ -90,7 +71,7 @@ class RoverWorlds(NamedTuple):
     ruts: Ruts
     streams: np.ndarray  # [rovers] uint64
     wheel_streams: np.ndarray  # [wheels] uint64
-    record: RoverRecord
+    record: Record
     observation: np.ndarray  # [rovers, D] float32
     terms: np.ndarray  # [rovers, 4] reward terms
     reward: np.ndarray  # [rovers]
@@ -108,7 +89,7 @@ def new_rover_worlds(rovers: int, scenario: RoverScenario, task: TaskNumbers, re
         new_ruts(wheels, courses.rut.shape[1]),
         np.zeros(rovers, dtype=np.uint64),
         np.zeros(wheels, dtype=np.uint64),
-        new_rover_record(rovers, wheels, scenario) if recorded else new_rover_record(0, 0, scenario),
+        new_record(rovers, wheels, scenario) if recorded else new_record(0, 0, scenario),
         np.zeros((rovers, task.low.size), dtype=np.float32),
         np.zeros((rovers, len(REWARD_TERMS))),
         np.zeros(rovers),
@@ -243,6 +224,7 @@ def _observe(worlds, numbers, j, period, reading):
             store_reading(of_wheel, record.readings[k, period])
     if recorded:
         record.periods[j], record.places[j, period] = period + 1, rovers.body.odometer[j]
+        record.halted[j, period] = rovers.body.halt_left[j] > 0.0
     write_body(out, rovers.body, j, reading, numbers.task)
     if numbers.task.variant == 2:
         write_true_soils(out, j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task)
