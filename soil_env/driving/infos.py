@@ -7,7 +7,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
-from soil_env.driving.wheels import Simulation, Worlds
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online.estimate import assess_ground, published
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
@@ -133,11 +133,11 @@ class Infos:
         info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
         return info if self.kind != "numeric" else _numbers(flat(info))
 
-    def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+    def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
         return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
 
-    def _renewed(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+    def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
         rows = rows[self._stale[rows]]
         if rows.size:
@@ -172,7 +172,7 @@ class Infos:
         info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
         return masked(info, ended)
 
-    def _groups(self, worlds: Worlds, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
+    def _groups(self, worlds: Any, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
         """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
         groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
         if not identified:

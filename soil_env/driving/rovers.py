@@ -37,7 +37,6 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil; None: if the observation or the reward asks for it.
     """
 
-    worlds: Worlds
     belief: RoverEstimatorNumbers | None
     _vehicle = "rover"
 
@@ -61,7 +60,7 @@ class RoverSimulation(Vehicles):
         wheels, estimator, belief = world.wheel_streams.size, None, None
         if estimates:
             estimator, belief = new_rover_estimator(wheels), rover_estimator_numbers(scenario, task)
-        self.worlds = Worlds(*world, *(estimator or (None, None)))
+        self.worlds = Worlds._make((*world, *(estimator or (None, None))))
         trial = new_rover_worlds(1, scenario, task, False)
         self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
         self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)

@@ -39,7 +39,6 @@ class Simulation(Vehicles):
     `worlds.recent` for `identification.online.immobilisation`.
     """
 
-    worlds: Worlds
     belief: EstimatorNumbers | None
 
     def __init__(
@@ -61,7 +60,7 @@ class Simulation(Vehicles):
         if estimates or warnings:
             estimator, belief = new_estimator(wheels, scenario, warnings), estimator_numbers(scenario, task)
         world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
-        self.worlds = Worlds(*world, *(estimator or (None,) * 4))
+        self.worlds = Worlds._make((*world, *(estimator or (None,) * 4)))
         trial = new_wheel_worlds(1, scenario, task, False)
         self._ahead = drawn.ahead
         self._begin(lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)
