@@ -1,7 +1,5 @@
 """Common base of the environments of a course: one course, or many side by side. Orchestration only."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from abc import abstractmethod
@@ -116,7 +114,7 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self._spec: EnvSpec | None = None
 
     @abstractmethod
-    def _new_view(self, mode: str) -> CourseView:
+    def _new_view(self, mode: str) -> "CourseView":
         """A view in this mode."""
 
     @property
@@ -192,7 +190,7 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
             self._renderer.close()
             self._renderer = None
 
-    def _view(self) -> CourseView:
+    def _view(self) -> "CourseView":
         if self._renderer is None:
             assert self.render_mode is not None
             self._renderer = self._new_view(self.render_mode)

@@ -1,7 +1,5 @@
 """Distribution of courses, and errors of the camera: frozen dataclasses in SI units, part of a `Scenario`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from soil_env._io.loading import Checked, FieldError, quantity

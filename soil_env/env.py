@@ -1,8 +1,5 @@
 """The Gymnasium environment of one driven wheel."""
 
-from __future__ import annotations
-
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +10,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.course_env import CourseEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
+from soil_env.identification.online.estimate import published, soil_of_numbers
 from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
@@ -178,37 +176,16 @@ class SoilWheelEnv(CourseEnv):
     | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
     | n+12 | choice | 0 or 1, 1 while the sign of the action chooses the line: below 0 that beside | 0 | 1 |
 
-    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` and then, in the
-    same order, `beside_NAME`:
+    `"identified"` goes on with what was learnt of the class of each line, by its label: `ahead_NAME` of entries 14 to
+    19 and 21 to 24, before them `ahead_met` (n+13; 0 while the estimate of that class is the prior, else 1), then
 
     | # | name | unit | min | max |
     |---|------|------|-----|-----|
-    | n+13 | ahead_met | 0 or 1, 0 while the estimate of that class is the prior | 0 | 1 |
-    | n+14 | ahead_friction_angle | rad | 0 | 1.6 |
-    | n+15 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
-    | n+16 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
-    | n+17 | ahead_friction_angle_sd | rad | 0 | 2 |
-    | n+18 | ahead_shear_modulus_sd | relative | 0 | 20 |
-    | n+19 | ahead_sinkage_coefficient_sd | relative | 0 | 20 |
-    | n+20 | ahead_cohesion | kPa | 0 | 1000 |
-    | n+21 | ahead_dig_gain | - | 0 | 100 |
-    | n+22 | ahead_cohesion_sd | kPa | 0 | 1000 |
-    | n+23 | ahead_dig_gain_sd | relative | 0 | 20 |
     | n+24 | ahead_margin | of load, best drawbar pull of that class over the grade that is seen | -2 | 2 |
     | n+25 | ahead_margin_sd | of load, of that pull | 0 | 2 |
 
-    and `"true_soil"` with the true soil of each line:
-
-    | # | name | unit | min | max |
-    |---|------|------|-----|-----|
-    | n+13 | ahead_friction_angle | rad | 0 | 1.6 |
-    | n+14 | ahead_log10_shear_modulus | log10 m | -5 | 1 |
-    | n+15 | ahead_log10_sinkage_coefficient | log10 N/m^(n+2) | 0 | 15 |
-    | n+16 | ahead_cohesion | kPa | 0 | 1000 |
-    | n+17 | ahead_sinkage_exponent | - | 0 | 4 |
-    | n+18 | ahead_dig_gain | - | 0 | 100 |
-    | n+19 | ahead_dig_recovery | - | 0 | 10 |
-    | n+20 | ahead_margin | of load, best drawbar pull of that soil over the grade that is seen | -2 | 2 |
+    then the same as `beside_NAME`. `"true_soil"` goes on with `ahead_NAME` of its entries 14 to 20 and `ahead_margin`
+    (n+20) of the true soil of each line, then the same as `beside_NAME`.
 
     ## Rewards
     The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`:
@@ -299,7 +276,7 @@ class SoilWheelEnv(CourseEnv):
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
         self.infos: Infos = Infos(self.simulation, info)
 
-    def _new_view(self, mode: str) -> CourseView:
+    def _new_view(self, mode: str) -> "CourseView":
         from soil_env.rendering.side_view import Renderer
 
         return Renderer(self.scenario, mode)
@@ -308,16 +285,9 @@ class SoilWheelEnv(CourseEnv):
         """The identified soil, with the belief's exponent and recovery of digging."""
         if self.simulation.worlds.ids is None:
             raise ParameterError("estimate: nothing is identified; expected observation='identified' or info='full'")
-        x, belief = self.simulation.worlds.ids.estimate[0], self.scenario.belief
-        return Soil(
-            friction_angle_deg=math.degrees(x[0]),
-            cohesion=x[3],
-            shear_modulus=math.exp(x[1]),
-            sinkage_exponent=belief.sinkage_exponent,
-            sinkage_coefficient=min(math.exp(x[2]), 1e13),
-            dig_gain=min(belief.dig_gain * math.exp(x[4]), 20.0),
-            dig_recovery=belief.dig_recovery,
-        )
+        ids, belief = self.simulation.worlds.ids, self.scenario.belief
+        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain)
+        return soil_of_numbers(numbers, belief)
 
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""

@@ -7,12 +7,10 @@
 `SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same estimate.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from numbers import Real
 from typing import NamedTuple
 
@@ -20,7 +18,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, compiled_root
-from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
+from soil_env.identification.online.estimate import assess_ground, published, soil_of_numbers
 from soil_env.identification.online.identifier import (
     HELD,
     IdentifierNumbers,
@@ -190,7 +188,7 @@ class OnlineIdentifier:
             raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
 
     @classmethod
-    def of_scenario(cls, scenario: Scenario) -> OnlineIdentifier:
+    def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
         """The identifier that an environment of this scenario runs."""
         if not isinstance(scenario, Scenario):
             raise TypeError(f"scenario = {scenario!r}: expected a Scenario, as of soil_env.parameters.load_scenario")
@@ -257,12 +255,7 @@ class OnlineIdentifier:
 
     def soil(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging; each number within its bounds."""
-        e, belief = self._estimate, self.scenario.belief
-        identified = {
-            name: min(max(getattr(e, name), bounds["low"]), bounds["high"])
-            for name, bounds in _BOUNDS.items() if hasattr(e, name)
-        }  # fmt: skip
-        return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **identified)
+        return soil_of_numbers(asdict(self._estimate), self.scenario.belief)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
         """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill positive.
@@ -279,7 +272,7 @@ class OnlineIdentifier:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
         ids, out = self._ids, np.empty((1, 6))
-        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, ground_numbers(self.scenario), out)
+        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out)
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
 
@@ -341,6 +334,5 @@ def _bearing_sinkage(scenario: Scenario) -> float:
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 
-_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
 _DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
 _STATUS = {status.value: status for status in Status}

@@ -4,8 +4,6 @@ Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/sce
 `...State`/`...Numbers` are plain tuples of floats, the form in which the compiled kernels take the same parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from functools import cache

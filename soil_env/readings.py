@@ -1,7 +1,5 @@
 """Sensor readings of a driven wheel in a control period, and their noise."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Gymnasium environment of a rover on two or three axles."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,17 +55,9 @@ class SoilRoverEnv(CourseEnv):
     Rovers: "lunar_micro_rover" (default) and "field_rover" with two axles, "mars_rover" with three.
 
     ## Action space
-    `Box(-1, 1, (axles,), float32)`, a number for the two wheels of each axle, from the front axle on, held for `repeat`
-    control periods of 0.1 s:
-
-    | `action=` | `repeat=` | meaning of -1 ... 1 |
-    |-----------|-----------|---------------------|
-    | "torque" | 1 | motor torque as a share of the stall torque, within the motor's torque-speed line |
-    | "wheel_speed" | 1 | wheel speed as a share of the no-load speed, followed by the drive's own speed loop |
-    | "rim_acceleration" | 5 | rate of a commanded rim speed over the greatest, followed by the drive's loop (default) |
-
-    The greatest rate is `control={"rim_acceleration": ...}`: 0.1 m/s2 of "lunar_micro_rover" and "mars_rover", 0.3 m/s2
-    of "field_rover". All else of the action is as for SoilWheel-v0.
+    `Box(-1, 1, (axles,), float32)`, a number for the two wheels of each axle, from the front axle on. `action`,
+    `repeat` and the meaning of a number are those of SoilWheel-v0, but for the greatest rate of "rim_acceleration",
+    `control={"rim_acceleration": ...}`: 0.1 m/s2 of "lunar_micro_rover" and "mars_rover", 0.3 m/s2 of "field_rover".
 
     Values outside are clipped; a wrong shape, NaN or infinity raises `ValueError`.
 
@@ -106,53 +96,16 @@ class SoilRoverEnv(CourseEnv):
     those of the middle one, `middle_slip` to `middle_rim_command`, and those of the rear one are 23 to 31.
 
     `observation="blind"` ends here, after 23 entries with two axles and 32 with three. `"identified"` (default) adds
-    what is identified from those readings of the soil under each axle, here the front one of two:
+    what is identified from those readings of the soil under each axle: entries 14 to 26 of SoilWheel-v0, 13 for each
+    axle, from `front_friction_angle` (23, with three axles 32) on. `front_best_pull` is by the readings of this axle
+    alone.
 
-    | # | name | unit | min | max |
-    |---|------|------|-----|-----|
-    | 23 | front_friction_angle | rad, phi | 0 | 1.6 |
-    | 24 | front_log10_shear_modulus | log10 m, K | -5 | 1 |
-    | 25 | front_log10_sinkage_coefficient | log10 N/m^(n+2), S at the exponent of the prior | 0 | 15 |
-    | 26 | front_friction_angle_sd | rad | 0 | 2 |
-    | 27 | front_shear_modulus_sd | relative | 0 | 20 |
-    | 28 | front_sinkage_coefficient_sd | relative | 0 | 20 |
-    | 29 | front_estimate_valid | 1 while phi and K are known to 0.6 of the prior's sd by readings that agree | 0 | 1 |
-    | 30 | front_cohesion | kPa | 0 | 1000 |
-    | 31 | front_dig_gain | -, of slip-sinkage | 0 | 100 |
-    | 32 | front_cohesion_sd | kPa | 0 | 1000 |
-    | 33 | front_dig_gain_sd | relative | 0 | 20 |
-    | 34 | front_best_pull | of load, highest steady drawbar pull, by the readings of this axle alone | -1 | 2 |
-    | 35 | front_best_pull_sd | of load | 0 | 2 |
-
-    and so on: with two axles the rear one's are 36 to 48; with three the front, middle and rear ones' begin with 32, 45
-    and 58, and 70 is the last.
-
-    `"true_soil"`, for reference only, adds the undisturbed soil under each axle instead, the front one's first:
-
-    | # | name | unit | min | max |
-    |---|------|------|-----|-----|
-    | 23 | front_friction_angle | rad | 0 | 1.6 |
-    | 24 | front_log10_shear_modulus | log10 m | -5 | 1 |
-    | 25 | front_log10_sinkage_coefficient | log10 N/m^(n+2), at the true exponent | 0 | 15 |
-    | 26 | front_cohesion | kPa | 0 | 1000 |
-    | 27 | front_sinkage_exponent | - | 0 | 4 |
-    | 28 | front_dig_gain | - | 0 | 100 |
-    | 29 | front_dig_recovery | - | 0 | 10 |
-
-    With two axles the rear one's are 30 to 36; with three they begin with 32, 39 and 46, and 52 is the last.
+    `"true_soil"`, for reference only, adds the undisturbed soil under each axle instead: entries 14 to 20 of
+    SoilWheel-v0 in this observation, 7 for each axle.
 
     ## Rewards
-    The sum of the terms in `info["reward_terms"]`, with weights `reward={...}`, as for SoilWheel-v0 with the rover in
-    place of the wheel:
-
-    | term | value | weight |
-    |------|-------|--------|
-    | progress | distance travelled in the step / course length (negative backwards) | 10 |
-    | energy | -work of all motors in the step, none recuperated / (weight with payload x course length) | 1 |
-    | immobilisation | -1 in the step that ends the episode immobilised or out of time | 10 |
-    | information | discount x knowledge after the step - knowledge before it [nat] | 0 |
-
-    Knowledge is the mean of what is known of the soils under the axles, each as SoilWheel-v0 counts it.
+    The terms of SoilWheel-v0 with the rover in place of the wheel: energy is the work of all motors, and knowledge
+    the mean of what is known of the soils under the axles.
 
     ## Starting state
     At rest with the rear axle at the start of a new random course, x = 0, and every wheel settled under its share of
@@ -225,7 +178,7 @@ class SoilRoverEnv(CourseEnv):
         self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
-    def _new_view(self, mode: str) -> CourseView:
+    def _new_view(self, mode: str) -> "CourseView":
         from soil_env.rendering.rover_view import RoverRenderer
 
         return RoverRenderer(self.scenario, mode)

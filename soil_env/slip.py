@@ -4,8 +4,6 @@ r w is the speed of the rim, V the travel speed. Compiled functions take floats 
 plural arrays of numpy.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root

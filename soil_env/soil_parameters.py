@@ -3,8 +3,6 @@
 `SoilState` is the plain tuple of floats in which the compiled kernels take a soil.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

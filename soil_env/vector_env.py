@@ -1,7 +1,5 @@
 """Many wheels at once: a native `gymnasium.vector.VectorEnv` over the same compiled step as `SoilWheelEnv`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

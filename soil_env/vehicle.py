@@ -1,7 +1,5 @@
 """A rover seen from the side: where its axles and its centre of mass are, and the presets of configs/rovers."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path

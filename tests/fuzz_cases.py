@@ -4,8 +4,6 @@ Everything the loaders accept can be drawn; sizes are related to each other (a w
 its load), since else no course would be passable. What the loaders refuse is refused here too (`ParameterError`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

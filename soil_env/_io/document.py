@@ -1,7 +1,5 @@
 """Reports: one table type for Markdown, HTML and the terminal, and self-contained HTML pages from templates."""
 
-from __future__ import annotations
-
 import base64
 import re
 import textwrap

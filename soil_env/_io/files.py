@@ -3,8 +3,6 @@
 Errors are `OSError` whose `filename` and `strerror` make a sentence.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import json
@@ -93,8 +91,13 @@ def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
             raise IsADirectoryError(errno.EISDIR, "is a folder: expected a file that can be replaced", str(path))
 
 
-def save_figure(figure, path: str | Path, **options) -> None:
-    """Save a matplotlib figure; the suffix of `path` says the format. Options are those of `figure.savefig`."""
+def picture_of(figure, kind: str = "png", **options) -> bytes:
+    """A matplotlib figure as a file of this kind. Options are those of `figure.savefig`."""
     stream = io.BytesIO()
-    figure.savefig(stream, format=Path(path).suffix[1:], **options)
-    replace_file(path, stream.getvalue())
+    figure.savefig(stream, format=kind, **options)
+    return stream.getvalue()
+
+
+def save_figure(figure, path: str | Path, **options) -> None:
+    """Save a matplotlib figure; the suffix of `path` says the format."""
+    replace_file(path, picture_of(figure, Path(path).suffix[1:], **options))

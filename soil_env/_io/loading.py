@@ -5,8 +5,6 @@ value outside the range, an unknown key or a wrong type raises `ParameterError`:
 expected.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools

@@ -3,8 +3,6 @@
 The function and its signature come pickled on stdin; the code goes to the cache on the disk.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import pickle

@@ -5,33 +5,23 @@ compiled code; the system releases it when its process ends, however that ends. 
 process compiles for itself, and says so.
 """
 
-from __future__ import annotations
-
-import errno
 import hashlib
 import multiprocessing
 import os
 import sys
-import time
 from collections.abc import Callable
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
-
-if sys.platform == "win32":
-    import msvcrt
-else:
-    import fcntl
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
 _ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
 _FILES = ("parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
-_POLL = 0.1  # s between two attempts at the lock
-_TAKEN = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
 
 # --- what compiled code is valid for ----------------------------------------------------------------------------------
@@ -166,48 +156,18 @@ def _lock_of(dispatcher) -> Path | None:
     return None if store is None else Path(dispatcher._cache._cache_path) / f"{store.filename_base}.lock"
 
 
-def _take(file) -> None:
-    """Lock a file, or raise OSError at once."""
-    if sys.platform == "win32":
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _release(file) -> None:
-    """Unlock it; closing alone does not where a process that was forked meanwhile has it open too."""
-    if sys.platform == "win32":
-        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
-    else:
-        fcntl.flock(file, fcntl.LOCK_UN)
-
-
 @contextmanager
 def _alone(lock: Path | None):
     """Wait until no other process compiles the same function; without a cache, or on a disk without locks, go on."""
-    try:
-        file = None if lock is None else open(lock, "ab")  # noqa: SIM115
-    except OSError:
-        file = None
-    if file is None:
+    with ExitStack() as held:
+        if lock is not None:
+            with suppress(OSError, NotImplementedError):
+                try:
+                    held.enter_context(FileLock(lock, timeout=0))
+                except Timeout:
+                    _tell("another process compiles into the same cache; waiting for it")
+                    held.enter_context(FileLock(lock))
         yield
-        return
-    with file:
-        waits = True
-        while waits:
-            try:
-                _take(file)
-                waits = False
-            except OSError as error:
-                waits = error.errno in _TAKEN
-            if waits:
-                _tell("another process compiles into the same cache; waiting for it")
-                time.sleep(_POLL)
-        try:
-            yield
-        finally:
-            with suppress(OSError):
-                _release(file)
 
 
 _told: set[str] = set()  # lines that this process has said

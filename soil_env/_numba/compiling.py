@@ -14,8 +14,6 @@ out of a function: two threads that count references to the same arrays slow eac
 allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `rows.scratch_rows`).
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import importlib

@@ -8,8 +8,6 @@ Every operation is written out (`fma` where a product is added), so a law gives 
 the scalar and the vector environment rely on that.
 """
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

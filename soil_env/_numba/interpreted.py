@@ -3,8 +3,6 @@
 Slow; for stepping through a law with a debugger, and as an independent reading of the compiled forms.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 COUNT = 8

@@ -6,8 +6,6 @@ A law that is written for "floats or lanes" is compiled for either. With NUMBA_D
 numbers (`interpreted`).
 """
 
-from __future__ import annotations
-
 import operator
 
 from llvmlite import ir
@@ -159,27 +157,6 @@ def to_array(typingctx, x, a, i):
         return context.get_dummy_value()
 
     return types.void(lanes, a, types.intp), emit
-
-
-@intrinsic
-def _fetch(typingctx, a, i):
-    def emit(context, builder, sig, args):
-        data = make_array(sig.args[0])(context, builder, args[0]).data
-        pointer = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
-        whole = ir.IntType(32)
-        function_type = ir.FunctionType(ir.VoidType(), [pointer.type, whole, whole, whole])
-        try:
-            function = builder.module.get_global("llvm.prefetch.p0")
-        except KeyError:
-            function = ir.Function(builder.module, function_type, "llvm.prefetch.p0")
-        builder.call(function, [pointer, whole(0), whole(3), whole(1)])  # to read, into the nearest cache, data
-        return context.get_dummy_value()
-
-    return types.void(a, types.intp), emit
-
-
-#: fetch(a, i): bring a[i] ... a[i + 7] of a float64 array into the cache, while other work goes on.
-fetch = _fetch if COMPILED else lambda a, i: None
 
 
 def on_stack(builder, of, size):

@@ -6,8 +6,6 @@ linked as it is; the root of the tree is optimised once. Python's garbage collec
 many small objects again and again and find nothing, waits until a root is done.
 """
 
-from __future__ import annotations
-
 import gc
 import operator
 from contextlib import contextmanager

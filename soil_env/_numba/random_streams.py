@@ -5,8 +5,6 @@ seeded from a `numpy.random.Generator` (`seed_streams`), so that everything rand
 numpy's own generators cannot be handed to a parallel compiled loop.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

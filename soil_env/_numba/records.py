@@ -7,8 +7,6 @@
 `same(x)` has `x` in each field.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from soil_env._numba.compiling import compiled_inline

@@ -9,8 +9,6 @@ itself is one pointer; `state.data` is all rows [names, columns]. A row is as lo
 so that the last eight can be loaded like any other. `scratch_rows(State, n)` are rows on the stack.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 
@@ -73,7 +71,7 @@ class Rows:
     def __len__(self) -> int:
         return self.count
 
-    def copy(self) -> Rows:
+    def copy(self) -> "Rows":
         """Rows of their own with the same numbers."""
         return type(self)(self.count, self.data.copy())
 
@@ -81,7 +79,7 @@ class Rows:
         """All numbers."""
         return self.data.tobytes()
 
-    def __deepcopy__(self, memo: Any) -> Rows:
+    def __deepcopy__(self, memo: Any) -> "Rows":
         return self.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:

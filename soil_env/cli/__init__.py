@@ -1,7 +1,5 @@
 """Command `soil-env`, a subcommand a task. Modules are imported when their subcommand is asked for."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module

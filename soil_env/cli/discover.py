@@ -1,7 +1,5 @@
 """`soil-env discover`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

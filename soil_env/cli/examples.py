@@ -1,7 +1,5 @@
 """`soil-env examples`."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`soil-env identify`."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`soil-env logs`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

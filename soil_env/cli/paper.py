@@ -1,7 +1,5 @@
 """`soil-env paper`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Run a command: errors as one line, interrupts, exit status; types of options that several commands share."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

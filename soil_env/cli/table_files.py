@@ -1,7 +1,5 @@
 """Arguments of commands that read a measurement table, and the description of its files."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@
 For an image, or before many processes start at once.
 """
 
-from __future__ import annotations
-
 import time
 
 import click

@@ -6,15 +6,14 @@ come included. A planner that is not to foresee those gives its clones random st
 the ground to come is drawn from the stream of the course and stays as it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.rows import Rows
-from soil_env.driving.wheels import Simulation, Worlds
+from soil_env.driving.wheels import Simulation
 from soil_env.simulation.wheels import Record
 
 
@@ -32,7 +31,7 @@ def clone(
     _copy(source.worlds, wheels, target.worlds, places, _wheels(source.worlds), _wheels(target.worlds), "worlds")
 
 
-def _wheels(worlds: Worlds) -> int:
+def _wheels(worlds: Any) -> int:
     return worlds.cause.size
 
 

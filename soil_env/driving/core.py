@@ -1,27 +1,33 @@
 """Simulation of many vehicles side by side: the world and, where something asks for it, the estimator on board."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, compile_aside
+from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
-from soil_env._numba.threads import threads
 from soil_env.driving.estimator import Results
 from soil_env.parameters import Scenario
-from soil_env.simulation.wheels import AHEAD, COMPLETE, DRIVEN, IDLE, LAID, RESTART, STEP, TRY
+from soil_env.simulation.wheels import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
 
 _TRIAL_COURSES = 8
+_SHARES = 4  # of the vehicles, for each thread: those that are done early take another
 
 
 def processors() -> int:
     """Processors that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """Threads of a process; those of another do not survive its fork."""
+    return ThreadPoolExecutor(threads, "soil_env")
 
 
 def asks_for_estimates(scenario: Scenario, variant: str) -> bool:
@@ -45,10 +51,8 @@ class Vehicles:
         self.scenario = scenario
         self.count: int = count
         self._threads = threads or processors()
-        self._least = least  # vehicles that a thread takes at a time, at least
+        self._least = least  # vehicles that a thread takes at a time, at least; a multiple of `COUNT`
         self._what = np.full(count, IDLE)
-        self._progress = np.full(count, DRIVEN, dtype=np.int64)
-        self._counters = np.ones((3, 3), dtype=np.int64)  # of each function: [next, threads at work, failures]
 
     def _begin(self, lay, step, world, trial, commands: int, estimate, estimator, belief) -> None:
         """Take the compiled functions with their arrays, and try the scenario on a `trial` world of one vehicle.
@@ -57,19 +61,18 @@ class Vehicles:
         """
         self._world, self._commands = world, np.zeros(commands)
         self._lay, self._step, self._estimate = FastCall(lay), FastCall(step), FastCall(estimate)
-        self._estimator, self.belief = estimator, belief
+        self._estimator, self.belief, count = estimator, belief, self.count
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
-        for function, (_, arguments) in reversed(list(zip((step, estimate), self._drive(self._what), strict=False))):
-            compile_aside(function, arguments)
+        if estimator is not None:
+            compile_aside(estimate, self._knowledge(self._what, 0, count))
+        compile_aside(step, self._motion(self._what, 0, count))
         self._check_passable(trial)
 
     def _check_passable(self, trial: Any) -> None:
         """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
         trial.streams[0] = 1
-        only, orders, counter = np.zeros(1, dtype=np.int64), np.array([TRY]), self._counters[0]
         for _ in range(_TRIAL_COURSES):
-            counter[:] = 0
-            self._lay(trial, self.numbers, only, orders, self._progress, counter)
+            self._lay(trial, self.numbers, np.array([TRY]), 0, 1)
             if trial.reward[0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
@@ -123,49 +126,55 @@ class Vehicles:
         """Places [m] of the vehicles along their courses [vehicles]."""
         return self._world.state["x"]
 
-    def _first(self, k: int) -> int:
-        """Value of the counter that leads to vehicle k."""
-        return 0
-
     def _lay_one(self, k: int, order: np.int8) -> None:
-        function, arguments = self._courses(np.array([k]), np.array([order]))
-        self._counters[:] = 0, 1, 0
-        function(*arguments)
-        self._check_laid()
-
-    def _check_laid(self) -> None:
-        if self._counters[0, 2]:
-            raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
+        self._what[k] = order
+        try:
+            _check_laid(self._lay(self._world, self.numbers, self._what, k, k + 1))
+        finally:
+            self._what[k] = IDLE
 
     def _do(self, k: int, order: np.int8) -> None:
+        first = k // COUNT * COUNT
         self._what[k] = order
-        self._counters[:] = self._first(k), 1, 0
         try:
-            for function, arguments in self._drive(self._what):
-                function(*arguments)
+            self._drive(self._what, first, min(first + COUNT, self.count))
         finally:
             self._what[k] = IDLE
 
     def _all(self, what: np.ndarray) -> None:
         """Follow the orders, in several threads if there are many vehicles."""
-        orders = what.copy()
-        orders[(what == STEP) & (self._world.courses.ready < self._x() + self._ahead)] = AHEAD
-        rows = np.flatnonzero((orders == RESTART) | (orders == AHEAD))
-        self._progress[:] = LAID
-        self._progress[rows] = 0
-        calls = [self._courses(rows, orders[rows]), *self._drive(what)] if rows.size else list(self._drive(what))
-        at_work = min(self._threads, -(-self.count // self._least))
-        self._counters[:] = 0, at_work, 0
-        threads(self._threads).run(calls, at_work - 1)
-        self._check_laid()
+        courses = what.copy()
+        courses[(what == STEP) & (self._world.courses.ready < self._x() + self._ahead)] = AHEAD
+        laid = np.any((courses == RESTART) | (courses == AHEAD))
+        share = self.count if self._threads == 1 else -(-self.count // (_SHARES * self._threads))
+        share = max(-(-share // COUNT) * COUNT, self._least)
 
-    def _courses(self, rows: np.ndarray, orders: np.ndarray) -> tuple[FastCall, tuple]:
-        """Compiled function with its arguments that lays courses."""
-        return self._lay, (self._world, self.numbers, rows, orders, self._progress, self._counters[0])
+        def follow(first: int) -> int:
+            end, failed = min(first + share, self.count), 0
+            if laid:
+                failed = self._lay(self._world, self.numbers, courses, first, end)
+            self._drive(what, first, end)
+            return failed
 
-    def _drive(self, what: np.ndarray) -> Iterator[tuple[FastCall, tuple]]:
-        """Compiled functions with their arguments: the world, then what is on board."""
-        yield self._step, (self._world, self.numbers, self._commands, what, self._progress, self._counters[1])
+        begins = range(0, self.count, share)
+        run = map if len(begins) == 1 else _pool(self._threads, os.getpid()).map
+        _check_laid(sum(run(follow, begins)))
+
+    def _drive(self, what: np.ndarray, first: int, end: int) -> None:
+        """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
+        self._step(*self._motion(what, first, end))
         if self._estimator is not None:
-            known = self._estimator, self.belief, self._world.record, self._results
-            yield self._estimate, (*known, what, self._progress, self._counters[2])
+            self._estimate(*self._knowledge(what, first, end))
+
+    def _motion(self, what: np.ndarray, first: int, end: int) -> tuple[Any, ...]:
+        """Arguments of the compiled step of the world."""
+        return self._world, self.numbers, self._commands, what, first, end
+
+    def _knowledge(self, what: np.ndarray, first: int, end: int) -> tuple[Any, ...]:
+        """Arguments of the compiled step of the estimator."""
+        return self._estimator, self.belief, self._world.record, self._results, what, first, end
+
+
+def _check_laid(failed: int) -> None:
+    if failed:
+        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")

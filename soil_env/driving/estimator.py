@@ -5,15 +5,12 @@ into the observation. The world never reads an estimate, so that the two are com
 and a simulation whose observation and info ask for no estimate runs the world alone.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
-from soil_env._numba.threads import take, wait_for
 from soil_env.identification.online.class_memory import (
     PULL,
     ClassMemory,
@@ -47,7 +44,7 @@ from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
 from soil_env.simulation.task.observation import SENSORS, clip, write_estimate, write_moments
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import DRIVEN, RESTART, RUNNING, STEP, load_image, load_reading, portion_of
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_image, load_reading
 
 _CONVERGED = Status.CONVERGED.value
 _AHEAD = 13  # entries of what is identified of a line ahead
@@ -211,18 +208,10 @@ def _write_line(out, memory, k, there, label, grade, task):
 
 
 @compiled_root(nogil=True)
-def estimate_wheels(estimator, numbers, record, results, what, progress, counter):
-    """Follow the orders `what` [wheels] of the wheels that are DRIVEN; `counter`: [next wheel, threads at work]."""
-    wheels = what.size
-    portion = portion_of(counter, wheels)
-    start = take(counter, portion)
-    while start < wheels:
-        end = min(start + portion, wheels)
-        wait_for(progress, start, end, DRIVEN)
-        for k in range(start, end):
-            if what[k] == STEP:
-                _step(estimator, numbers, record, results, k)
-            elif what[k] == RESTART:
-                _restart(estimator, numbers, record, results, k)
-        portion = portion_of(counter, wheels)
-        start = take(counter, portion)
+def estimate_wheels(estimator, numbers, record, results, what, first, end):
+    """Follow the orders `what` [wheels] of the wheels `first` to `end` - 1, which the world has followed."""
+    for k in range(first, end):
+        if what[k] == STEP:
+            _step(estimator, numbers, record, results, k)
+        elif what[k] == RESTART:
+            _restart(estimator, numbers, record, results, k)

@@ -1,7 +1,5 @@
 """Info of the environments of a wheel, in the same words for one wheel and for many."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,9 +7,9 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall
-from soil_env.driving.wheels import Simulation, Worlds
+from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
-from soil_env.identification.online.estimate import assess_ground, ground_numbers, published
+from soil_env.identification.online.estimate import assess_ground, published
 from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
@@ -45,17 +43,20 @@ def asks(kind: str) -> bool:
     return kind in ("full", "numeric")
 
 
-def flat(nested: Mapping[str, Any]) -> dict[str, Any]:
-    """Flat numbers of a full info: `reward_NAME`, `estimate_NAME`, and all other names as they are."""
+def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """All numbers of a full info without nesting.
+
+    `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`, `AXLE_estimate_NAME` of an axle.
+    """
+    prefixes = {"reward_terms": "reward_", "estimate": "estimate_", "state": "", "traversability": ""}
     out: dict[str, Any] = {}
-    prefixes = {"reward_terms": "reward_", "estimate": "estimate_"}
     for key, value in nested.items():
         if isinstance(value, Mapping):
-            out |= {prefixes.get(key, "") + name: number for name, number in value.items()}
+            out |= flat(value, prefix + prefixes.get(key, f"{key}_"))
+        elif isinstance(value, str):
+            out[prefix + key] = (Cause if key == "cause" else Status)[value].value
         else:
-            out[key] = value
-    if isinstance(out["cause"], str):
-        out["cause"], out["estimate_status"] = Cause[out["cause"]].value, Status[out["estimate_status"]].value
+            out[prefix + key] = value
     return out
 
 
@@ -79,7 +80,7 @@ class Infos:
         self.scenario: Scenario = simulation.scenario
         self.kind: str = kind
         self._simulation, wheels = simulation, simulation.count
-        self._assess, self._ground = FastCall(assess_ground), ground_numbers(self.scenario)
+        self._assess = FastCall(assess_ground)
         self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
@@ -132,16 +133,16 @@ class Infos:
         info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
         return info if self.kind != "numeric" else _numbers(flat(info))
 
-    def _foreseen(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+    def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
         return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
 
-    def _renewed(self, worlds: Worlds, rows: np.ndarray) -> np.ndarray:
+    def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
         rows = rows[self._stale[rows]]
         if rows.size:
-            ids = worlds.ids
-            self._assess(rows, ids.estimate, ids.best_pull, self._seen, self._ground, self._warnings)
+            ids, numbers = worlds.ids, self._simulation.belief.identifier.filter
+            self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
             self._stale[rows] = False
         return self._warnings
 
@@ -171,7 +172,7 @@ class Infos:
         info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
         return masked(info, ended)
 
-    def _groups(self, worlds: Worlds, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
+    def _groups(self, worlds: Any, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
         """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
         groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
         if not identified:

@@ -3,15 +3,11 @@
 As `driving.estimator`, it reads the record of a step after the world has made it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
-from soil_env._numba.lanes import COUNT
-from soil_env._numba.threads import take, wait_for
 from soil_env.driving.estimator import knowledge
 from soil_env.identification.online.identifier import (
     HELD,
@@ -32,11 +28,10 @@ from soil_env.identification.online.stretches import (
     note,
     pool_numbers,
 )
-from soil_env.simulation.rover.rovers import blocks_of
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
-from soil_env.simulation.wheels import DRIVEN, RESTART, RUNNING, STEP, load_reading
+from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_reading
 from soil_env.simulation.world.wheel import wheel_of
 from soil_env.vehicle import RoverScenario
 
@@ -153,16 +148,10 @@ def _show(estimator, numbers, results, j):
 
 
 @compiled_root(nogil=True)
-def estimate_rovers(estimator, numbers, record, results, what, progress, counter):
-    """Follow the orders `what` [rovers] of the rovers that are DRIVEN; `counter`: [next block, threads at work]."""
-    blocks, portion = blocks_of(what.size, counter)
-    block = take(counter, portion)
-    while block < blocks:
-        end = min((block + portion) * COUNT, what.size)
-        wait_for(progress, block * COUNT, end, DRIVEN)
-        for j in range(block * COUNT, end):
-            if what[j] == STEP:
-                _step(estimator, numbers, record, results, j)
-            elif what[j] == RESTART:
-                _restart(estimator, numbers, results, j)
-        block = take(counter, portion)
+def estimate_rovers(estimator, numbers, record, results, what, first, end):
+    """Follow the orders `what` [rovers] of the rovers `first` to `end` - 1, which the world has followed."""
+    for j in range(first, end):
+        if what[j] == STEP:
+            _step(estimator, numbers, record, results, j)
+        elif what[j] == RESTART:
+            _restart(estimator, numbers, results, j)

@@ -1,13 +1,11 @@
 """Info of the environments of a rover, for one rover and for many."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from soil_env.driving.infos import STUCK, asks, estimates, masked
+from soil_env.driving.infos import STUCK, asks, estimates, flat, masked
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
@@ -50,7 +48,7 @@ class RoverInfos:
             info[axle] = {"state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL}}
             if known:
                 info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
-        return info if self.kind != "numeric" else _flat(info)
+        return info if self.kind != "numeric" else flat(info)
 
     def follow(self, reset: np.ndarray) -> None:
         """Nothing to note after a step: estimates are taken as they are."""
@@ -60,18 +58,6 @@ class RoverInfos:
     def final(self, ended: np.ndarray) -> dict[str, Any]:
         """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""
         return masked(self.many(), ended)
-
-
-def _flat(info: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """All numbers without nesting: `reward_NAME`, `NAME` of the body, `AXLE_NAME`, `AXLE_estimate_NAME`."""
-    out: dict[str, Any] = {}
-    for key, value in info.items():
-        if isinstance(value, Mapping):
-            inner = {"reward_terms": "reward_", "state": "", "estimate": "estimate_"}.get(key, f"{key}_")
-            out |= _flat(value, prefix + inner)
-        else:
-            out[prefix + key] = value
-    return out
 
 
 def _one_of(infos: Mapping[str, Any], j: int, words: bool) -> dict[str, Any]:

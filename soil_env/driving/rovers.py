@@ -1,54 +1,34 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of the rover's environments."""
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
 from soil_env._numba.lanes import COUNT
 from soil_env.driving.core import Vehicles, asks_for_estimates
 from soil_env.driving.rover_estimator import (
+    RoverEstimator,
     RoverEstimatorNumbers,
     estimate_rovers,
     new_rover_estimator,
     rover_estimator_numbers,
 )
-from soil_env.identification.online.identifier import Identifiers
-from soil_env.identification.online.stretches import Pools
-from soil_env.simulation.rover.dynamics import Rovers
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
-    RoverRecord,
+    RoverWorlds,
     lay_rovers,
     new_rover_worlds,
     observe_true_soils,
     rover_numbers,
     step_rovers,
 )
-from soil_env.simulation.rover.ruts import Ruts
 from soil_env.simulation.rover.task import first_soil, rover_layout
-from soil_env.simulation.world.terrain import Courses
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-
-class RoverWorlds(NamedTuple):
-    """Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one."""
-
-    rovers: Rovers
-    courses: Courses
-    ruts: Ruts
-    streams: np.ndarray  # [rovers] uint64
-    wheel_streams: np.ndarray  # [wheels] uint64
-    record: RoverRecord
-    observation: np.ndarray  # [rovers, D] float32
-    terms: np.ndarray  # [rovers, 4] reward terms
-    reward: np.ndarray  # [rovers]
-    cause: np.ndarray  # [rovers] `Cause`
-    going: np.ndarray  # [rovers] int8
-    ids: Identifiers | None  # one a wheel
-    known: Pools | None  # what all wheels of a rover have identified of the soil under each
+#: Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one.
+Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *RoverEstimator._fields))
 
 
 class RoverSimulation(Vehicles):
@@ -57,7 +37,6 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil; None: if the observation or the reward asks for it.
     """
 
-    worlds: RoverWorlds
     belief: RoverEstimatorNumbers | None
     _vehicle = "rover"
 
@@ -81,7 +60,7 @@ class RoverSimulation(Vehicles):
         wheels, estimator, belief = world.wheel_streams.size, None, None
         if estimates:
             estimator, belief = new_rover_estimator(wheels), rover_estimator_numbers(scenario, task)
-        self.worlds = RoverWorlds(*world, *(estimator or (None, None)))
+        self.worlds = Worlds._make((*world, *(estimator or (None, None))))
         trial = new_rover_worlds(1, scenario, task, False)
         self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
         self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
@@ -103,7 +82,3 @@ class RoverSimulation(Vehicles):
 
     def _x(self) -> np.ndarray:
         return self._world.rovers.body["x"]
-
-    def _first(self, k: int) -> int:
-        """Block of rover k."""
-        return 0 if self.count <= COUNT else k // COUNT

@@ -1,16 +1,11 @@
 """Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
-from soil_env._numba.rows import Rows
 from soil_env.driving.core import Vehicles, asks_for_estimates, processors
-from soil_env.driving.estimator import EstimatorNumbers, estimate_wheels, estimator_numbers, new_estimator
-from soil_env.identification.online.class_memory import ClassMemory
-from soil_env.identification.online.identifier import Identifiers
+from soil_env.driving.estimator import Estimator, EstimatorNumbers, estimate_wheels, estimator_numbers, new_estimator
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, truth
 from soil_env.simulation.task.rules import task_numbers
@@ -19,38 +14,22 @@ from soil_env.simulation.wheels import (
     LEAST,
     RESTART,
     STEP,
-    Record,
     WheelNumbers,
+    WheelWorlds,
     lay_wheels,
     new_wheel_worlds,
     step_wheels,
     write_true_soils,
 )
 from soil_env.simulation.world.courses import course_numbers
-from soil_env.simulation.world.terrain import Courses
 from soil_env.simulation.world.wheel import world_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
 __all__ = ["IDLE", "RESTART", "STEP", "Simulation", "Worlds", "processors"]
 
 
-class Worlds(NamedTuple):
-    """Arrays of many wheels, one row a wheel: those of `WheelWorlds`, then those of the estimator, None without one."""
-
-    state: Rows  # WheelState
-    counts: Rows  # WheelCounts
-    courses: Courses
-    streams: np.ndarray  # [wheels] uint64
-    record: Record
-    observation: np.ndarray  # [wheels, D] float32
-    terms: np.ndarray  # [wheels, 4] reward terms
-    reward: np.ndarray  # [wheels]
-    cause: np.ndarray  # [wheels] `Cause`
-    going: np.ndarray  # [wheels] int8
-    ids: Identifiers | None
-    memory: ClassMemory | None
-    changed: np.ndarray | None  # [wheels] True if the last step changed the estimate
-    recent: np.ndarray | None  # [wheels, MEMORY] averages of the sensors for warnings
+#: Arrays of many wheels, one row a wheel: those of the world, then those of the estimator, None without one.
+Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *Estimator._fields))
 
 
 class Simulation(Vehicles):
@@ -60,7 +39,6 @@ class Simulation(Vehicles):
     `worlds.recent` for `identification.online.immobilisation`.
     """
 
-    worlds: Worlds
     belief: EstimatorNumbers | None
 
     def __init__(
@@ -82,7 +60,7 @@ class Simulation(Vehicles):
         if estimates or warnings:
             estimator, belief = new_estimator(wheels, scenario, warnings), estimator_numbers(scenario, task)
         world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
-        self.worlds = Worlds(*world, *(estimator or (None,) * 4))
+        self.worlds = Worlds._make((*world, *(estimator or (None,) * 4)))
         trial = new_wheel_worlds(1, scenario, task, False)
         self._ahead = drawn.ahead
         self._begin(lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)

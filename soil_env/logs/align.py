@@ -5,8 +5,6 @@ of a channel within half a period of it. Where a slow channel has none, its valu
 that are at most `max_gap` apart; elsewhere it is missing (NaN).
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ with the definitions that the recording bears, or those of the current ROS 2. Fi
 more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import json

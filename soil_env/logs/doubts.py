@@ -6,8 +6,6 @@ mass times acceleration, and pitch with the gravity in accelerometer or pull. Al
 drive. A doubt is one line: what, where, what was expected.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Everything is checked when the file is read; `ParameterError` has one line.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass, fields

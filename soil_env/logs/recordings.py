@@ -1,7 +1,5 @@
 """Readings of a recording, whatever its format, on one time axis."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

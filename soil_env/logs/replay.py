@@ -4,8 +4,6 @@ Borders are those that the identifier finds by the grade and the forces. It find
 counts as one between grounds only where the estimates on both sides differ (`_probability_of_two`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 

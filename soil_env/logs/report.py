@@ -1,8 +1,5 @@
 """Report of a log: tables, pictures and a self-contained page."""
 
-from __future__ import annotations
-
-import io
 import json
 import math
 from datetime import UTC, datetime
@@ -13,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, html_image, html_page, render
-from soil_env._io.files import plain
+from soil_env._io.files import picture_of, plain
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNITS, LogMap
 from soil_env.logs.replay import SD_OF, Replay, findings
@@ -167,12 +164,6 @@ def _thinned(size: int) -> np.ndarray:
     return np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).astype(int))
 
 
-def _png(figure: Figure) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()
-
-
 def _estimates_picture(found: Replay) -> bytes:
     figure, axes = _figure(len(_SHOWN) + 1, 7.5)
     k = _thinned(found.time.size)
@@ -191,7 +182,7 @@ def _estimates_picture(found: Replay) -> bytes:
     axes[-1].plot(t, found.values["drawbar_margin"][k], color="C2", lw=1.0)
     axes[-1].axhline(0.0, color="0.3", lw=0.8)
     axes[-1].set_ylabel("drawbar margin\n[of load]")
-    return _png(figure)
+    return picture_of(figure, dpi=110)
 
 
 def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
@@ -203,4 +194,4 @@ def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
             axis.axvspan(row["start"], row["start"] + log_map.windows.duration, color="C1", alpha=0.25, lw=0)
         unit = next(iter(UNITS[name]))
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
-    return _png(figure)
+    return picture_of(figure, dpi=110)

@@ -12,8 +12,6 @@ The priors in a setup are those of the belief, not the online estimate, which wa
 slip-sinkage, which a setup takes as known or not at all, is the online one of that ground.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shlex
@@ -62,7 +60,7 @@ class Steady:
         cells = [[cell(r[n], ".9g") for n in names] for r in self.rows]
         return "\n".join(",".join(line) for line in (names, *cells)) + "\n"
 
-    def on(self, ground: int) -> Steady:
+    def on(self, ground: int) -> "Steady":
         """The points of one ground."""
         return Steady([row for row in self.rows if row["ground"] == ground], self.noise)
 

@@ -1,7 +1,5 @@
 """Rows of CSV and Parquet files with time stamps, one by one."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections import Counter

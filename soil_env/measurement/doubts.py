@@ -1,7 +1,5 @@
 """Loads that look like another unit than newtons, whatever model a table is fitted with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from soil_env.measurement.setup import Setup

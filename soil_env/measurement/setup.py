@@ -3,8 +3,6 @@
 Everything is in SI units. `read_setup` refuses what cannot be right with one line (`ParameterError`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ file beside it. Everything is in SI units. Impossible values are refused with on
 the column, the value and what was expected (`ParameterError`). The header is row 1.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import math
@@ -79,7 +77,7 @@ class Table:
         names = (*REQUIRED, "speed", "grade_deg", "wheel_radius", "wheel_width", "grouser_height")
         return {name: getattr(self, name) for name in names} | {"pass": self.passes}
 
-    def only(self, rows: np.ndarray) -> Table:
+    def only(self, rows: np.ndarray) -> "Table":
         """The table with these rows only: indices, or [N] bool."""
         columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return dataclasses.replace(self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)})

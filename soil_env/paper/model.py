@@ -4,8 +4,6 @@ Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; m
 their integrals and the forces are the compiled functions of `soil_env.terramechanics`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """docs/paper.md: tables and figures of the recomputed paper; the text is in templates/paper.md."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

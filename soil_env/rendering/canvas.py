@@ -1,7 +1,5 @@
 """Canvas on a pygame surface, laid out for one size and scaled to any other; colours."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
@@ -118,7 +116,7 @@ class Canvas:
         place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
         self._texts.append((image, place.round()))
 
-    def finish(self) -> pygame.Surface:
+    def finish(self) -> "pygame.Surface":
         """The finished picture as a surface, which the next picture overwrites."""
         self._pygame.transform.smoothscale(self._large, self._surface.get_size(), self._surface)
         self._surface.blits(self._texts)

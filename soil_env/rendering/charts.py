@@ -1,7 +1,5 @@
 """Strip charts over time: slip and sinkage, and the soil, estimated and true; of a rover, axle by axle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The ground of a course in pictures: its profile, what is seen of it near by, and the strip of the whole course."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Laid out as `side_view` is. Nothing physical is computed here either: places, lo
 simulation. The course is drawn in true lengths, and distance along it is that along the slope.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

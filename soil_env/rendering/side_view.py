@@ -4,8 +4,6 @@ The picture is laid out for 960 x 540 pixels and scaled to the size asked for. N
 terrain, stresses and mobilised sinkage coefficient come from the compiled functions that the simulation itself uses.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

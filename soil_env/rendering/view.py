@@ -1,7 +1,5 @@
 """Common base of the views of a course: canvas, window, and the history that charts show."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections import deque

@@ -1,7 +1,5 @@
 """Wheels in a picture with the ground and the stresses under them, and the state of an episode."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

@@ -3,17 +3,13 @@
 Nothing is identified here. The two are compiled by themselves, side by side if there is a second processor.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
-from soil_env._numba.lanes import COUNT
 from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
-from soil_env._numba.threads import mark, take, wait_for
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
@@ -32,14 +28,12 @@ from soil_env.simulation.world.terrain import Courses, new_courses
 from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle
 
 _RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
-LEAST = 32  # wheels that a thread takes at a time, at least; at most MANY
+LEAST = 32  # wheels that a thread takes at a time, at least
 #: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
 STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
 #: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
-#: Progress of a vehicle within a step: its course is there; it has driven.
-LAID, DRIVEN = 1, 2
 RUNNING = Cause.RUNNING.value
 load_reading, store_reading = row_record(SensorReading)
 load_image, _store_image = row_record(Image)
@@ -51,20 +45,22 @@ class Record(NamedTuple):
     After a restart it holds one set of readings.
     """
 
-    periods: np.ndarray  # [wheels] control periods of the last step
+    periods: np.ndarray  # [vehicles] control periods of the last step
     readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    halted: np.ndarray  # [wheels, repeat] True in a commanded halt
+    halted: np.ndarray  # [vehicles, repeat] True in a commanded halt
+    places: np.ndarray  # [vehicles, repeat] odometry [m]
     images: np.ndarray  # [wheels, repeat, 12] `Image`; no rows without a camera
 
 
-def new_record(wheels: int, scenario: Scenario, images: bool) -> Record:
-    """Empty record of so many wheels; `images`: with those of a camera."""
+def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:
+    """Empty record of so many vehicles with their wheels."""
     repeat = scenario.control.held
     return Record(
-        np.zeros(wheels, dtype=np.int64),
+        np.zeros(vehicles, dtype=np.int64),
         np.zeros((wheels, repeat, len(SensorReading._fields))),
-        np.zeros((wheels, repeat), dtype=np.bool_),
-        np.zeros((wheels if images else 0, repeat, len(Image._fields))),
+        np.zeros((vehicles, repeat), dtype=np.bool_),
+        np.zeros((vehicles, repeat)),
+        np.zeros((wheels if scenario.course.classes else 0, repeat, len(Image._fields))),
     )
 
 
@@ -98,7 +94,7 @@ def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorde
         WheelCounts(wheels),
         new_courses(wheels, scenario),
         np.zeros(wheels, dtype=np.uint64),
-        new_record(wheels if recorded else 0, scenario, recorded and scenario.course.classes > 0),
+        new_record(wheels, wheels, scenario) if recorded else new_record(0, 0, scenario),
         np.zeros((wheels, task.low.size), dtype=np.float32),
         np.zeros((wheels, len(REWARD_TERMS))),
         np.zeros(wheels),
@@ -129,29 +125,28 @@ def start_passable(k, courses, streams, numbers):
 
 
 @compiled_root(nogil=True)
-def lay_wheels(worlds, numbers, rows, orders, progress, counter):
-    """Follow the `orders` [n] for the courses `rows` [n]; `counter`: [next of them, threads at work, failures].
+def lay_wheels(worlds, numbers, orders, first, end):
+    """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those not found.
 
-    RESTART starts a new course and puts the wheel at rest at its start. `progress` [wheels] is then LAID.
+    RESTART starts a new course and puts the wheel at rest at its start.
     """
     courses, streams = worlds.courses, worlds.streams
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
-    i = take(counter, 1)
-    while i < rows.size:
-        k, order = rows[i], orders[i]
+    failed = 0
+    for k in range(first, end):
+        order = orders[k]
         if order == RESTART:
             mass = start_passable(k, courses, streams, course)
             if mass < 0.0:
-                counter[2] = 1
+                failed += 1
             else:
                 settle(worlds.state, worlds.counts, k, mass, courses, streams, numbers.world)
         elif order == TRY:
             worlds.reward[k] = draw_course(k, courses, streams, course)
-        else:
+        elif order == COMPLETE or order == AHEAD:
             x = np.inf if order == COMPLETE else worlds.state.x[k] + course.drawn.ahead
             extend_course(k, courses, worlds.state.mass[k], x, course)
-        mark(progress, k, LAID)
-        i = take(counter, 1)
+    return failed
 
 
 # --- driving ----------------------------------------------------------------------------------------------------------
@@ -185,7 +180,7 @@ def _record(worlds, numbers, k, period, reading, sight):
         return
     record.periods[k] = period + 1
     store_reading(reading, record.readings[k, period])
-    record.halted[k, period] = worlds.state.halt_left[k] > 0.0
+    record.halted[k, period], record.places[k, period] = worlds.state.halt_left[k] > 0.0, worlds.state.odometer[k]
     if numbers.task.camera.classes > 0:
         image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
         _store_image(image, record.images[k, period])
@@ -232,25 +227,14 @@ def _step(worlds, numbers, commands, start, count, steps):
                     steps -= 1
 
 
-@compiled_inline
-def portion_of(counter, wheels):
-    """Wheels to take next: many at first, and fewer towards the end, so that the threads end together."""
-    share = (wheels - counter[0]) // (2 * counter[1]) // COUNT * COUNT
-    return MANY if counter[1] == 1 else min(max(share, LEAST), MANY)
-
-
 @compiled_root(nogil=True)
-def step_wheels(worlds, numbers, commands, what, progress, counter):
-    """Follow the orders `what` [wheels] STEP and RESTART, chunk by chunk; `counter`: [next wheel, threads at work].
+def step_wheels(worlds, numbers, commands, what, first, end):
+    """Follow the orders `what` [wheels] STEP and RESTART for the wheels `first` to `end` - 1, chunk by chunk.
 
-    A chunk waits until its courses are LAID (`lay_wheels`); `progress` [wheels] is then DRIVEN.
+    Their courses are laid (`lay_wheels`); `first` is a multiple of `COUNT`.
     """
-    wheels = what.size
-    portion = portion_of(counter, wheels)
-    start = take(counter, portion)
-    while start < wheels:
-        count, steps = min(portion, wheels - start), 0
-        wait_for(progress, start, start + count, LAID)
+    for start in range(first, end, MANY):
+        count, steps = min(MANY, end - start), 0
         for k in range(start, start + count):
             worlds.going[k] = STEP if what[k] == STEP else IDLE
             if what[k] == STEP:
@@ -259,10 +243,6 @@ def step_wheels(worlds, numbers, commands, what, progress, counter):
             elif what[k] == RESTART:
                 _restart(worlds, numbers, k)
         _step(worlds, numbers, commands, start, count, steps)
-        for k in range(start, start + count):
-            mark(progress, k, DRIVEN)
-        portion = portion_of(counter, wheels)
-        start = take(counter, portion)
 
 
 @compiled_root(nogil=True)

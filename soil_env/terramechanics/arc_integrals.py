@@ -4,8 +4,6 @@ The nodes of one wheel's arc are in the lanes; those of eight wheels' arcs, one 
 other. The same code does both (`lanes.over_eight`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

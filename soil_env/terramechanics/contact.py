@@ -17,8 +17,6 @@ combines integrals over the arc (`ArcIntegrals`), the same for the world, the st
 Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The integrals are in `arc_integrals`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

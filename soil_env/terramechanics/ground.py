@@ -1,7 +1,5 @@
 """The ground between two soils: what a wheel on the border of them stands on."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import smooth_step
 from soil_env.parameters import SoilState

@@ -1,7 +1,5 @@
 """A wheel on one soil as an object and as a file: base model, named effects and residual law; tables of predictions."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping
@@ -136,14 +134,14 @@ class WheelSoilModel(Checked):
         replace_file(path, yaml.safe_dump(self.content(), sort_keys=False))
 
     @classmethod
-    def load(cls, path: str | Path) -> WheelSoilModel:
+    def load(cls, path: str | Path) -> "WheelSoilModel":
         """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
         if not isinstance(path, (str, Path)) or not str(path):
             raise ParameterError(f"model = {path!r}: expected the path of a model.yaml")
         return cls.from_content(read_yaml(Path(path)), str(path))
 
     @classmethod
-    def from_content(cls, content: Mapping[str, Any], where: str = "model") -> WheelSoilModel:
+    def from_content(cls, content: Mapping[str, Any], where: str = "model") -> "WheelSoilModel":
         """The model of the mapping of a model.yaml; errors name `where` it comes from."""
         if not isinstance(content, Mapping):
             raise ParameterError(f"{where}: expected the mapping of a model.yaml, got {content!r}")

@@ -1,7 +1,5 @@
 """The motor of a wheel: a DC motor with its gear, held to a torque or to a speed."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import larger, smaller, where_less
 

@@ -3,8 +3,6 @@
 All functions take floats (one wheel) or lanes (eight wheels).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import soil_env.terramechanics.effects.grousers as grousers

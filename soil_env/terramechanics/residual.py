@@ -6,8 +6,6 @@
 group is held inside the range it had there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Steady state of a wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load, with effects."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Criterion of the source paper (its Section 6): the ground is impassable where th
 what the motor has. So it is where no slip gives a positive drawbar pull in excess of the grade.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The conditions that a fitted model has seen: {condition: (lowest, highest)} in the units of a measurement table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

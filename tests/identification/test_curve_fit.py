@@ -138,19 +138,6 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     assert fitted.misfit == pytest.approx(nodes[n.COST].min())
 
 
-def test_errors_are_as_large_as_stated():
-    """Soils drawn from the prior: two thirds of the errors of each unknown are within one standard deviation."""
-    rng, scaled = np.random.default_rng(0), []
-    while len(scaled) < 60:
-        soil = rng.multivariate_normal(PRIOR, PRIOR_COVARIANCE)
-        if soil[0] < 0.25 or soil[1] < 0.0:
-            continue
-        fitted = Fitted(noisy_points(rng, soil, (4e-3, 3e-4, 0.5, 0.08)), again=4)
-        scaled.append((fitted.mean - soil) / np.sqrt(np.diag(fitted.covariance)))
-    inside = np.mean(np.abs(scaled) < 1.0, axis=0)
-    assert np.all((inside > 0.5) & (inside < 0.9)), inside
-
-
 def test_the_share_on_a_border_and_its_slope():
     """The mean of the terrain's share over two places; the slope by the place of the border is that of differences."""
     spread, length = 0.02, 0.3

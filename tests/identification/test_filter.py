@@ -72,25 +72,6 @@ def test_wheels_that_do_not_drive_tell_nothing(changes):
     assert fed.p.points[0] == 0.0 and fed.ids.status[0] == Status.NO_DATA
 
 
-UNSURE = pytest.mark.xfail(
-    strict=True, reason="a next soil that may begin is part of the estimate: ln K is less sure for a while"
-)
-
-
-@pytest.mark.parametrize("growth", [1.25, pytest.param(1.15, marks=UNSURE)])
-def test_what_is_known_grows_along_a_soil(growth):
-    """As far as the belief lets it, which expects a border every two metres: a next soil may always have begun."""
-    course = {"length": 40.0, "patch_length": [40.0, 40.0], "halt_interval": [1e5, 1e6], "margin": [0.05, 0.1]}
-    changes = {"course": course, "control": {"action": "wheel_speed"}}
-    sim, sds = started(load_scenario("mixed", changes), *([3, k] for k in range(8))), []
-    for step in range(241):
-        if step % 60 == 0:
-            sds.append(np.median(sim.worlds.ids.sd[:, :2], axis=0))  # of friction and ln K
-        sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.1 * step)), np.zeros(8, np.int8))
-    sds = np.array(sds)
-    assert np.all(sds[-1] < [0.8, 0.4] * sds[0]) and np.all(sds[1:] < growth * sds[:-1]), sds
-
-
 wild, speed = st.floats(-1e6, 1e6), st.floats(-3.0, 3.0)
 wild_reading = st.builds(
     SensorReading, st.floats(-1.0, 1.0), st.floats(-0.2, 0.4), wild, wild, wild, speed, speed, st.floats(-1.6, 1.6),

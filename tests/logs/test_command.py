@@ -169,17 +169,6 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
     assert json.loads(written["log.json"])["estimate"][name] is None
 
 
-def test_readings_that_contradict_identify_nothing(log_map):
-    """A wheel speed in rpm that is taken for rad/s: no estimate is current, and nothing is said to be identified."""
-    log = made(log_map, [(s, 4.0) for s in (0.1, 0.4, 0.2, 0.6)], noise=1.0)
-    assert sum(": identified" in line for line in findings(replay(log, log_map), log)) >= 2
-    log.readings["wheel_speed"] = log.readings["wheel_speed"] * 30.0 / math.pi
-    wrong = replay(log, log_map)
-    assert not np.any(wrong.status == wrong.prior.status.CONVERGED)
-    said = findings(wrong, log)
-    assert not any(": identified" in line for line in said) and any("0% of the steps" in line for line in said)
-
-
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     """As the identifier of tables reads them: the same mean and standard deviation, of K and S in their logarithm."""
     log_map = without_digging

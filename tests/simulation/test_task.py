@@ -241,11 +241,15 @@ def documented(env):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
-    """Name and bounds of every entry, and the numbers of those that scenarios without a camera have."""
+    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers without a camera."""
     rows = documented(SoilWheelEnv)
     bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
-    assert {(e.name.replace("beside", "ahead"), e.low, e.high) for e in layout(variant, COURSE)} <= bounds
-    assert {(re.sub("^(middle|rear)", "front", e.name), e.low, e.high) for e in rover_layout(variant, 3)} <= {
+    named = {name for name, *_ in bounds}
+    for e in (*layout(variant, COURSE), *rover_layout(variant, 3)):
+        shown = e.name.replace("beside", "ahead")
+        shown = shown if shown in named else re.sub("^(ahead|front|middle|rear)_", "", shown)
+        assert (shown, e.low, e.high) in bounds or e.name == f"{e.name.partition('_')[0]}_met", e
+    assert {(e.name, e.low, e.high) for e in rover_layout("blind", 2)[:14]} == {
         row[1:] for row in documented(SoilRoverEnv)
     }
     assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered

@@ -192,11 +192,13 @@ def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario)
     courses = terrain.new_courses(1, scenario)
     courses.rut_factors[0] = np.random.default_rng(0).uniform(0.3, 3.0, courses.rut_factors.shape[1])
     x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
-    factor = np.array([terrain.rut_factor(courses, 0, at) for at in x])
+    factor = np.array([terrain.between_cells(courses.rut_factors, 0, at) for at in x])
     assert np.abs(np.diff(factor)).max() < 2.8 * 1e-4 / terrain.CELL
     for cell in (0, 7, 50):
         middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
-        assert terrain.rut_factor(courses, 0, middle) == pytest.approx(courses.rut_factors[0, cell], rel=1e-6)
+        assert terrain.between_cells(courses.rut_factors, 0, middle) == pytest.approx(
+            courses.rut_factors[0, cell], rel=1e-6
+        )
 
 
 def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):

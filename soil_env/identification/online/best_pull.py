@@ -6,8 +6,6 @@ ratio that of digging (`effects.digging_ratio`). A step of Newton's method a poi
 stiffness err together, so the pull is known better than any of them: its variance is by the whole covariance.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

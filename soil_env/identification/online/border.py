@@ -14,8 +14,6 @@ Once one is likely enough, the wheel comes to a border, whose place and rise are
 likelihoods, renewed with every point.
 """
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

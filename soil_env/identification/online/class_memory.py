@@ -11,8 +11,6 @@ each quantity by itself. Where two differ by more than they allow, chi-squared w
 cohesion and K of an estimate err together and leave the pull right.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ which pull and torque follow. They do not depend on the sinkage coefficient S of
 sinkage shows it (`sinkage_filter`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline

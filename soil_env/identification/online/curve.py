@@ -8,8 +8,6 @@ Points are grouped by the most likely slip under the soil so far, by slip, pull 
 reading itself would select its noise (Wald 1940, Annals of Mathematical Statistics 11:284-300).
 """
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

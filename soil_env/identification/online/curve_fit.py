@@ -9,8 +9,6 @@ Each node has a maximum a posteriori with a covariance (Laplace); the posterior 
 evidence. A bin is linearised at the slip that is most likely under the node.
 """
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

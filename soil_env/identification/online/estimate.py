@@ -1,14 +1,14 @@
 """The soil that an estimate of the identifier stands for."""
 
-from __future__ import annotations
-
 import math
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_root, uncompiled
-from soil_env.parameters import Belief, Scenario, SoilState
+from soil_env.parameters import Belief, Soil, SoilState
 from soil_env.terramechanics.traversability import best_working_point
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
@@ -49,41 +49,18 @@ def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> di
     }
 
 
-class GroundNumbers(NamedTuple):
-    """Numbers of a `Scenario` that traversability needs."""
-
-    radius: float  # [m]
-    width: float  # [m]
-    stall_torque: float  # [N m]
-    weight: float  # [N]
-    dig_gain: float
-    sinkage_exponent: float
-    dig_recovery: float
-
-
-def ground_numbers(scenario: Scenario) -> GroundNumbers:
-    """Pack the wheel and the belief of a scenario."""
-    wheel, belief = scenario.wheel, scenario.belief
-    return GroundNumbers(
-        wheel.radius, wheel.width, wheel.stall_torque, scenario.weight, belief.dig_gain, belief.sinkage_exponent,
-        belief.dig_recovery,
-    )  # fmt: skip
-
-
 @compiled_root(nogil=True)
 def assess_ground(rows, estimate, pull, seen, numbers, out):
     """Write the traversability of the ground as identified under the wheels `rows` [n] into `out` [wheels, 6].
 
     `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen` [wheels, 2], load [of
-    weight] and pitch [rad]. Columns of `out`: best slip, drawbar margin and its sd [of load], torques required and
-    available [N m], 1 if the ground is passable (source paper, Section 6).
+    weight] and pitch [rad]; `numbers` are `FilterNumbers`. Columns of `out`: best slip, drawbar margin and its sd [of
+    load], torques required and available [N m], 1 if the ground is passable (source paper, Section 6).
     """
     for k in rows:
         x = estimate[k]
         phi = math.radians(math.degrees(x[0]))  # to the bit as published, in degrees
-        soil = soil_of_estimate(
-            (phi, x[1], x[2], x[3], x[4]), numbers.dig_gain, numbers.sinkage_exponent, numbers.dig_recovery
-        )
+        soil = soil_of_estimate((phi, x[1], x[2], x[3], x[4]), numbers.dig_gain, numbers.exponent, numbers.dig_recovery)
         load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
         best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque)
         turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
@@ -97,3 +74,14 @@ def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:
     phi, *rest = estimate.tolist()
     x = math.radians(math.degrees(phi)), *rest
     return uncompiled(soil_of_estimate)(x, belief.dig_gain, belief.sinkage_exponent, belief.dig_recovery)
+
+
+_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
+
+
+def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
+    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are the belief's."""
+    within = {
+        name: min(max(numbers[name], limit["low"]), limit["high"]) for name, limit in _BOUNDS.items() if name in numbers
+    }
+    return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within)

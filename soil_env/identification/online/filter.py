@@ -9,8 +9,6 @@ spinning on the spot or turned much faster or slower are passed over. Where even
 have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -21,7 +19,7 @@ from soil_env._numba.rows import zero_column
 from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
-from soil_env.identification.online.filter_bank import fetch_bank, restart
+from soil_env.identification.online.filter_bank import restart
 from soil_env.identification.online.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
 from soil_env.identification.online.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
 from soil_env.slip import motion_from_slip
@@ -156,8 +154,6 @@ def take(banks, k, reading, numbers):
     if not _is_finite(reading):
         return False
     turned = abs(reading.rim_speed - p.last_rim[k])
-    if p.crossing[k] > 0.0 or o.readings[k] >= _READINGS - 1.0:  # likely to be needed
-        fetch_bank(banks, k)
     _advance_clocks(p, k, reading, numbers)
     if numbers.grade_change > 0.0:
         border.note_grade(banks, k, reading.pitch, numbers)

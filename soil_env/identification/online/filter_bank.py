@@ -1,14 +1,12 @@
 """Memory of the filter (`filter`), and the numbers that it takes from a scenario."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import COUNT, fetch
+from soil_env._numba.compiling import compiled_part
+from soil_env._numba.lanes import COUNT
 from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.online.best_pull import SLIPS
 from soil_env.identification.online.curve import BINS, FIELDS
@@ -117,17 +115,6 @@ def new_banks(wheels: int) -> FilterBanks:
         SINKAGE_ROWS * COUNT, COUNT, 2 * CANDIDATES,
     )  # fmt: skip
     return FilterBanks(OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes))
-
-
-@compiled_inline
-def fetch_bank(banks, k):
-    """Bring the memory that a point needs into the cache: with many wheels it is elsewhere."""
-    for i in range(0, NODE_ROWS * COUNT, COUNT):
-        fetch(banks.nodes[k], i)
-    for i in range(0, int(banks.point.bins[k]) * FIT_ROWS * COUNT, COUNT):
-        fetch(banks.fits[k], i)
-    for i in range(0, SINKAGE_ROWS * COUNT, COUNT):
-        fetch(banks.sinkage[k], i)
 
 
 @compiled_part

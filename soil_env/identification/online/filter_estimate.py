@@ -1,7 +1,5 @@
 """The estimate that a filter gives of the soil under the wheel."""
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

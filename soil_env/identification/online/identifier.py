@@ -1,7 +1,5 @@
 """Online identification: estimate, standard deviations and status, by the filter."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -44,22 +42,18 @@ class IdentifierNumbers(NamedTuple):
     prior_covariance: np.ndarray  # [5, 5]
     prior_pull: np.ndarray  # [2] best steady drawbar pull [of load], its standard deviation
     precision: np.ndarray  # [5] of the prior, each on its own
-    dig_gain: float
-    dig_recovery: float
-    exponent: float
     off: bool  # nothing is identified
     filter: FilterNumbers
 
 
 def identifier_numbers(scenario: Scenario) -> IdentifierNumbers:
     """Pack what `observe` needs."""
-    b = scenario.belief
     prior, covariance = published_prior(scenario)
     pull, variance = prior_pull(*prior_of_belief(scenario), depth_of(scenario), scenario)
     pull_sd = OF_PULL * math.sqrt(variance)
     return IdentifierNumbers(
-        prior, covariance, np.array([pull, pull_sd]), 1.0 / np.diag(covariance), b.dig_gain,
-        b.dig_recovery, b.sinkage_exponent, b.method == "none", filter_numbers(scenario),
+        prior, covariance, np.array([pull, pull_sd]), 1.0 / np.diag(covariance), scenario.belief.method == "none",
+        filter_numbers(scenario),
     )  # fmt: skip
 
 

@@ -12,8 +12,6 @@ trained on simulated drives; weights and training are in immobilisation.json. It
 It is compiled: numpy takes several times as long for one wheel, which would slow each step with full `info`.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

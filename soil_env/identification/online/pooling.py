@@ -21,8 +21,6 @@ changed. They follow by their own correlation with what is pooled. `stretches.ER
 have alike, so that no comparison shows them: the exponent held wrong, the law of sinkage, the curvature of the models.
 """
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

@@ -8,8 +8,6 @@ Applied Optimal Estimation, Sec. 6.2). Pressure and gain hide each other along a
 is split among the filters (Gaussian sum: Alspach & Sorenson 1972, IEEE Trans. Automatic Control 17:439-448).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

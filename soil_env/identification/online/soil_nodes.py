@@ -6,8 +6,6 @@ hide each other along a curved ridge that the nodes follow. The readings are kep
 closer together, where K becomes known, are fitted to all of them anew.
 """
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

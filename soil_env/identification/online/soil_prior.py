@@ -4,8 +4,6 @@ The forces show (tan phi, cohesion, exponent n, ln K), the sinkage shows (y, l):
 gain of digging over the nominal one. Soils are compared by that pressure, since the unit of S depends on n.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

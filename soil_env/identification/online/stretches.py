@@ -5,8 +5,6 @@ wheels that come after it (`pooling`). These also receive the border that the fr
 with the new soil there (`border.begin_known_border`), and do not first take it for the old.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ that the setup does not give as known. `problem.py` has the equations; here the 
 warnings.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

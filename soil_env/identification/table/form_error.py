@@ -13,8 +13,6 @@ A process is written in its leading eigenfunctions at the rows of the table (Kar
 becomes ordinary linear unknowns with unit prior.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -83,7 +81,7 @@ class Process:
         additive: bool = False,
         most: int = 40,
         lengths: Mapping[str, float] = LENGTHS,
-    ) -> Process:
+    ) -> "Process":
         """The process over those of the conditions [N] that vary, with at most `most` functions; `of` None: of all."""
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
         names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)

@@ -4,8 +4,6 @@ Every unknown is fitted as u = (x - mean)/sd, x being the parameter or, for K an
 the standard normal, and parameters of any unit have one scale.
 """
 
-from __future__ import annotations
-
 import math
 from types import MappingProxyType
 from typing import NamedTuple

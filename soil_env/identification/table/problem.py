@@ -17,8 +17,6 @@ Noise that the setup leaves out is estimated with the soil until it no longer ch
 4:415-447). For each channel var = sum(residual^2) / (values - values spent on fitting).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from itertools import product

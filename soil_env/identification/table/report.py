@@ -1,15 +1,12 @@
 """Identified soil of a table as text, plain values and a picture."""
 
-from __future__ import annotations
-
-import io
 import math
 from typing import Any
 
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import plain
+from soil_env._io.files import picture_of, plain
 from soil_env.identification.table.fit import SYMBOLS, TableEstimate
 
 LABELS = {
@@ -127,9 +124,7 @@ def picture(estimate: TableEstimate) -> bytes:
         f"c {p['cohesion'].value:.0f} Pa (points: measured, 95 % bars; lines or crosses: fitted)",
         fontsize=10,
     )
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=130)
-    return stream.getvalue()
+    return picture_of(figure, dpi=130)
 
 
 def load_groups(load: np.ndarray) -> list[tuple[str, np.ndarray]]:

@@ -1,7 +1,5 @@
 """Measurements of a rig at the rows of a table: the steady model, with load and pull resolved as the setup says."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -12,8 +12,6 @@ seem free of noise by chance and draw all weight. Their prior is flat in sigma i
 1:515-534).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq

@@ -19,8 +19,6 @@ loads of the forces that the last reaction foresees, and again with those of the
 by more than `LOAD_TOLERANCE`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ operation acts on the same axle of eight rovers. They share no number: a rover a
 All wheels of a rover run over the same course, each leaving its rut to those behind it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline, compiled_part
@@ -15,7 +13,7 @@ from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
 from soil_env.simulation.rover.body import angle_of, rise_of_body
 from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, pass_on
 from soil_env.simulation.world.dynamics import (
     FINEST,
     MOST_STEPS,
@@ -38,6 +36,7 @@ from soil_env.simulation.world.stage import (
     new_newton,
     new_nodes,
 )
+from soil_env.simulation.world.terrain import between_cells
 from soil_env.simulation.world.wheel import finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
@@ -62,7 +61,7 @@ def _climb(wheels, axles, ruts, k, before, grade):
     rise = (from_array(wheels.x, k) - before) * sine_of(grade)
     to_array(from_array(axles.height, k) + rise, axles.height, k)
     for i in range(k, k + COUNT):
-        axles.floor[i] = floor_at(ruts, i, wheels.x[i])
+        axles.floor[i] = between_cells(ruts.floor, i, wheels.x[i])
 
 
 @compiled_inline

@@ -6,8 +6,6 @@ The equation of each axle has its own u and V only, so a step of Newton's method
 that is linear in the axles. Stages and reaction are those of `simulation.stage`.
 """
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
 from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array

@@ -3,8 +3,6 @@
 Nothing is identified here.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple
@@ -15,7 +13,6 @@ from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_r
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
-from soil_env._numba.threads import mark, take, wait_for
 from soil_env.readings import SensorReading
 from soil_env.simulation.rover.body import (
     AxleState,
@@ -30,15 +27,16 @@ from soil_env.simulation.rover.task import BodyReading, rover_task_numbers, writ
 from soil_env.simulation.task.observation import clip
 from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, reward_terms, total_of
 from soil_env.simulation.wheels import (
+    AHEAD,
     COMPLETE,
-    DRIVEN,
     IDLE,
-    LAID,
     RESTART,
     RUNNING,
     STEP,
     TRY,
+    Record,
     clear_reward,
+    new_record,
     start_passable,
     store_reading,
 )
@@ -62,29 +60,7 @@ from soil_env.simulation.world.wheel import (
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-_MOST_BLOCKS = 8  # of eight rovers, that a thread takes at a time
 _DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
-
-
-class RoverRecord(NamedTuple):
-    """Sensor record of the last step, for what runs on board; no rows if nothing does.
-
-    After a restart it holds one set of readings.
-    """
-
-    periods: np.ndarray  # [rovers] control periods of the last step
-    readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    places: np.ndarray  # [rovers, repeat] odometry [m]
-
-
-def new_rover_record(rovers: int, wheels: int, scenario: RoverScenario) -> RoverRecord:
-    """Empty record of so many rovers with their wheels."""
-    repeat = scenario.control.held
-    return RoverRecord(
-        np.zeros(rovers, dtype=np.int64),
-        np.zeros((wheels, repeat, len(SensorReading._fields))),
-        np.zeros((rovers, repeat)),
-    )
 
 
 class RoverWorlds(NamedTuple):
@@ -95,7 +71,7 @@ class RoverWorlds(NamedTuple):
     ruts: Ruts
     streams: np.ndarray  # [rovers] uint64
     wheel_streams: np.ndarray  # [wheels] uint64
-    record: RoverRecord
+    record: Record
     observation: np.ndarray  # [rovers, D] float32
     terms: np.ndarray  # [rovers, 4] reward terms
     reward: np.ndarray  # [rovers]
@@ -113,7 +89,7 @@ def new_rover_worlds(rovers: int, scenario: RoverScenario, task: TaskNumbers, re
         new_ruts(wheels, courses.rut.shape[1]),
         np.zeros(rovers, dtype=np.uint64),
         np.zeros(wheels, dtype=np.uint64),
-        new_rover_record(rovers, wheels, scenario) if recorded else new_rover_record(0, 0, scenario),
+        new_record(rovers, wheels, scenario) if recorded else new_record(0, 0, scenario),
         np.zeros((rovers, task.low.size), dtype=np.float32),
         np.zeros((rovers, len(REWARD_TERMS))),
         np.zeros(rovers),
@@ -180,30 +156,29 @@ def _settle(worlds, numbers, j, mass):
 
 
 @compiled_root(nogil=True)
-def lay_rovers(worlds, numbers, rows, orders, progress, counter):
-    """Follow the `orders` [n] for the courses `rows` [n]; `counter`: [next of them, threads at work, failures].
+def lay_rovers(worlds, numbers, orders, first, end):
+    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those not found.
 
-    RESTART starts a new course and puts the rover at rest at its start. `progress` [rovers] is then LAID.
+    RESTART starts a new course and puts the rover at rest at its start.
     """
     courses, s, body = worlds.courses, numbers.suspension, worlds.rovers.body
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
-    i = take(counter, 1)
-    while i < rows.size:
-        j, order = rows[i], orders[i]
+    failed = 0
+    for j in range(first, end):
+        order = orders[j]
         if order == RESTART:
             mass = start_passable(j, courses, worlds.streams, course)
             if mass < 0.0:
-                counter[2] = 1
+                failed += 1
             else:
                 extend_course(j, courses, mass, s.base + course.drawn.ahead, course)
                 _settle(worlds, numbers, j, mass)
         elif order == TRY:
             worlds.reward[j] = start_course(j, courses, worlds.streams, course)
-        else:
+        elif order == COMPLETE or order == AHEAD:
             x = np.inf if order == COMPLETE else body.x[j] + s.base + course.drawn.ahead
             extend_course(j, courses, body.mass[j] / s.axles, x, course)
-        mark(progress, j, LAID)
-        i = take(counter, 1)
+    return failed
 
 
 @compiled_part
@@ -249,6 +224,7 @@ def _observe(worlds, numbers, j, period, reading):
             store_reading(of_wheel, record.readings[k, period])
     if recorded:
         record.periods[j], record.places[j, period] = period + 1, rovers.body.odometer[j]
+        record.halted[j, period] = rovers.body.halt_left[j] > 0.0
     write_body(out, rovers.body, j, reading, numbers.task)
     if numbers.task.variant == 2:
         write_true_soils(out, j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task)
@@ -294,38 +270,23 @@ def _step_block(worlds, numbers, commands, block):
             return
 
 
-@compiled_inline
-def blocks_of(rovers, counter):
-    """(blocks of eight rovers, blocks that a thread takes at a time)."""
-    blocks = (rovers + COUNT - 1) // COUNT
-    return blocks, min(max(blocks // (4 * counter[1]), 1), _MOST_BLOCKS)
-
-
 @compiled_root(nogil=True)
-def step_rovers(worlds, numbers, commands, what, progress, counter):
-    """Follow the orders `what` [rovers], block by block; `commands` [wheels]; `counter`: [next block, threads].
+def step_rovers(worlds, numbers, commands, what, first, end):
+    """Follow the orders `what` [rovers] STEP and RESTART for the rovers `first` to `end` - 1, block by block.
 
-    A block waits until its courses are LAID (`lay_rovers`); `progress` [rovers] is then DRIVEN.
+    `commands` [wheels]. Courses are laid (`lay_rovers`); `first` is a multiple of `COUNT`.
     """
-    rovers = what.size
-    blocks, portion = blocks_of(rovers, counter)
-    block = take(counter, portion)
-    while block < blocks:
-        for b in range(block, min(block + portion, blocks)):
-            steps, end = 0, min((b + 1) * COUNT, rovers)
-            wait_for(progress, b * COUNT, end, LAID)
-            for j in range(b * COUNT, end):
-                worlds.going[j] = STEP if what[j] == STEP else IDLE
-                if what[j] == STEP:
-                    clear_reward(worlds, j)
-                    steps += 1
-                elif what[j] == RESTART:
-                    _restart(worlds, numbers, j)
-            if steps > 0:
-                _step_block(worlds, numbers, commands, b * COUNT)
-            for j in range(b * COUNT, end):
-                mark(progress, j, DRIVEN)
-        block = take(counter, portion)
+    for block in range(first, end, COUNT):
+        steps = 0
+        for j in range(block, min(block + COUNT, end)):
+            worlds.going[j] = STEP if what[j] == STEP else IDLE
+            if what[j] == STEP:
+                clear_reward(worlds, j)
+                steps += 1
+            elif what[j] == RESTART:
+                _restart(worlds, numbers, j)
+        if steps > 0:
+            _step_block(worlds, numbers, commands, block)
 
 
 @compiled_root(nogil=True)

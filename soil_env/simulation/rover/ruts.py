@@ -11,15 +11,12 @@ Each wheel keeps its own rut, as a wheel by itself does, and meets it again wher
 it have left it does not meet.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.lanes import COUNT
-from soil_env.simulation.world.terrain import between_cells
 
 COMPACTION_OF_RUT = 5.0
 
@@ -43,12 +40,6 @@ def clear_ruts(ruts, k):
     for cell in range(ruts.rut.shape[1]):
         ruts.rut_factors[k, cell] = 1.0
         ruts.rut[k, cell] = ruts.floor[k, cell] = 0.0
-
-
-@compiled_inline
-def floor_at(ruts, k, x):
-    """Depth [m] of the rut of the wheels ahead of wheel k at x [m]."""
-    return between_cells(ruts.floor, k, x)
 
 
 @compiled_inline

@@ -4,8 +4,6 @@ Reward, causes of an end, halts and odometry are those of `simulation.task` for 
 the same names (`body.BodyState`). A wheel that is stuck is no end as long as the rover gets on.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ All variants begin with the same entries. Forces, speeds and sinkage are relativ
 and radius, so that they are of order one for any wheel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from soil_env._io.loading import ParameterError, unknown_value

@@ -1,7 +1,5 @@
 """Entries of the observation: sensors, camera, true soil, and the estimate of a soil."""
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline

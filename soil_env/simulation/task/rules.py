@@ -1,7 +1,5 @@
 """Rules of the task: numbers of the scenario, causes of an episode's end, reward."""
 
-from __future__ import annotations
-
 import enum
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A learner whose first layer takes numbers as they are (any library's default) st
 one; log10 of a sinkage coefficient is 6 +- 0.3. Centre and scale were read off two_lines, sticky and field_vehicle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

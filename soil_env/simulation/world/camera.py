@@ -4,8 +4,6 @@ Label and grade of a line are wrong in the same way in every image (`lines._draw
 out. The distance of a border has an error of that kind and one that is new in every image.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline

@@ -8,8 +8,6 @@ grade leaves less than the margin, or in which the wheel would be bogged, are dr
 with two lines is drawn by `lines`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -213,7 +211,7 @@ def _add_patch(k, courses, length, numbers):
     courses.ready[k] = np.inf if whole else start - 0.5 * numbers.drawn.border
     first = 0 if p == 0 else cell_at(courses, start) + 1
     cells = courses.rut_factors.shape[1]
-    last = cells - 1 if whole else min(cell_at(courses, end) + 1, cells - 1)  # `rut_factor` reads one further
+    last = cells - 1 if whole else min(cell_at(courses, end) + 1, cells - 1)  # `between_cells` reads one further
     for i in range(first, last + 1):
         courses.rut_factors[k, i] = 1.0
         courses.rut[k, i] = 0.0

@@ -15,8 +15,6 @@ takes one wheel longer than another: a lane whose wheel has converged goes on wi
 whose iteration fails goes on by shorter steps, its neighbours waiting.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

@@ -7,8 +7,6 @@ the other may be steeper than any slip can climb. They differ in the soil: a lin
 say which is passable.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,6 @@ Numer. Anal. 14(6):1006-1021). Newton's method takes one wheel longer than anoth
 goes on with the next of up to `MANY`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

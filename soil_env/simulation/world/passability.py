@@ -1,7 +1,5 @@
 """Soils that a course is drawn from, and the steepest slope of them that this wheel can climb."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

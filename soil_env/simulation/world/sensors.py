@@ -1,7 +1,5 @@
 """Sensors of a wheel: readings with noise and errors."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

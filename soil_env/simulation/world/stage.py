@@ -4,8 +4,6 @@ The equations are those of `newton`, which solves them; the `Footing` is the gro
 undisturbed and then as the wheel meets it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,7 +14,7 @@ from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.records import lane_record
 from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
-from soil_env.simulation.world.terrain import ground_at, rut_factor
+from soil_env.simulation.world.terrain import between_cells, ground_at
 from soil_env.simulation.world.wheel import axle_of, course_of
 from soil_env.terramechanics.arc_integrals import (
     NODE_COLUMNS,
@@ -105,7 +103,7 @@ def gather_ground(state, counts, first, block, period, g, courses, ruts, world, 
         soil, grade, patch = ground_at(courses, course, x, counts.patch[k], world.border)
         counts.patch[k] = patch
         g.tan_phi[i], g.cohesion[i], g.shear_modulus[i] = soil.tan_phi, soil.cohesion, soil.shear_modulus
-        g.sinkage_coefficient[i] = soil.sinkage_coefficient * rut_factor(ruts, k, x)
+        g.sinkage_coefficient[i] = soil.sinkage_coefficient * between_cells(ruts.rut_factors, k, x)
         g.sinkage_exponent[i] = soil.sinkage_exponent
         g.dig_gain[i], g.dig_recovery[i], g.grade[i] = soil.dig_gain, soil.dig_recovery, grade
         again = 1.0 if ruts.rut[k, cell] > 0.0 else 0.0

@@ -1,7 +1,5 @@
 """The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -131,16 +129,10 @@ def between_cells(values, k, x):
 
 
 @compiled_inline
-def rut_factor(courses, k, x):
-    """Factor on S left by earlier passes at x [m]."""
-    return between_cells(courses.rut_factors, k, x)
-
-
-@compiled_inline
 def cell_after(courses, cell, x):
     """The cell of a wheel that comes from `cell` and is at x [m]: the next one begins for it in its middle.
 
-    So a cell is passed once the wheel no longer stands on any of it (`rut_factor`), and rocking over a border passes
+    So a cell is passed once the wheel no longer stands on any of it (`between_cells`), and rocking over a border passes
     none.
     """
     place = x / CELL + (CELLS_BEHIND - 0.5)

@@ -14,8 +14,6 @@ in strongly cohesive soil.) Ground that the wheel has touched before keeps its r
 the depth of the rut instead of z_w (`relax_sinkage`). `dynamics` steps these equations.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -17,14 +17,11 @@ How to add an effect:
    tests/discrepancy/test_search.py`. `agents/worlds.py` lists the effects that hidden training worlds draw from.
 """
 
-from __future__ import annotations
-
 from collections import namedtuple
 from collections.abc import Callable, Mapping
 from functools import reduce
 from importlib import import_module
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar
 
 from soil_env._io.loading import ParameterError, number, unknown_key
 from soil_env._numba.compiling import Compiled, compiled_inline, compiled_part
@@ -61,22 +58,8 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
 
 # --- their numbers ----------------------------------------------------------------------------------------------------
 
-if TYPE_CHECKING:
-
-    class Effects(tuple[float, ...]):
-        """Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as the kernels take them."""
-
-        _fields: ClassVar[tuple[str, ...]]
-
-        def __new__(cls, *values: float) -> Effects: ...
-        def __getattr__(self, name: str) -> float: ...
-        def _replace(self, **changes: float) -> Effects: ...
-        def _asdict(self) -> dict[str, float]: ...
-
-else:
-    Effects = namedtuple(
-        "Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters]
-    )
+#: Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as the kernels take them.
+Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
 #: Every effect switched off: the base model.
 NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effect.parameters))
 

@@ -1,7 +1,5 @@
 """Bulldozing: soil pushed ahead of the wheel."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, sqrt
 from soil_env._numba.lanes import alike

@@ -1,7 +1,5 @@
 """Friction of the drivetrain between motor and axle."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import where_less
 from soil_env.terramechanics.contact import smoothed_sign

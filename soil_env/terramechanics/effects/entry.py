@@ -1,7 +1,5 @@
 """Entry of the catalogue: what the file of an effect declares."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple

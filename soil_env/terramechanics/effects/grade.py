@@ -1,7 +1,5 @@
 """Grade: weight along the slope, and weaker bearing on it."""
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

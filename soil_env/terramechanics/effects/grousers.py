@@ -1,7 +1,5 @@
 """Grousers: soil sheared at a larger radius, or lugs that push like blades."""
 
-from __future__ import annotations
-
 import math
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

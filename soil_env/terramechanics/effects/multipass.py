@@ -1,7 +1,5 @@
 """Multipass: soil in the track of earlier passes."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, power, where_less
 from soil_env.parameters import SoilState

@@ -1,7 +1,5 @@
 """Rate of penetration: bearing that goes with the travel speed."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import alike

@@ -1,7 +1,5 @@
 """Contact behind the lowest point of the rim."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
 

@@ -1,7 +1,5 @@
 """Rate of shear: strength that goes with the sliding speed."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, log, where_less
 from soil_env.parameters import SoilState

@@ -1,7 +1,5 @@
 """Shear softening: strength with a peak and a residual."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_part
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form

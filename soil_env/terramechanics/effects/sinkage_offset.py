@@ -1,7 +1,5 @@
 """Offset of the measured sinkage; `steady` adds it to what is read."""
 
-from __future__ import annotations
-
 from soil_env.terramechanics.effects.entry import SINKAGE, Bench, Effect, EffectParameter as P, Form
 
 

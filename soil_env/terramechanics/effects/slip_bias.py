@@ -1,7 +1,5 @@
 """Bias of the measured slip."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_part
 from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form

@@ -1,7 +1,5 @@
 """Slip-sinkage: a slipping wheel digs."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller, where_less
 from soil_env._numba.lanes import alike

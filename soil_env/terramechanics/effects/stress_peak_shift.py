@@ -1,7 +1,5 @@
 """Stress peak that moves with slip."""
 
-from __future__ import annotations
-
 from soil_env._numba.compiling import compiled_inline
 from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
 

@@ -1,7 +1,5 @@
 """The catalogue as text: equations in symbols and with numbers, their legends, and a table of all effects."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 
