@@ -19,7 +19,6 @@ RUNS = {  # script -> (arguments, picture, pattern of the output, module it need
         "pygame",
     ),
     "record_bag": ("--steps 200", "", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
-    "own_controller": ("", "own_controller.png", "written", "gymnasium"),
     "cleanrl_ppo": ("--steps 4096 --length 16 --courses 4", "", r"same 4 courses: ppo -?\d", "torch"),
 }
 
