@@ -5,31 +5,25 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
+from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 from soil_env.vehicle import RoverScenario
 
-from . import plots
 from .agent import Agent
 from .config import NAMES, TrainConfig
 from .controllers.oracle import Oracle
 from .controllers.rover import controllers_of
 from .default_policy import NAME, DefaultPolicy
 from .evaluate import HELD_OUT_SET, Runs, comparing, run_courses
-from .evaluate.tables import percent, points
+from .evaluate.tables import draw_metrics, percent, png, points
 from .evaluate.tuning import tuned_settings
 from .progress import Bar, show
 
 _TUNING = "tuning.log"  # trials of the tuning, until the comparison is finished
 _WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
-
-
-def written(config: TrainConfig) -> tuple[str, ...]:
-    """Files that `compare` writes into a run folder; the course in detail is drawn of a wheel only."""
-    names = ("comparison.json", "comparison.csv", "comparison.png", "course.png")
-    return names[:3] if config.rover else names
+_PANELS = ("immobilised", "time_limit", "finished", "speed", "energy_per_metre", "slip", "return")
+FILES = ("comparison.json", "comparison.csv", "comparison.png")  # that `compare` writes into a run folder
 
 
 def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent) -> dict:
@@ -54,17 +48,19 @@ def compare(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenari
     if world is not None:
         result["model"] = world.content()
     comparing.save(result, folder)
-    plots.comparison_figure(result, folder / "comparison.png")
-    if not config.rover:
-        best = max(classical, key=lambda n: result["controllers"][n]["finished"]["value"])
-        hard_for = runs["full_throttle"].metric("finished") < 0.5
-        course = int(np.argmax(hard_for & (runs[agent.name].metric("finished") > 0.5)))  # the first one, else 0
-        drawn = {best: contestants[best], agent.name: agent}
-        plots.course_figure(scenario, HELD_OUT_SET, course, drawn, folder / "course.png", world)
+    title = f"{result['courses']} held-out courses of {result['scenario']!r}; bars: 95 % intervals"
+    figure = draw_metrics({title: result["controllers"] | comparing.limit_rows(result)}, _PANELS, _colour)
+    replace_file(folder / "comparison.png", png(figure))
     (folder / _TUNING).unlink(missing_ok=True)
     show(*comparing.table(result), *comparing.limit_lines(result))
     show(*(verdict(result, name) for name in result["controllers"] if name in NAMES.values()))
     return result
+
+
+def _colour(name: str) -> str:
+    if name == NAME or name in NAMES.values():
+        return "#d55e00"
+    return "#777777" if name.endswith("true") or name.startswith(comparing.ORACLE) else "#0072b2"
 
 
 def _shipped(scenario: Scenario | RoverScenario) -> dict[str, DefaultPolicy]:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import gymnasium
 import numpy as np
+from click.core import ParameterSource
 
 from soil_env._io.files import check_outputs
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, seed_option
-from soil_env.parameters import DEFAULT_SCENARIO
+from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.rendering.side_view import SCENE
+from soil_env.vehicle import load_rover
 
+from .controllers.rover import controllers_of
 from .evaluate.contestants import parse
 from .evaluate.loading import load
 
@@ -34,11 +39,14 @@ _SUFFIXES = (".png", ".gif", ".mp4")
     help="Or default, run folder, .onnx, m:Class; or several.",
 )
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
+@click.option("--rover", metavar="NAME", help="A rover or its YAML, in place of a scenario.")
 @seed_option("the course")
 @click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
 @click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")
 @click.option("--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy).")
-def command(controller: str, scenario: str, seed: int, frame: int | None, every: int, out: Path | None) -> None:
+def command(
+    controller: str, scenario: str, rover: str | None, seed: int, frame: int | None, every: int, out: Path | None
+) -> None:
     """Drive one course and save a picture or a video.
 
     \b
@@ -46,6 +54,7 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
     soil-env drive --seed 3 --frame 200 --out wheel.png
     soil-env drive --policy default --scenario sticky --out drive.gif
     soil-env drive --controller rule=best_slip_identified,agent=default --out both.gif
+    soil-env drive --rover mars_rover --controller velocity_sync --out rover.gif
     """
     if frame is not None and (out is None or out.suffix != ".png"):
         raise ParameterError(f"--frame {frame}: expected --out with a .png, the picture of it")
@@ -55,15 +64,19 @@ def command(controller: str, scenario: str, seed: int, frame: int | None, every:
         if out.suffix == ".mp4" and importlib.util.find_spec("moviepy") is None:
             raise ParameterError(f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif')
         check_outputs(out.parent, [out.name])
-    contestants = list(parse(controller).values())
-    options: dict[str, Any] = {"repeat": 1, "scaled": False, "render_mode": "rgb_array" if out else None}
-    plain = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario)
-    drivers = {c.name: load(c, plain.unwrapped.scenario) for c in contestants}
-    held = plain.unwrapped.scenario.control.held
-    plain.close()
+    if rover is not None and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT:
+        raise ParameterError(f"--scenario {scenario}: expected none beside --rover, whose file has its own")
+    task = load_scenario(scenario) if rover is None else load_rover(rover)
+    contestants = parse(controller, known=controllers_of(task)[0]).values()
+    drivers = {c.name: load(c, task) for c in contestants}
+    make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
+    if rover is not None:
+        make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full")
     video, films = out is not None and out.suffix != ".png", {}
     for name, driver in drivers.items():
-        env = gymnasium.make("soil_env:SoilWheel-v0", scenario=scenario, observation=driver.variant, **options)
+        control = getattr(driver, "drives", {})
+        env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
+        held = replace(task.control, **control).held
         frames, info, steps = _drive(env, driver, held, seed, frame, every if video else 0)
         films[name] = frames or ([env.render()] if out else [])
         env.close()

@@ -42,8 +42,7 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     soil-env train --observation blind --timesteps 5e6
     soil-env train --resume runs/NAME                    # continue after an interrupt or a kill
 
-    The run folder gets config.yaml, scenario.yaml, model.zip, checkpoint.zip, tensorboard/, comparison.* and
-    course.png.
+    The run folder gets config.yaml, scenario.yaml, model.zip, checkpoint.zip, tensorboard/ and comparison.*.
     """
     with needing_training():
         from . import comparison, training
@@ -63,8 +62,7 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         folder = training.make_run_folder(settings, scenario)
     with continued_by(f"soil-env train --resume {folder}"):
         show(f"Run folder: {folder}")
-        written = comparison.written(settings)
-        if all((folder / name).is_file() for name in (training.MODEL, *written)):
+        if all((folder / name).is_file() for name in (training.MODEL, *comparison.FILES)):
             show("Already finished. Delete its comparison.json to compare again.")
             return
         try:
@@ -72,4 +70,4 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         except MemoryError as error:
             raise MemoryError(f"{error}; expected a smaller ppo.num_envs or ppo.n_steps") from None
         comparison.compare(folder, settings, scenario, agent)
-        show(f"Written to {folder}: {', '.join(written)}")
+        show(f"Written to {folder}: {', '.join(comparison.FILES)}")

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers import CONTROLLERS, ConstantSpeed, SoftStart, make_controller
+from agents.controllers import CONTROLLERS, make_controller
+from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root

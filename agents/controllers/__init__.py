@@ -22,30 +22,14 @@ from __future__ import annotations
 from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
 from soil_env.parameters import Scenario
 
-from .base import Controller, Setting
-from .wheel import (
-    CHANGE,
-    BestSlipIdentified,
-    BestSlipTrue,
-    ConstantSpeed,
-    ConstantTorque,
-    ExtremumSeeking,
-    FixedSlip,
-    FullThrottle,
-    SlipFollower,
-    SlipLimiter,
-    SoftStart,
-)  # fmt: skip
+from . import wheel
+from .base import Controller
 
-__all__ = [
-    "CHANGE", "CONTROLLERS", "BestSlipIdentified", "BestSlipTrue", "ConstantSpeed", "ConstantTorque", "Controller",
-    "ExtremumSeeking", "FixedSlip", "FullThrottle", "Setting", "SlipFollower", "SlipLimiter", "SoftStart",
-    "checked_settings", "make_controller",
-]  # fmt: skip
+__all__ = ["CONTROLLERS", "Controller", "checked_settings", "make_controller"]
 
 _ALL = (
-    FullThrottle, ConstantTorque, ConstantSpeed, SoftStart, FixedSlip, SlipLimiter, ExtremumSeeking, BestSlipIdentified,
-    BestSlipTrue,
+    wheel.FullThrottle, wheel.ConstantTorque, wheel.ConstantSpeed, wheel.SoftStart, wheel.FixedSlip, wheel.SlipLimiter,
+    wheel.ExtremumSeeking, wheel.BestSlipIdentified, wheel.BestSlipTrue,
 )  # fmt: skip
 CONTROLLERS: dict[str, type[Controller]] = {c.name: c for c in _ALL}
 

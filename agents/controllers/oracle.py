@@ -65,10 +65,6 @@ class _Driver(Ramped):
 
     plans: Plans
 
-    def __init__(self, scenario: Scenario, variant: str):
-        self.variant = variant
-        super().__init__(scenario)
-
     def rim_speed(self, observation, state):
         """Backwards for the planned time, then the ramps."""
         p = self.plans
@@ -92,10 +88,10 @@ class Oracle:
 
     name = "oracle"
 
-    def __init__(self, scenario: Scenario, variant: str = "blind", every: float = EVERY, horizon: float = HORIZON):
-        self.scenario, self.variant = scenario, variant
-        self.driver, self.dreamer = _Driver(scenario, variant), _Driver(scenario, variant)
-        self.every, self.steps = (max(1, round(t / self.driver.period)) for t in (every, horizon))
+    def __init__(self, scenario: Scenario, horizon: float = HORIZON):
+        self.scenario, self.variant = scenario, _Driver.variant
+        self.driver, self.dreamer = _Driver(scenario), _Driver(scenario)
+        self.every, self.steps = (max(1, round(t / self.driver.period)) for t in (EVERY, horizon))
         self.settings: dict[str, float] = {}
         self.simulation: Simulation | None = None
 

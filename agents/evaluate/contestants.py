@@ -9,6 +9,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,10 +49,12 @@ SHIPPED, SHIPPED_CLASS = ("default_policy", "default"), f"{__package__.split('.'
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
-def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Contestant]:
+def parse(
+    text: str, settings: dict[str, dict] | None = None, known: Collection[str] = CONTROLLERS
+) -> dict[str, Contestant]:
     """{key: contestant} of a comma-separated list; ParameterError with one line for what does not exist.
 
-    `settings`: {name of a classical controller: keyword arguments of `make_controller`}.
+    `settings`: {name of a classical controller: keyword arguments of `make_controller`}; `known`: their names.
     """
     settings, out = settings or {}, {}
     first: dict[str, tuple[str, str, bool]] = {}  # kind, text and explicit naming of the first entry of a name
@@ -66,7 +69,7 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
             raise ParameterError(f"controllers: {ORACLE!r}: --oracle-courses N drives it; expected another name")
         if not spec:
             raise ParameterError(f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH")
-        kind, sources = _sources(spec)
+        kind, sources = _sources(spec, known)
         if kind == "model" and len(sources) > 1 and not named:
             raise ParameterError(f"controllers: {spec}: {len(sources)} models; name the algorithm: NAME={spec}")
         name = name or _default_name(kind, sources[0])
@@ -91,9 +94,9 @@ def parse(text: str, settings: dict[str, dict] | None = None) -> dict[str, Conte
     return out
 
 
-def _sources(spec: str) -> tuple[str, list[str]]:
+def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
     """Kind and sources of one entry."""
-    if spec in CONTROLLERS:
+    if spec in classical:
         return "classical", [spec]
     if spec in SHIPPED:
         return "class", [SHIPPED_CLASS]
@@ -107,7 +110,7 @@ def _sources(spec: str) -> tuple[str, list[str]]:
     path = Path(spec)
     if path.suffix in (".zip", ".onnx") or path.is_dir() or "/" in spec:
         return "model", [str(_file_of(path))]
-    known = (*CONTROLLERS, *SHIPPED)
+    known = (*classical, *SHIPPED)
     raise ParameterError(f"{unknown_value(spec, known, 'controllers')}; or model.zip, policy.onnx, module:Class")
 
 

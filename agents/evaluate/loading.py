@@ -16,7 +16,8 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS
 from soil_env.terramechanics.model import WheelSoilModel
 
-from ..controllers import checked_settings, make_controller
+from ..controllers import CONTROLLERS, checked_settings
+from ..controllers.rover import controllers_of
 from .contestants import Contestant
 from .driving import simulate
 
@@ -24,9 +25,10 @@ from .driving import simulate
 def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
     """The controller: an object with `predict` and `variant`. `files`: the model, if it does not lie at its source."""
     if contestant.kind == "classical":
-        where = f"--settings.{contestant.name}"
-        settings = checked_settings(contestant.source, scenario, contestant.settings, where)
-        return make_controller(contestant.source, scenario, **settings)
+        known, make = controllers_of(scenario)
+        if known is CONTROLLERS:
+            checked_settings(contestant.source, scenario, contestant.settings, f"--settings.{contestant.name}")
+        return make(contestant.source, scenario, **contestant.settings)
     if contestant.kind == "model":
         from .models import load_model  # takes seconds
 
@@ -36,10 +38,10 @@ def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | N
             for name, content in files.items():
                 (Path(folder) / name).write_bytes(content)
             return load_model(Path(folder) / next(iter(files)), scenario)
-    return _from_class(contestant.source, scenario)
+    return _from_class(contestant.source, contestant.name, scenario)
 
 
-def _from_class(spec: str, scenario: Scenario):
+def _from_class(spec: str, name: str, scenario: Scenario):
     module_name, _, attribute = spec.partition(":")
     if "" not in sys.path:
         sys.path.append("")  # an installed command finds modules in the current folder too
@@ -55,6 +57,8 @@ def _from_class(spec: str, scenario: Scenario):
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
         try:
             thing = thing(scenario) if _takes_one(thing) else thing()
+        except ParameterError as error:
+            raise ParameterError(f"controllers: {name}: {error}") from None
         except Exception as error:
             raise ParameterError(f"controllers: {spec}: cannot be made ({describe(error)})") from None
     if not callable(getattr(thing, "predict", None)):
@@ -62,7 +66,7 @@ def _from_class(spec: str, scenario: Scenario):
     variant = getattr(thing, "variant", "identified")
     if variant not in VARIANTS:
         raise ParameterError(f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}")
-    return _Wrapped(thing, variant, spec)
+    return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1))
 
 
 def _takes_one(thing) -> bool:
@@ -76,8 +80,8 @@ def _takes_one(thing) -> bool:
 class _Wrapped:
     """A controller from elsewhere; an exception in it is an error of one line."""
 
-    def __init__(self, thing, variant: str, spec: str):
-        self.thing, self.variant, self.spec = thing, variant, spec
+    def __init__(self, thing, variant: str, spec: str, axles: int):
+        self.thing, self.variant, self.spec, self.axles = thing, variant, spec, axles
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As the object's own, with a copy of the observation, checked."""
@@ -87,11 +91,11 @@ class _Wrapped:
             )
         except Exception as error:
             raise ParameterError(f"controllers: {self.spec}: predict failed ({describe(error)})") from error
-        return _checked(answer, len(observation), self.spec)
+        return _checked(answer, (len(observation), self.axles), self.spec)
 
 
-def _checked(answer, count: int, who: str) -> tuple[np.ndarray, object]:
-    """(actions [count, 1], state) of a call of `predict`; ParameterError for anything else."""
+def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, object]:
+    """(actions of this shape, state) of a call of `predict`; ParameterError for anything else."""
     where = f"controllers: {who}: predict gave"
     if not (isinstance(answer, tuple) and len(answer) == 2):
         given = f"{len(answer)} values" if isinstance(answer, tuple) else "nothing" if answer is None else "one value"
@@ -99,9 +103,9 @@ def _checked(answer, count: int, who: str) -> tuple[np.ndarray, object]:
     try:
         action = np.asarray(answer[0], dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{where} an action that is no number: expected shape [{count}, 1]") from None
-    if action.shape != (count, 1):
-        raise ParameterError(f"{where} actions of shape {list(action.shape)}: expected [{count}, 1]")
+        raise ParameterError(f"{where} an action that is no number: expected shape {list(shape)}") from None
+    if action.shape != shape:
+        raise ParameterError(f"{where} actions of shape {list(action.shape)}: expected {list(shape)}")
     return action, answer[1]
 
 
@@ -123,7 +127,7 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    action, _ = _checked(answer, 3, contestant.label)
+    action, _ = _checked(answer, (3, 1), contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
         given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"

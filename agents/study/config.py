@@ -189,7 +189,10 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
         if isinstance(arm, dict) and "controller" not in arm:
             arm = {**arm, "train": merge(shared, arm.get("train") or {})}
         arms[name] = arm
-    worlds = {name: _world(path, name, entry or {}) for name, entry in (content.get("worlds") or {}).items()}
+    worlds = {name: entry or {} for name, entry in (content.get("worlds") or {}).items()}
+    for name, entry in worlds.items():
+        if isinstance(entry, dict) and isinstance(entry.get("model"), str):
+            worlds[name] = {**entry, "model": _model(path, entry["model"])}
     try:
         return load(Study, {**content, "targets": targets, "arms": arms, "worlds": worlds}, str(path))
     except ParameterError as error:  # in the words of the file
@@ -207,13 +210,6 @@ class _Scenario(Checked):
     model: str = ""
 
 
-@dataclass(frozen=True)
-class _World(Checked):
-    """Entry of `worlds` in the file."""
-
-    model: str = ""
-
-
 def _target(path: Path, name: str, entry, common: dict) -> dict:
     """The mapping of a `Target` of an entry of `scenarios` in the file `path`."""
     where = f"{path}: scenarios.{name}"
@@ -228,12 +224,6 @@ def _target(path: Path, name: str, entry, common: dict) -> dict:
     scenario = of(which, merge(common, entry.changes), f"{where}.changes")
     model = _model(path, entry.model, scenario) if entry.model else {}
     return {"task": to_dict(scenario), "trained_on": entry.trained_on, "model": model}
-
-
-def _world(path: Path, name: str, entry) -> dict:
-    """The mapping of a `World` of an entry of `worlds` in the file `path`."""
-    entry = load(_World, entry, f"{path}: worlds.{name}")
-    return {"model": _model(path, entry.model)} if entry.model else {}
 
 
 def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:

@@ -1,6 +1,7 @@
 """The classical controllers and the oracle: SB3's `predict`, the layouts they read, the drive of a wheel."""
 
 import math
+import re
 
 import gymnasium
 import matplotlib.image
@@ -297,6 +298,14 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert main(["drive", "--frame", "15"]) == 2 and "--frame 15: expected --out" in capsys.readouterr().err
     left, right = np.split(matplotlib.image.imread(out), 2, axis=1)
     assert left.shape == right.shape and np.abs(left - right).mean() > 0.003
+
+    rover = ["--rover", "mars_rover", "--controller", "equal_speed,torque_by_load"]
+    assert main(["drive", *rover, "--frame", "30", "--out", str(out)]) == 0
+    assert re.search(r"equal_speed: RUNNING at 0\.\d+ m.*\ntorque_by_load: RUNNING", capsys.readouterr().out)
+    assert np.std(matplotlib.image.imread(out)[..., :3]) > 0.02  # something is drawn
+    assert main(["drive", *rover, "--scenario", "mixed"]) == 2 and "beside --rover" in capsys.readouterr().err
+    assert main(["drive", "--rover", "mars_rover", "--controller", "default"]) == 2
+    assert "controllers: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
 
     held = load_scenario("mixed").control.held
     asked = []

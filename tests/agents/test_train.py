@@ -25,7 +25,7 @@ from soil_env.parameters import load_scenario
 ROOT = Path(__file__).resolve().parents[2]
 FILES = {
     "config.yaml", "scenario.yaml", "model.zip", "tensorboard",
-    "comparison.json", "comparison.csv", "comparison.png", "course.png",
+    "comparison.json", "comparison.csv", "comparison.png",
 }  # fmt: skip
 TINY = (
     "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "

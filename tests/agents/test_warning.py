@@ -7,10 +7,9 @@ import pytest
 from scipy import stats
 
 from agents import warning
-from agents.warning import DRIVERS, FAMILIES, Drives, drives, make_driver, probabilities
+from agents.warning import DRIVERS, FAMILIES, Drives, drives, probabilities
 from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, score_inputs, shipped, shipped_network
-from soil_env.parameters import load_scenario
-from soil_env.simulation.task import Cause, layout
+from soil_env.simulation.task import Cause
 
 
 @pytest.fixture(scope="module")
@@ -49,20 +48,6 @@ def test_the_threshold_is_the_lowest_with_few_false_alarms(made):
     at = warning.threshold([score], [made])
     shares = [np.divide(*made.false(score, level)) for level in (at, at - 0.02)]
     assert shares[0] <= warning.FALSE < shares[1]
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_random_drivers_take_either_line_and_other_blind_ones_the_less_steep(family):
-    task = load_scenario("two_lines", {"control": {"action": "torque"}})
-    driver, column = (
-        make_driver(family, task, [1, 0], 400),
-        {e.name: i for i, e in enumerate(layout("blind", task.course))},
-    )
-    if driver.variant == "blind" and family != "full_throttle":
-        observed = np.zeros((400, len(column)))
-        observed[:, column["choice"]], observed[:, column["ahead_grade"]] = 1.0, 0.1
-        beside = (driver.predict(observed)[0][:, 0] < 0.0).mean()
-        assert beside == pytest.approx(0.5 if family.startswith("random") else 1.0, abs=0.1)
 
 
 def test_the_fit_learns_both_hazards():

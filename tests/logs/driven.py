@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agents.controllers import ConstantSpeed
+from agents.controllers.wheel import ConstantSpeed
 from soil_env.logs import LogMap, Source, Windows
 from soil_env.logs.align import Aligned
 

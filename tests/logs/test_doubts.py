@@ -16,7 +16,7 @@ from tests.logs.driven import SteppedSpeed, log_of
 @pytest.fixture(scope="module")
 def logs():
     """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
-    from agents.controllers import ConstantSpeed
+    from agents.controllers.wheel import ConstantSpeed
     from benchmarks.drives import record
 
     out = {}
