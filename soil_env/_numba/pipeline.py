@@ -7,16 +7,12 @@ many small objects again and again and find nothing, waits until a root is done.
 """
 
 import gc
-import operator
 from contextlib import contextmanager
 
 from llvmlite.binding import create_new_module_pass_manager as new_module_passes
-from numba import types
 from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.registry import cpu_target
-from numba.extending import models, register_model
 
 # --- code, of parts and of roots --------------------------------------------------------------------------------------
 
@@ -114,69 +110,16 @@ class _Passes:
             step.run_pass(state)
 
 
-class _Refresh:
-    """`refresh` of a numba context, where something was registered since the last one."""
-
-    def __init__(self, context) -> None:
-        self._context, self._size = context, -1
-
-    def __call__(self):
-        if self._registered() != self._size:
-            type(self._context).refresh(self._context)
-            self._size = self._registered()
-
-    def _registered(self) -> int:
-        return sum(len(made) for registry in list(self._context._registries) for made in vars(registry).values())
-
-
 @contextmanager
-def _undisturbed():
-    """No garbage collection meanwhile, and no look for new registrations at every call where there are none."""
-    collecting, contexts = gc.isenabled(), (cpu_target.typing_context, cpu_target.target_context)
+def _uncollected():
+    """No garbage collection meanwhile."""
+    collecting = gc.isenabled()
     gc.disable()
-    for context in contexts:
-        context.refresh = _Refresh(context)
     try:
         yield
     finally:
-        for context in contexts:
-            vars(context).pop("refresh", None)
         if collecting:
             gc.enable()
-
-
-# --- types of built-in functions --------------------------------------------------------------------------------------
-
-
-class _Remembered(types.Function):
-    """A built-in function whose type of result is found once for given types of arguments.
-
-    Numba tries all templates of the function, and formats an error for each that does not fit, at every occurrence.
-    """
-
-    def __init__(self, templates) -> None:
-        super().__init__(templates)
-        self._signatures = {}
-
-    def get_call_type(self, context, args, kws):
-        key = (tuple(args), tuple(kws.items()))
-        if key not in self._signatures:
-            self._signatures[key] = super().get_call_type(context, args, kws)
-        return self._signatures[key]
-
-
-register_model(_Remembered)(models.OpaqueModel)
-
-
-def remember_types() -> None:
-    """Let numba remember the types of operators, and try its built-in ones before overloads."""
-    context = cpu_target.typing_context
-    context.refresh()
-    for name in ("getitem", "setitem", "add", "sub", "mul", "truediv", "eq", "ne", "lt", "le", "gt", "ge"):
-        op = getattr(operator, name)
-        templates = context._lookup_global(op).templates
-        context._remove_global(op)
-        context._insert_global(op, _Remembered(sorted(templates, key=lambda t: t.__name__.startswith("Overload"))))
 
 
 def _compiler(library_class, default):
@@ -187,7 +130,7 @@ def _compiler(library_class, default):
             self.state.library.enable_object_caching()
             if library_class is _Part:
                 return super().compile_extra(func)
-            with _undisturbed():
+            with _uncollected():
                 return super().compile_extra(func)
 
         def define_pipelines(self):
