@@ -12,8 +12,8 @@ The warning comes on after `HOLD` s of such ground and goes off after `RELEASE` 
 identifier runs with every controller, so every controller has the same warnings; the true soil is not used.
 
 *Complete immobilisation* is the last moment at which the wheel got further at the least mean speed that the task asks
-for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. An immobilisation is *warned of* if
-the warning is on at that moment; distance and time count from the moment when it came on.
+for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. An immobilisation is *warned of*
+if the warning is on at that moment; distance and time count from the moment when it came on.
 
 A second warning, `Foresight`, is by the probability of immobilisation within 5 s: on where it reaches the threshold on
 its card, off after `RELEASE` s below half of that (`KEPT`), so that it does not flicker.
