@@ -3,7 +3,6 @@
     python -m benchmarks.identification                       all rows; half an hour; goes on where it was interrupted
     python -m benchmarks.identification --smoke --out X       a few courses, numbers without meaning
     python -m benchmarks.identification --only two_lines      rows of these scenarios anew, the others as they are
-    python -m benchmarks.identification --agent runs/NAME     adds drives of a trained agent that observes "blind"
 
 A row is a scenario, perhaps with an effect that the identifier does not have (`configs/worlds`), and a drive: each
 controller as it ships and in the action of the scenario, a swinging speed, a ramp, other actions, wheels of the rovers.
@@ -24,8 +23,6 @@ import click
 import numpy as np
 
 from agents.controllers import CONTROLLERS
-from agents.evaluate.contestants import parse
-from agents.evaluate.loading import load
 from benchmarks.common import machine, machine_text, page, ready, short, study_options, write
 from benchmarks.drives import (
     QUANTITIES,
@@ -79,13 +76,12 @@ class Case(NamedTuple):
         return "/".join(part or "-" for part in self)
 
 
-def cases(agent: str = "") -> list[Case]:
+def cases() -> list[Case]:
     """Return all rows but those of rovers."""
     found = []
     for scenario in OWN:
         found += [Case(scenario, "", drive) for drive in EVERY]
         found += [Case(scenario, "", drive, action) for drive, action in ACTIONS]
-    found += [Case("two_lines", "", "agent")] * bool(agent)
     return found + [Case(scenario, world, drive) for scenario, world in OTHERS for drive in FEW]
 
 
@@ -118,11 +114,7 @@ def measure(case: Case, options: SimpleNamespace) -> dict[str, Any]:
     """Drive and judge a row."""
     scenario = load_scenario(case.scenario, {"control": {"action": case.action}} if case.action else {})
     model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
-    if case.drive == "agent":
-        controller = load(next(iter(parse(f"agent={options.agent}").values())), scenario)
-    else:
-        controller = controller_of(case.drive, scenario)
-    logs = record(controller, scenario, options.courses, options.seed, model)
+    logs = record(controller_of(case.drive, scenario), scenario, options.courses, options.seed, model)
     numbers = identifier_numbers(scenario)
     before = np.append(numbers.prior, numbers.prior_pull[0])
     driven = [log["halt_left"] == 0.0 for log in logs]
@@ -153,7 +145,7 @@ def study(options: SimpleNamespace, file: Path) -> Iterator[dict]:
     result = read_json(file) if file.exists() else {}
     if {name: result.get(name) for name in settings} != settings:
         result = settings | {"rows": {}}
-    wanted = {case: partial(measure, case) for case in cases(options.agent)} | {
+    wanted = {case: partial(measure, case) for case in cases()} | {
         case: partial(measure_rover, case) for case in (Case(r, "", d) for r in ROVERS for d in ROVER_DRIVES)
     }
     for number, (case, make) in enumerate(wanted.items(), start=1):
@@ -221,7 +213,6 @@ def tables(result: dict) -> dict[str, Table]:
 @click.option("--courses", type=WholeNumber(1), default=150, metavar="N", help="Courses of each row (default 150).")
 @click.option("--seed", type=WholeNumber(), default=SEED, metavar="N", help=f"Seed of the courses (default {SEED}).")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Measure only rows of this scenario again; repeatable.")
-@click.option("--agent", default="", metavar="FOLDER", help="Trained agent to drive two_lines.")
 def command(**given: Any) -> None:
     """Measure the calibration of the online identifier in every drive that ships; resumes."""
     options = SimpleNamespace(**given)

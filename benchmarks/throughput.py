@@ -1,4 +1,4 @@
-"""Speed of the environments in one run, wheels and rovers side by side, and the first start.
+"""Speed of the environments in one run, wheels and rovers side by side.
 
     python -m benchmarks.throughput                  minutes; writes docs/results/throughput.json and .md
     python -m benchmarks.throughput --smoke --out X  every part in seconds, numbers without meaning
@@ -10,10 +10,6 @@ each figure is a median over rounds with the lowest and the highest. Run it on a
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +19,7 @@ import click
 import gymnasium
 import numpy as np
 
-from benchmarks.common import ROOT, machine, machine_text, page, range_text, ready, spread, study_options, write
+from benchmarks.common import machine, machine_text, page, range_text, ready, spread, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
@@ -95,58 +91,21 @@ def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, 
     return found
 
 
-_START = """
-import time
-{imports}
-t = time.perf_counter()
-{work}
-print(time.perf_counter() - t)
-"""
-_IMPORT = _START.format(imports="import numpy, gymnasium", work="import soil_env, soil_env.env")
-_STEP = _START.format(
-    imports="from soil_env.env import SoilWheelEnv",
-    work="env = SoilWheelEnv({options}); env.reset(seed=0); env.step(env.action_space.sample())",
-)
-
-
-def startup(rounds: int) -> dict:
-    """Seconds to import beyond numpy and gymnasium, and to the first reset and step, from an empty and a full cache."""
-
-    def run(code: str, cache: str) -> float:
-        environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": cache}
-        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        return float(done.stdout)
-
-    default, blind = _STEP.format(options=""), _STEP.format(options="observation='blind', belief={'method': 'none'}")
-    found = {}
-    for name, code in (("default", default), ("blind, no identifier", blind)):
-        with tempfile.TemporaryDirectory() as cache:
-            found[f"{name}, nothing compiled"] = spread([run(code, cache)])
-            found[f"{name}, compiled"] = spread([run(code, cache) for _ in range(rounds)])
-            found["import"] = spread([run(_IMPORT, cache) for _ in range(rounds)])
-    return found
-
-
 def tables(result: dict) -> dict[str, Table]:
     """Return the tables of the page."""
     speeds = [(name, range_text(v, 0, 1e-3)) for name, v in result["rates"].items()]
-    starts = [(name, range_text(v)) for name, v in result["startup"].items()]
-    found = {"Speed": Table(("environment", "1000 steps/s"), speeds)}
-    return found | ({"First reset and step": Table(("start", "seconds"), starts)} if starts else {})
+    return {"Speed": Table(("environment", "1000 steps/s"), speeds)}
 
 
 @click.command(NAME)
 @study_options(NAME)
 def command(smoke: bool, out: Path) -> None:
-    """Measure steps per second in one run, and the first reset and step."""
+    """Measure steps per second in one run."""
     file = ready(out, NAME)
     about = machine()
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 7, 1024)
     found = rates(runners(size, min(2, about["cores"])), seconds, rounds)
-    result = {
-        "machine": about, "size": size, "rates": {name: spread(values) for name, values in found.items()},
-        "startup": {} if smoke else startup(5),
-    }  # fmt: skip
+    result = {"machine": about, "size": size, "rates": {name: spread(values) for name, values in found.items()}}
     write_json(file, result)
     text = f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on {machine_text(about)}."
     write(out, NAME, page("Speed", text, tables(result)))

@@ -14,7 +14,6 @@ these runs, so they are no prior knowledge and are not in the setup.
 
 import argparse
 import csv
-import math
 import sys
 from pathlib import Path
 
@@ -24,15 +23,15 @@ from scipy.io import loadmat
 from soil_env import ParameterError
 
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
-FITS = "cmu_pressure_sinkage_fits.csv"  # plate tests, read where it is
 FIELDS = ("beta", "Vry", "avg_Vry", "slip", "avg_Fy", "avg_Fz", "avg_Z")
 HEADER = ("run", "time", "slip", "load", "speed", "sinkage", "drawbar_pull")
 RADIUS, WIDTH = 0.058, 0.05  # [m] set_rover_params.m
 GROUSER_HEIGHT = {"smooth": 0.0, "grouser": 0.005}  # [m] the same
 TRAVEL, WINDOW = 10.0, 72.5  # [mm/s] nominal; [s] middle of the averages
-DEPTH = 0.02  # [m] where the pressure of the plates is taken over, amid the wheels' 14 to 26 mm
-#: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, as the repository rounds its plate tests.
-PUBLISHED = (8.0e6, 1.9e6, 1.46, 0.03)
+#: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, from p = k z^n of the 18 flat plates of the repository:
+#: the median n, and the median pressure at 20 mm, amid the wheels' 14 to 26 mm. k and n are correlated from plate to
+#: plate: the sd of S is the scatter of ln k at a given n, and that of n what the scatter of ln p at 20 mm leaves.
+PLATES = (7.63e6, 1.9e6, 1.44, 0.029)
 
 
 def read_runs(path: Path, wheel: str) -> list[tuple]:
@@ -64,33 +63,15 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
     return [row for _, row in sorted(rows)]
 
 
-def plate_prior(path: Path) -> tuple[float, float, float, float]:
-    """Sinkage coefficient, its sd, exponent, its sd from the fits p = k z^n of flat-plate tests in a table of tests.
-
-    k and n are correlated from plate to plate, which independent priors do not express. S is the median p(20 mm)/z^n,
-    its sd the scatter of ln k at a given n. The sd of n is so small that both together make the scatter of ln p there.
-    """
-    with path.open(encoding="utf-8", newline="") as stream:
-        plates = [row for row in csv.DictReader(stream) if row["kind"] == "plate"]
-    k, n = (np.array([float(row[name]) for row in plates]) for name in ("k_kN_m_n2", "n"))
-    if k.size < 4:
-        raise ParameterError(f"{path}: {k.size} plate tests: expected 4 or more")
-    log_k, depth, exponent = np.log(1e3 * k), math.log(DEPTH), float(f"{np.median(n):.3g}")
-    coefficient = math.exp(float(np.median(log_k + n * depth)) - exponent * depth)
-    slope, intercept = np.polyfit(n, log_k, 1)
-    spread = math.sqrt(float(np.sum((log_k - slope * n - intercept) ** 2)) / (k.size - 2))
-    exponent_sd = float(np.std(n, ddof=1)) * abs(slope + depth) / abs(depth)
-    return float(f"{coefficient:.3g}"), float(f"{coefficient * spread:.2g}"), exponent, float(f"{exponent_sd:.2g}")
-
-
-def setup_text(wheel: str, prior: tuple[float, float, float, float]) -> str:
+def setup_text(wheel: str) -> str:
     """Setup of a wheel as YAML."""
+    coefficient, coefficient_sd, exponent, exponent_sd = PLATES
     return f"""\
 # {wheel} wheel of Pavlov and Johnson, github.com/robomechanics/3d-terramechanics, MIT licence
 wheel: {{radius: {RADIUS:g}, width: {WIDTH:g}, grouser_height: {GROUSER_HEIGHT[wheel]:g}}}   # set_rover_params.m
 soil:
-  sinkage_coefficient: {{value: {prior[0]:.0f}, sd: {prior[1]:.0f}}}   # N/m^(n+2), flat plates
-  sinkage_exponent: {{value: {prior[2]:g}, sd: {prior[3]:g}}}
+  sinkage_coefficient: {{value: {coefficient:.0f}, sd: {coefficient_sd:.0f}}}   # N/m^(n+2), flat plates
+  sinkage_exponent: {{value: {exponent:g}, sd: {exponent_sd:g}}}
   friction_angle_deg: {{value: 29, sd: 3}}   # angle of repose (set_soil_params.m), that of loose dry sand
   density: 1330   # kg/m3, set_soil_params.m
   # cohesion and shear_modulus left out: fitted
@@ -104,12 +85,11 @@ def convert(path: Path, out: Path) -> dict[str, int]:
     if home is None or not (home / FILES["grouser"]).is_file():
         raise ParameterError(f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/")
     runs = {wheel: read_runs(home / name, wheel) for wheel, name in FILES.items()}
-    prior = plate_prior(home / FITS) if (home / FITS).exists() else PUBLISHED
     out.mkdir(parents=True, exist_ok=True)
     for wheel, rows in runs.items():
         with (out / f"{wheel}.csv").open("w", encoding="utf-8", newline="") as stream:
             csv.writer(stream, lineterminator="\n").writerows([HEADER, *rows])
-        (out / f"{wheel}.setup.yaml").write_text(setup_text(wheel, prior), encoding="utf-8")
+        (out / f"{wheel}.setup.yaml").write_text(setup_text(wheel), encoding="utf-8")
     return {wheel: len(rows) for wheel, rows in runs.items()}
 
 

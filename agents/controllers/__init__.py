@@ -2,19 +2,7 @@
 
 They work on batches of observations [n, D] in their units and know the wheel of the scenario (radius, motor, weight).
 The true soil is an input of `best_slip_true` alone. All but `full_throttle` and `constant_torque` set a rim speed; the
-drive follows it with any action of the scenario.
-
-| name | rim speed | observation |
-|------|-----------|-------------|
-| full_throttle | none: full command | blind |
-| constant_torque | none: a constant command | blind |
-| constant_speed | fixed | blind |
-| soft_start | a ramp from rest up to a top speed | blind |
-| fixed_slip | its acceleration brings the slip to a fixed one | blind |
-| slip_limiter | the ramp, not above V/(1 - i) for a fixed slip i | blind |
-| extremum_seeking | the same, i seeks the highest drawbar pull | blind |
-| best_slip_identified | the same, i of the best drawbar pull on the identified soil | identified |
-| best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
+drive follows it with any action of the scenario. docs/guide/controllers.md has their table and laws.
 """
 
 from __future__ import annotations

@@ -12,14 +12,11 @@ The warning comes on after `HOLD` s of such ground and goes off after `RELEASE` 
 identifier runs with every controller, so every controller has the same warnings; the true soil is not used.
 
 *Complete immobilisation* is the last moment at which the wheel got further at the least mean speed that the task asks
-for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. The episode ends seconds later, by
-the limits of the task. An immobilisation is *warned of* if the warning is on at that moment. Distance and time count
-from the moment when it came on. Immobilisations without a warning are not in their means: read them beside the share
-that was warned of, and the share of the driving time under warning on other courses.
+for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. An immobilisation is *warned of*
+if the warning is on at that moment; distance and time count from the moment when it came on.
 
-A second warning, `Foresight`, is by the probability of immobilisation within 5 s, a network on the last seconds of the
-same sensors, the estimate and what a camera shows ahead: on where it reaches the threshold on its card, off after
-`RELEASE` s below half of that (`KEPT`), so that it does not flicker.
+A second warning, `Foresight`, is by the probability of immobilisation within 5 s: on where it reaches the threshold on
+its card, off after `RELEASE` s below half of that (`KEPT`), so that it does not flicker.
 
 Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
 Autonomous Vehicles and Systems 2(3) 031001 (2022).

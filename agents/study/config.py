@@ -1,22 +1,7 @@
-"""Configuration of a study: arms, scenarios and worlds, read from a YAML file.
+"""Configuration of a study: arms, scenarios and worlds, read from a YAML file; docs/guide/study.md has its keys.
 
-    scenarios:                       # held-out courses on which all arms are compared
-      two_lines: {}                  # the scenario of that name, or `scenario: NAME`, or `rover: NAME`; and `changes:`
-      unseen: {trained_on: two_lines, model: worlds/shear_softening.yaml}   # arms made elsewhere; effects of its world
-    arms:
-      blind: {train: {observation: blind}}          # an agent: keys of the training's config
-      corrected: {world: found, train: {}}          # trained in another world than that of its scenario
-      gentle: {controller: soft_start, settings: {speed: 0.2}}  # a classical controller; without settings: tuned
-      mine: {controller: "my.module:Thing"}         # a class, as in soil-env evaluate
-    controllers: [soft_start]        # classical controllers, an arm each (default: all)
-    train: {timesteps: 1000000}      # keys that all agents have in common
-    changes: {control: {action: torque}}            # changes that all scenarios have in common
-    worlds:                          # named worlds that arms are made in
-      plain: {}                    # without effects
-      found: {model: found/model.yaml}              # with these effects, as `soil-env discover` has written them
-    baseline: blind                  # arm that the table compares the others with (default: the last)
-
-The other keys are the numbers of `Study`. Files are looked for from here, then beside the YAML file.
+Scenarios, arms and worlds have the keys of `_Scenario`, `Arm` and `World`, the other keys are the numbers of `Study`.
+Files are looked for from here, then beside the YAML file.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def test_statistics_of_errors_as_stated_hold_as_stated():
 
 
 def test_rows_of_a_wheel_and_a_rover():
-    options = argparse.Namespace(courses=2, seed=3, agent="")
+    options = argparse.Namespace(courses=2, seed=3)
     case = study.Case("two_lines", "", "best_slip_identified")
     assert case in study.cases() and len(set(study.cases())) == len(study.cases())
     row = study.measure(case, options)
