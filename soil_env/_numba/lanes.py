@@ -16,6 +16,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 from soil_env._numba import interpreted
 from soil_env._numba.compiling import COMPILED
+from soil_env._numba.pipeline import remember_types
 
 COUNT = 8
 
@@ -106,6 +107,10 @@ def call(builder, name, args):
     except KeyError:
         function = ir.Function(builder.module, function_type, name)
     return builder.call(function, args)
+
+
+if COMPILED:
+    remember_types()
 
 
 # --- making and taking apart ------------------------------------------------------------------------------------------

@@ -7,12 +7,16 @@ many small objects again and again and find nothing, waits until a root is done.
 """
 
 import gc
+import operator
 from contextlib import contextmanager
 
 from llvmlite.binding import create_new_module_pass_manager as new_module_passes
+from numba import types
 from numba.core import typed_passes, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.registry import cpu_target
+from numba.extending import models, register_model
 
 # --- code, of parts and of roots --------------------------------------------------------------------------------------
 
@@ -120,6 +124,40 @@ def _uncollected():
     finally:
         if collecting:
             gc.enable()
+
+
+# --- types of built-in functions --------------------------------------------------------------------------------------
+
+
+class _Remembered(types.Function):
+    """A built-in function whose type of result is found once for given types of arguments.
+
+    Numba tries all templates of the function, and formats an error for each that does not fit, at every occurrence.
+    """
+
+    def __init__(self, templates) -> None:
+        super().__init__(templates)
+        self._signatures = {}
+
+    def get_call_type(self, context, args, kws):
+        key = (tuple(args), tuple(kws.items()))
+        if key not in self._signatures:
+            self._signatures[key] = super().get_call_type(context, args, kws)
+        return self._signatures[key]
+
+
+register_model(_Remembered)(models.OpaqueModel)
+
+
+def remember_types() -> None:
+    """Let numba remember the types of operators, and try its built-in ones before overloads."""
+    context = cpu_target.typing_context
+    context.refresh()
+    for name in ("getitem", "setitem", "add", "sub", "mul", "truediv", "eq", "ne", "lt", "le", "gt", "ge"):
+        op = getattr(operator, name)
+        templates = context._lookup_global(op).templates
+        context._remove_global(op)
+        context._insert_global(op, _Remembered(sorted(templates, key=lambda t: t.__name__.startswith("Overload"))))
 
 
 def _compiler(library_class, default):
