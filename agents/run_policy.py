@@ -30,8 +30,7 @@ class Policy:
 
     def zeros(self, count):
         """Hidden states {name: [count, size]} before the first step."""
-        kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64}
-        return {name: np.zeros((count, *x.shape[1:]), kinds[x.type]) for name, x in self.states.items()}
+        return {name: np.zeros((count, *x.shape[1:]), np.float32) for name, x in self.states.items()}
 
     def act(self, observation, memory=None, new_course=None):
         """(actions [n, 1] in [-1, 1], hidden states) for float32 observations [n, D]; `memory`: the last hidden states.

@@ -4,10 +4,6 @@ Drives of several families of drivers over the scenarios are recorded, and a net
 immobilised within 3 s, and within 5 s if not before (discrete hazards, Gensheimer & Narasimhan 2019, PeerJ 7:e6257).
 The threshold of the alarm is set on other courses, so that it is false for 5 % of the driving time on finished ones.
 docs/results/warning.json has what it is worth: area under the ROC curve 0.92, a logistic of the same inputs 0.82.
-
-Examples:
-  python -m agents.warning --out /tmp/w.json --smoke                  a minute, weights without meaning
-  python -m agents.warning --out soil_env/identification/online/immobilisation.json
 """
 
 from __future__ import annotations

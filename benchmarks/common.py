@@ -17,8 +17,7 @@ from soil_env._io.document import Table
 from soil_env._io.files import check_outputs, make_folder, plain, replace_files
 from soil_env.cli.running import PATH
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "docs" / "results"
+RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 
 
 def spread(values) -> dict[str, float]:

@@ -22,9 +22,9 @@ _UFUNCS = {
     np.maximum: "Max", np.minimum: "Min", np.equal: "Equal", np.greater: "Greater",
 }  # fmt: skip
 
-_ACTIVATIONS: dict[type, tuple[str, dict]] = {
-    nn.ReLU: ("Relu", {}), nn.Tanh: ("Tanh", {}), nn.Sigmoid: ("Sigmoid", {}), nn.ELU: ("Elu", {}),
-    nn.Flatten: ("Identity", {}), nn.Identity: ("Identity", {}), nn.Softplus: ("Softplus", {}),
+_ACTIVATIONS: dict[type, str] = {
+    nn.ReLU: "Relu", nn.Tanh: "Tanh", nn.Sigmoid: "Sigmoid", nn.ELU: "Elu", nn.Flatten: "Identity",
+    nn.Identity: "Identity", nn.Softplus: "Softplus",
 }  # fmt: skip
 
 
@@ -153,7 +153,5 @@ def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:
     if type(module) not in _ACTIVATIONS:
         known = ", ".join(sorted(cls.__name__ for cls in _ACTIVATIONS))
         raise ParameterError(f"layer {type(module).__name__}: expected Linear or one of {known}")
-    op, attributes = _ACTIVATIONS[type(module)]
-    if isinstance(module, nn.ELU):
-        attributes = {"alpha": module.alpha}
-    return graph.node(op, x, **attributes)
+    attributes = {"alpha": module.alpha} if isinstance(module, nn.ELU) else {}
+    return graph.node(_ACTIVATIONS[type(module)], x, **attributes)
