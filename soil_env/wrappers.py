@@ -15,8 +15,8 @@ class LineAction(gymnasium.ActionWrapper):
     """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a `Box(-1, 1, (2,))`.
 
     The second number counts only where a line is chosen, below 0 for the line beside; else the first one counts. In the
-    plain action both are one number. Learners that climb the gradient of a critic over the action (SAC, TD3) then drive
-    with positive actions, and hardly ever try the line beside.
+    plain action both are one number. SAC and TD3 learn to drive with positive actions, and then hardly ever try the
+    line beside.
     """
 
     def __init__(self, env: gymnasium.Env):
