@@ -5,7 +5,7 @@ Some worlds may have effects that the model of the identifier does not have (`hi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +67,7 @@ class Ground:
     scenario: Scenario
     wheels: int
     worlds: Sequence[WheelSoilModel | None]
+    teachers: Sequence[dict[str, float]]  # settings of the teacher in each world that differ from those of the scenario
 
 
 def on_grounds(grounds: Sequence[Ground], config: PPOConfig, seed: int) -> VecNormalize:
@@ -74,16 +75,17 @@ def on_grounds(grounds: Sequence[Ground], config: PPOConfig, seed: int) -> VecNo
     parts = []
     for ground in grounds:
         shares = np.diff(np.linspace(0, ground.wheels, len(ground.worlds) + 1).astype(int))
-        for share, world in zip(shares, ground.worlds, strict=True):
-            parts.append(CommonVecEnv(share, ground.scenario, threads=config.threads, model=world))
+        for share, world, settings in zip(shares, ground.worlds, ground.teachers, strict=True):
+            parts.append(CommonVecEnv(share, ground.scenario, settings, threads=config.threads, model=world))
     return _normalised(parts, config, seed)
 
 
 class CommonVecEnv(SoilWheelVecEnv):
     """Wheels whose observation `identified` has the common layout."""
 
-    def __init__(self, num_envs: int, scenario: Scenario, **options):
+    def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
+        self.teacher = teacher
         self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
         self.observation_space = self.scaling.space
 
@@ -160,16 +162,13 @@ class HistoryVecEnv(VecEnvWrapper):
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
 
 
-def hidden_worlds(scenario: Scenario, count: int, seed: int, without: Collection[str] = ()) -> list[WheelSoilModel]:
+def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 
-    The effects `without` are left out.
-
-    Sizes are drawn from the prior of the catalogue, cut at one standard deviation, so that most are of the size of the
-    disagreement between published laws.
+    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one standard deviation,
+    so that most are of the size of the disagreement between published laws.
     """
     rng = np.random.default_rng([seed, count, 7])
-    names = [name for name in HIDDEN if name not in without]
     return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,16 +20,24 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import soil_env
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict
+from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict, unknown_value
 from soil_env.cli.running import PATH, run
-from soil_env.parameters import load_scenario
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
 from .config import PPOConfig
-from .environment import Ground, hidden_worlds, on_grounds
+from .environment import HIDDEN, Ground, hidden_worlds, on_grounds
+from .evaluate.driving import run_courses
 from .progress import Bar, show
+from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
+#: Settings that `chosen` tries in a world with a hidden effect: lowest and highest of each, drawn evenly in their logs;
+#: soft starts, which no slip limits; and rounds of it, each with its courses and how many settings it leaves.
+DRAWN = {"start": (0.03, 0.3), "acceleration": (0.05, 0.4), "speed": (0.35, 0.9), "share": (0.5, 2.0)}
+SOFT_STARTS = [{"start": 1.0, "acceleration": a, "speed": v, "share": 1.0} for a, v in ((0.07, 0.57), (0.08, 1.0))]
+COUNT, ROUNDS, TEACHING_SET = 16, ((50, 6), (200, 2), (500, 1)), 5_000_011
 
 
 @dataclass(frozen=True)
@@ -50,20 +59,50 @@ class Generalist(Checked):
     kept: int = quantity("newest steps that the student learns from", 1, 10**9, default=2_000_000)
     improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
-    without: tuple[str, ...] = ()  # effects that no such world has
+    effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
-    def build(self) -> PPO:
-        """The untrained agent in the vector environment of all grounds."""
+    def __post_init__(self):
+        super().__post_init__()
+        for name in self.effects:
+            if name not in HIDDEN:
+                raise unknown_value(name, HIDDEN, "effects")
+
+    def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
+        """The untrained agent in the vector environment of all grounds; each world has the best teacher found."""
         grounds = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
-            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.without)
+            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
             half = own.wheels // 2 if hidden else 0
-            grounds.append(Ground(scenario, own.wheels - half, [None]))
+            grounds.append(Ground(scenario, own.wheels - half, [None], [{}]))
             if hidden:
-                grounds.append(Ground(scenario, half, hidden))
+                taught_by = []
+                for world in hidden:
+                    taught_by.append(chosen(scenario, world, self.seed))
+                    progress(k * self.hidden + len(taught_by))
+                grounds.append(Ground(scenario, half, hidden, taught_by))
         return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
+
+
+def chosen(scenario: Scenario, world: WheelSoilModel, seed: int) -> dict[str, float]:
+    """Settings of the teacher with the highest return in a `world`, of drawn ones, soft starts and the scenario's own.
+
+    The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
+    AISTATS). All settings drive the same courses.
+    """
+    rng, logs = np.random.default_rng([seed, 13]), np.log(list(DRAWN.values())).T
+    tried = [settings_of(scenario), *SOFT_STARTS]
+    tried += [dict(zip(DRAWN, row, strict=True)) for row in np.exp(rng.uniform(*logs, (COUNT, len(DRAWN)))).tolist()]
+    first = 0
+    for courses, left in ROUNDS:
+        earned = []
+        for settings in tried:
+            runs = run_courses(Teacher(scenario, **settings), scenario, TEACHING_SET, courses, first, model=world)
+            earned.append(runs.returns.mean())
+        tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
+        first += courses
+    return tried[0]
 
 
 class _Progress(BaseCallback):
@@ -99,7 +138,8 @@ def command(config: Path | None, out: Path) -> None:
     """Train the default policy."""
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
-    model = asked.build()
+    with Bar("Teachers", asked.hidden * len(asked.grounds), "worlds") as bar:
+        model = asked.build(bar.update)
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
