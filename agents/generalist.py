@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import click
@@ -33,11 +34,10 @@ from .progress import Bar, show
 from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
-#: Settings that `chosen` tries in a world with a hidden effect: lowest and highest of each, drawn evenly in their logs;
-#: soft starts, which no slip limits; and rounds of it, each with its courses and how many settings it leaves.
-DRAWN = {"start": (0.03, 0.3), "acceleration": (0.05, 0.4), "speed": (0.35, 0.9), "share": (0.5, 2.0)}
-SOFT_STARTS = [{"start": 1.0, "acceleration": a, "speed": v, "share": 1.0} for a, v in ((0.07, 0.57), (0.08, 1.0))]
-COUNT, ROUNDS, TEACHING_SET = 16, ((50, 6), (200, 2), (500, 1)), 5_000_011
+#: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft start without a limit.
+ACCELERATIONS, SHARES, SOFT_START = (1.0, 0.55, 0.3), (1.0, 0.6, 1.6), {"start": 1.0, "acceleration": 0.07}
+#: Rounds of it: courses in each world, and settings that are left after it; for one world, and for all of a ground.
+ROUNDS, OF_GROUND, TEACHING_SET = ((50, 3), (200, 2), (300, 1)), ((40, 3), (60, 1)), 5_000_011
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class OnGround(Checked):
     wheels: int = quantity("", 2, 65536)
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
+    hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.0, 1.0, default=0.5)
 
 
 @dataclass(frozen=True)
@@ -69,39 +70,42 @@ class Generalist(Checked):
                 raise unknown_value(name, HIDDEN, "effects")
 
     def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
-        """The untrained agent in the vector environment of all grounds; each world has the best teacher found."""
+        """The untrained agent in the vector environment of all grounds.
+
+        Each hidden world has the teacher that does best in it, and the world without an effect the one that does best
+        in all worlds of the ground: at the start of a course the student cannot distinguish them.
+        """
         grounds = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
             hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
-            half = own.wheels // 2 if hidden else 0
-            grounds.append(Ground(scenario, own.wheels - half, [None], [{}]))
+            some = round(own.hidden * own.wheels) if hidden else 0
+            everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+            grounds.append(Ground(scenario, own.wheels - some, [None], [everywhere]))
             if hidden:
-                taught_by = []
-                for world in hidden:
-                    taught_by.append(chosen(scenario, world, self.seed))
-                    progress(k * self.hidden + len(taught_by))
-                grounds.append(Ground(scenario, half, hidden, taught_by))
+                grounds.append(Ground(scenario, some, hidden, [chosen(scenario, [world]) for world in hidden]))
+            progress(k + 1)
         return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
 
 
-def chosen(scenario: Scenario, world: WheelSoilModel, seed: int) -> dict[str, float]:
-    """Settings of the teacher with the highest return in a `world`, of drawn ones, soft starts and the scenario's own.
+def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds=ROUNDS) -> dict[str, float]:
+    """Settings of the teacher with the highest mean return in `worlds`.
 
     The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
     AISTATS). All settings drive the same courses.
     """
-    rng, logs = np.random.default_rng([seed, 13]), np.log(list(DRAWN.values())).T
-    tried = [settings_of(scenario), *SOFT_STARTS]
-    tried += [dict(zip(DRAWN, row, strict=True)) for row in np.exp(rng.uniform(*logs, (COUNT, len(DRAWN)))).tolist()]
-    first = 0
-    for courses, left in ROUNDS:
-        earned = []
-        for settings in tried:
-            runs = run_courses(Teacher(scenario, **settings), scenario, TEACHING_SET, courses, first, model=world)
-            earned.append(runs.returns.mean())
+    own, first = settings_of(scenario), 0
+    scaled = product(ACCELERATIONS, SHARES)
+    tried = [own | {"acceleration": a * own["acceleration"], "share": b * own["share"]} for a, b in scaled]
+    tried.append(own | SOFT_START)
+    for courses, left in rounds:
+        earned = np.zeros(len(tried))
+        for world in worlds:
+            for k, settings in enumerate(tried):
+                teacher = Teacher(scenario, **settings)
+                earned[k] += run_courses(teacher, scenario, TEACHING_SET, courses, first, model=world).returns.mean()
+            first += courses
         tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
-        first += courses
     return tried[0]
 
 
@@ -138,7 +142,7 @@ def command(config: Path | None, out: Path) -> None:
     """Train the default policy."""
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
-    with Bar("Teachers", asked.hidden * len(asked.grounds), "worlds") as bar:
+    with Bar("Teachers", len(asked.grounds), "grounds") as bar:
         model = asked.build(bar.update)
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
