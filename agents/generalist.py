@@ -83,13 +83,13 @@ class Generalist(Checked):
             everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
             grounds.append(Ground(scenario, own.wheels - some, [None], [everywhere]))
             if hidden:
-                grounds.append(Ground(scenario, some, hidden, [chosen(scenario, [world]) for world in hidden]))
+                grounds.append(Ground(scenario, some, hidden, [chosen(scenario, [w], ROUNDS) for w in hidden]))
             progress(k + 1)
         return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
 
 
-def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds=ROUNDS) -> dict[str, float]:
-    """Settings of the teacher with the highest mean return in `worlds`.
+def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
+    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses, settings left).
 
     The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
     AISTATS). All settings drive the same courses.
