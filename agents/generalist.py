@@ -17,7 +17,6 @@ from pathlib import Path
 import click
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 
 import soil_env
 from soil_env._io.files import replace_file
@@ -109,20 +108,6 @@ def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) 
     return tried[0]
 
 
-class _Progress(BaseCallback):
-    """Progress bar of PPO."""
-
-    def __init__(self, bar: Bar):
-        super().__init__()
-        self.bar = bar
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.bar.update(self.num_timesteps)
-
-
 def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     """The content of the weights' file of a trained model."""
     env, policy = model.get_vec_normalize_env(), model.policy
@@ -148,7 +133,7 @@ def command(config: Path | None, out: Path) -> None:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
-            model.learn(asked.improved, callback=_Progress(bar))
+            model.learn(asked.improved, callback=lambda *_: bar.update(model.num_timesteps) or True)
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())
