@@ -60,7 +60,7 @@ def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit
 
 
 def test_history_keeps_the_misfit_of_each_band_of_slip():
-    """A constant misfit in one band: the average is this misfit, its weight rises, also over steps in another band."""
+    """The average of a band is the misfit of the steps in it; steps in no band leave it as it is."""
     history, seen = History(NAMES, 1), np.zeros((1, len(NAMES)), dtype=np.float32)
     misfit, band = NAMES.index("misfit"), NAMES.index("slip_band_2")
     kept, fresh = np.zeros((1, history.kept), dtype=np.float32), np.array([True])
