@@ -27,7 +27,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
 from .config import PPOConfig
-from .environment import HIDDEN, Ground, hidden_worlds, on_grounds
+from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
 from .progress import Bar, show
 from .teachers import Teacher, settings_of
@@ -46,7 +46,7 @@ class OnGround(Checked):
     wheels: int = quantity("", 2, 65536)
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
-    hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.0, 1.0, default=0.5)
+    hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5)
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,18 @@ class Generalist(Checked):
         Each hidden world has the teacher that does best in it, and the world without an effect the one that does best
         in all worlds of the ground: at the start of a course the student cannot distinguish them.
         """
-        grounds = []
+        parts = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
             hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
             some = round(own.hidden * own.wheels) if hidden else 0
+            shares = own.wheels - some, *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist()
             everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
-            grounds.append(Ground(scenario, own.wheels - some, [None], [everywhere]))
-            if hidden:
-                grounds.append(Ground(scenario, some, hidden, [chosen(scenario, [w], ROUNDS) for w in hidden]))
+            taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
+            for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
+                parts.append(CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world))
             progress(k + 1)
-        return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
+        return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
 
 def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
