@@ -1,7 +1,9 @@
 """One observation layout for every wheel scenario, so that one agent can drive all of them.
 
 It is the layout `identified` of a course with three terrain classes and two lines, a flag that is 1 where a camera sees
-them, and three constants of the drive. Without a camera its entries are 0.
+them, and three constants of the drive. Without a camera its entries are 0. Then come the misfit of the identified soil,
+which is the measured pull less the best one that this soil should give, and the shares of bands of slip, in which
+`history` keeps the misfit of the course so far.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ ACTION, PERIOD = "rim_acceleration", 0.5  # of the action; [s] between two actio
 COMMON = layout("identified", CourseSpec(classes=3, lines=2))
 #: Entries after those: change of the rim command by an action of 1, stall torque [of weight x radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
-NAMES = (*(e.name for e in COMMON), *ADDED)
+EDGES, WIDTH = (0.1, 0.25, 0.5, 0.8), 0.05  # slip from which each band counts, and over which it begins
+NAMES = (*(e.name for e in COMMON), *ADDED, "misfit", *(f"slip_band_{k + 1}" for k in range(len(EDGES))))
 
 
 class CommonScaling(Scaling):
@@ -46,15 +49,22 @@ class CommonScaling(Scaling):
         unseen = [0.0] * (len(COMMON) - len(own))
         camera = float(scenario.course.classes > 0)
         self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
+        names = [e.name for e in own]
+        self.columns = [[names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")]
 
     @property
     def space(self) -> spaces.Box:
         """Box of the common layout."""
         box = Scaling(COMMON).space
-        low, high = (np.append(side, [x] * len(ADDED)) for side, x in ((box.low, 0.0), (box.high, 100.0)))
+        count = len(NAMES) - len(COMMON)
+        low, high = (np.append(side, [x] * count) for side, x in ((box.low, -100.0), (box.high, 100.0)))
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
     def __call__(self, values):
         """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX graph."""
         seen = super().__call__(values)
-        return np.concatenate([seen, 0.0 * seen[:, [0] * self.added.size] + self.added], axis=1)
+        slip, pull, load, best = (0.0 * seen[:, [0]] + values[:, column] for column in self.columns)
+        begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]
+        bands = [*(a - b for a, b in zip(begun, begun[1:], strict=False)), begun[-1]]
+        misfit = np.clip(pull / np.maximum(load, 0.3) - best, -1.0, 1.0)
+        return np.concatenate([seen, 0.0 * seen[:, [0] * self.added.size] + self.added, misfit, *bands], axis=1)

@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import Scenario
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.vehicle import RoverScenario
 
 from . import common_layout, inputs
 from .history import History, lines_of
@@ -28,8 +28,9 @@ class DefaultPolicy:
 
     name, variant = NAME, "identified"
 
-    def __init__(self, scenario: Scenario, path: str | Path = WEIGHTS):
-        self.scaling = common_layout.CommonScaling(scenario)
+    def __init__(self, scenario: Scenario | str, path: str | Path = WEIGHTS):
+        known = isinstance(scenario, (Scenario, RoverScenario))
+        self.scaling = common_layout.CommonScaling(scenario if known else load_scenario(scenario))
         try:
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
@@ -38,8 +39,16 @@ class DefaultPolicy:
             self.history = History(names, int(self.made["history"]))
             self.mean, self.sd = arrays["mean"], arrays["sd"]
             self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise ParameterError(f"{path}: not the weights of a default policy ({error})") from None
+            finite = all(np.isfinite(values).all() for values in arrays.values())
+            if self.mean.size != len(names) + self.history.size or not finite:
+                raise ValueError
+        except OSError as error:
+            raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected an .npz") from None
+        except Exception as error:  # a broken zip fails in a dozen ways
+            expected = "expected an .npz of agents.generalist; the shipped one comes again with an installation"
+            raise ParameterError(
+                f"{path}: not the weights of a default policy ({type(error).__name__}): {expected}"
+            ) from None
         if names != common_layout.NAMES:
             raise ParameterError(
                 f"{path}: trained on another observation layout; expected that of agents.common_layout"

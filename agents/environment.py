@@ -5,8 +5,7 @@ Some worlds may have effects that the model of the identifier does not have (`hi
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -39,11 +38,11 @@ def normalised(
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     parts = [_courses(share, scenario, observation, config, one) for share, one in zip(shares, worlds, strict=True)]
-    return _normalised(parts, config, seed)
+    return side_by_side(parts, config, seed)
 
 
-def _normalised(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
-    """The `parts` side by side, with history and normalisation."""
+def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
+    """The `parts`, of one observation layout, with history and running normalisation."""
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
@@ -60,30 +59,12 @@ def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -
     return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world)
 
 
-@dataclass(frozen=True)
-class Ground:
-    """Wheels of one scenario, in equal shares in several worlds."""
-
-    scenario: Scenario
-    wheels: int
-    worlds: Sequence[WheelSoilModel | None]
-
-
-def on_grounds(grounds: Sequence[Ground], config: PPOConfig, seed: int) -> VecNormalize:
-    """The vector environment of all `grounds` in the common layout, with running normalisation."""
-    parts = []
-    for ground in grounds:
-        shares = np.diff(np.linspace(0, ground.wheels, len(ground.worlds) + 1).astype(int))
-        for share, world in zip(shares, ground.worlds, strict=True):
-            parts.append(CommonVecEnv(share, ground.scenario, threads=config.threads, model=world))
-    return _normalised(parts, config, seed)
-
-
 class CommonVecEnv(SoilWheelVecEnv):
-    """Wheels whose observation `identified` has the common layout."""
+    """Wheels whose observation `identified` has the common layout; `teacher`: settings of theirs (`teachers`)."""
 
-    def __init__(self, num_envs: int, scenario: Scenario, **options):
+    def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
+        self.teacher = teacher
         self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
         self.observation_space = self.scaling.space
 
@@ -160,16 +141,13 @@ class HistoryVecEnv(VecEnvWrapper):
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
 
 
-def hidden_worlds(scenario: Scenario, count: int, seed: int, without: Collection[str] = ()) -> list[WheelSoilModel]:
+def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 
-    The effects `without` are left out.
-
-    Sizes are drawn from the prior of the catalogue, cut at one standard deviation, so that most are of the size of the
-    disagreement between published laws.
+    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one standard deviation,
+    so that most are of the size of the disagreement between published laws.
     """
     rng = np.random.default_rng([seed, count, 7])
-    names = [name for name in HIDDEN if name not in without]
     return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 

@@ -9,26 +9,34 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import click
 import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 
 import soil_env
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict
+from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict, unknown_value
 from soil_env.cli.running import PATH, run
-from soil_env.parameters import load_scenario
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
 from .config import PPOConfig
-from .environment import Ground, hidden_worlds, on_grounds
+from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
+from .evaluate.driving import run_courses
 from .progress import Bar, show
+from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
+#: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft start without a limit.
+ACCELERATIONS, SHARES, SOFT_START = (1.0, 0.55, 0.3), (1.0, 0.6, 1.6), {"start": 1.0, "acceleration": 0.07}
+#: Rounds of it: courses in each world, and settings that are left after it; for one world, and for all of a ground.
+ROUNDS, OF_GROUND, TEACHING_SET = ((50, 3), (200, 2), (300, 1)), ((40, 3), (60, 1)), 5_000_011
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,7 @@ class OnGround(Checked):
     wheels: int = quantity("", 2, 65536)
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
+    hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5)
 
 
 @dataclass(frozen=True)
@@ -50,34 +59,54 @@ class Generalist(Checked):
     kept: int = quantity("newest steps that the student learns from", 1, 10**9, default=2_000_000)
     improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
-    without: tuple[str, ...] = ()  # effects that no such world has
+    effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
-    def build(self) -> PPO:
-        """The untrained agent in the vector environment of all grounds."""
-        grounds = []
+    def __post_init__(self):
+        super().__post_init__()
+        for name in self.effects:
+            if name not in HIDDEN:
+                raise unknown_value(name, HIDDEN, "effects")
+
+    def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
+        """The untrained agent in the vector environment of all grounds.
+
+        Each hidden world has the teacher that does best in it, and the world without an effect the one that does best
+        in all worlds of the ground: at the start of a course the student cannot distinguish them.
+        """
+        parts = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
-            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.without)
-            half = own.wheels // 2 if hidden else 0
-            grounds.append(Ground(scenario, own.wheels - half, [None]))
-            if hidden:
-                grounds.append(Ground(scenario, half, hidden))
-        return ppo.learner(on_grounds(grounds, self.ppo, self.seed), self.ppo, self.seed)
+            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
+            some = round(own.hidden * own.wheels) if hidden else 0
+            shares = own.wheels - some, *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist()
+            everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+            taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
+            for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
+                parts.append(CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world))
+            progress(k + 1)
+        return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
 
-class _Progress(BaseCallback):
-    """Progress bar of PPO."""
+def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
+    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses, settings left).
 
-    def __init__(self, bar: Bar):
-        super().__init__()
-        self.bar = bar
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        self.bar.update(self.num_timesteps)
+    The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
+    AISTATS). All settings drive the same courses.
+    """
+    own, first = settings_of(scenario), 0
+    scaled = product(ACCELERATIONS, SHARES)
+    tried = [own | {"acceleration": a * own["acceleration"], "share": b * own["share"]} for a, b in scaled]
+    tried.append(own | SOFT_START)
+    for courses, left in rounds:
+        earned = np.zeros(len(tried))
+        for world in worlds:
+            for k, settings in enumerate(tried):
+                teacher = Teacher(scenario, **settings)
+                earned[k] += run_courses(teacher, scenario, TEACHING_SET, courses, first, model=world).returns.mean()
+            first += courses
+        tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
+    return tried[0]
 
 
 def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
@@ -99,12 +128,13 @@ def command(config: Path | None, out: Path) -> None:
     """Train the default policy."""
     path = config or config_dir() / CONFIG
     asked = load(Generalist, read_yaml(path), str(path))
-    model = asked.build()
+    with Bar("Teachers", len(asked.grounds), "grounds") as bar:
+        model = asked.build(bar.update)
     with Bar("Student", asked.taught, "steps") as bar:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
-            model.learn(asked.improved, callback=_Progress(bar))
+            model.learn(asked.improved, callback=lambda *_: bar.update(model.num_timesteps) or True)
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())

@@ -2,7 +2,8 @@
 
 The readings of the last `steps` steps follow the present observation, as with stacked frames (Mnih et al. 2015, Nature
 518:529). Where a camera distinguishes terrain classes, moving averages of the readings on each class are kept too, and
-those of the classes seen ahead follow.
+those of the classes seen ahead follow. Where an observation has bands of slip, moving averages of its misfit in each
+band follow: over a course they show what the pull does at slips at which the wheel is not now.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from soil_env.simulation.task import AXLES, LINES
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "rim_speed")
 
 SHARE = 0.1  # weight of a step in the averages on a terrain class
+BAND_SHARE = 0.05  # weight of a step in the averages in a band of slip
 
 
 class History:
@@ -43,8 +45,13 @@ class History:
             for line in LINES
             if f"{line}_class_1" in names
         ]
+        self.bands = [k for k, name in enumerate(names) if name.startswith("slip_band_")]
+        misfit = [names.index("misfit")] if self.bands else []
+        #: (entry that says how much a step counts, entries averaged, weight of a step) of each average.
+        self.averages = [(k, self.columns, SHARE) for k in self.classes] + [(k, misfit, BAND_SHARE) for k in self.bands]
         self.past = steps * len(self.columns)
-        self.size = self.past + len(self.lines) * (len(self.columns) + 1)  # numbers added to the observation
+        #: Numbers added to the observation.
+        self.size = self.past + len(self.lines) * (len(self.columns) + 1) + 2 * len(self.bands)
 
     @property
     def of_lines(self) -> list[list[int]]:
@@ -55,7 +62,7 @@ class History:
     @property
     def kept(self) -> int:
         """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
-        return len(self.columns) + self.past + len(self.classes) * (len(self.columns) + 1)
+        return len(self.columns) + self.past + sum(len(columns) + 1 for _, columns, _ in self.averages)
 
     def observe(self, seen, kept, fresh):
         """(observation with its history, readings kept for the next step) for observations [n, D].
@@ -68,18 +75,21 @@ class History:
         moved = np.concatenate([seen[:, self.columns], kept[:, _range(0, self.past)]], axis=1)
         now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
         driving = 1.0 - seen[:, [self.halted]]
-        for k, column in enumerate(self.classes):
-            first = m + self.past + k * (m + 1)
-            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * (m + 1)], kept[:, _range(first, first + m + 1)])
-            rate = SHARE * driving * seen[:, [column]]
-            sums = np.concatenate([seen[:, self.columns], 0.0 * driving + 1.0], axis=1)
+        first = m + self.past
+        for column, averaged, share in self.averages:
+            size = len(averaged) + 1
+            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * size], kept[:, _range(first, first + size)])
+            rate = share * driving * seen[:, [column]]
+            sums = np.concatenate([seen[:, averaged], 0.0 * driving + 1.0], axis=1)
             now.append(known + rate * (sums - known))
-        kept = np.concatenate(now, axis=1) if self.classes else now[0]
+            first += size
+        kept = np.concatenate(now, axis=1) if self.averages else now[0]
         history = [kept[:, _range(m, m + self.past)]]
-        for line in self.lines:
-            felt = sum(seen[:, [column]] * sums for column, sums in zip(line, now[1:], strict=True))
-            share = felt[:, [m]]
-            history += [felt[:, _range(0, m)] / np.maximum(share, 1e-6), share]
+        of_classes, of_bands = now[1 : 1 + len(self.classes)], now[1 + len(self.classes) :]
+        lines = [sum(seen[:, [c]] * sums for c, sums in zip(line, of_classes, strict=True)) for line in self.lines]
+        for felt, size in [(x, m) for x in lines] + [(x, 1) for x in of_bands]:
+            share = felt[:, [size]]
+            history += [felt[:, _range(0, size)] / np.maximum(share, 1e-6), share]
         return np.concatenate([seen, *history], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
@@ -88,6 +98,7 @@ class History:
         for side, share in ((box.low, 0.0), (box.high, 1.0)):
             own = side[self.columns]
             history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
+            history += [-1.0 + 2.0 * share, share] * len(self.bands)
             bounds.append(np.concatenate([side, history]).astype(np.float32))
         return spaces.Box(*bounds, dtype=np.float32)
 

@@ -44,8 +44,8 @@ MANNERS = {
 class Teacher(BestSlipTrue):
     """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
 
-    def __init__(self, scenario: Scenario):
-        own, top = SETTINGS | OF_SCENARIOS.get(scenario.name, {}), scenario.wheel.radius * scenario.wheel.no_load_speed
+    def __init__(self, scenario: Scenario, **settings: float):
+        own, top = settings_of(scenario) | settings, scenario.wheel.radius * scenario.wheel.no_load_speed
         rims = {name: own[name] * top for name in ("start", "speed")}
         super().__init__(scenario, acceleration=own["acceleration"], **rims)
         self.share = own["share"]
@@ -99,16 +99,23 @@ class RoverTeacher(RoverController):
         return action, np.zeros(len(batch), dtype=bool), 1.0 - batch[:, self.column["halted"]], state
 
 
-def teacher_of(scenario: Scenario | RoverScenario) -> Teacher | RoverTeacher:
-    """The teacher for a scenario."""
-    return RoverTeacher(scenario) if isinstance(scenario, RoverScenario) else Teacher(scenario)
+def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
+    """The teacher of the wheels or rovers of a vector environment, with the settings that it names, if any."""
+    if isinstance(part.scenario, RoverScenario):
+        return RoverTeacher(part.scenario)
+    return Teacher(part.scenario, **getattr(part, "teacher", {}))
+
+
+def settings_of(scenario: Scenario) -> dict[str, float]:
+    """Settings of the teacher of a scenario in a world without hidden effects."""
+    return SETTINGS | OF_SCENARIOS.get(scenario.name, {})
 
 
 class Teachers:
     """A teacher for the wheels or rovers of each scenario of a vector environment."""
 
     def __init__(self, env: VecEnv):
-        self.parts = [(part, teacher_of(part.scenario)) for part in getattr(env, "parts", [env])]
+        self.parts = [(part, teacher_of(part)) for part in getattr(env, "parts", [env])]
         self.states: list = [None] * len(self.parts)
         self.starts = np.cumsum([part.num_envs for part, _ in self.parts])[:-1]
 

@@ -10,13 +10,16 @@ import warnings
 from functools import cache
 from pathlib import Path
 
-from soil_env._io.loading import ParameterError
+import numpy as np
+
+from soil_env._io.loading import ParameterError, load
 from soil_env.env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling
 
 from .. import PACKAGE_NAMES
+from ..common_layout import CommonScaling
 from ..exported import ExportedAgent
 from .contestants import VECNORMALIZE
 
@@ -86,6 +89,15 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     own, asked = len(agent.content["inputs"]), len(layout(agent.variant, scenario.course))
     if own != asked:
         raise ParameterError(f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}")
+    if agent.content["network"] == "DefaultPolicy":
+        made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
+        constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
+        if not np.allclose(constants, asked_for):
+            print(
+                f"warning: {path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
+                f"soil-env export default --scenario {scenario.name}",
+                file=sys.stderr,
+            )
     return agent
 
 

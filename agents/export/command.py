@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from soil_env._io.files import check_outputs, plain, replace_files
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, nearest
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -109,7 +109,8 @@ def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilMo
     path = run / "model.zip" if run.is_dir() else run
     if not path.is_file():
         wrong = f"{run}: no model.zip in this folder" if run.is_dir() else f"{path}: is not there"
-        raise ParameterError(f"{wrong}: expected a run folder of train.py, or a .zip of Stable-Baselines3")
+        expected = "expected a run folder of train.py, a .zip of Stable-Baselines3, or 'default'"
+        raise ParameterError(f"{wrong}{nearest(run, SHIPPED)}: {expected}")
     if read_member(path, INFO) is None:
         return path, load_scenario(scenario or DEFAULT_SCENARIO), None
     if scenario is not None:

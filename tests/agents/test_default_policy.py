@@ -1,7 +1,6 @@
 """Policy that comes with the package: its common layout, its training, its file, and that it drives every ground."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,26 +8,31 @@ import pytest
 from agents import default_policy, generalist, student
 from agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
 from agents.default_policy import WEIGHTS, DefaultPolicy
-from agents.environment import hidden_worlds
 from agents.evaluate import run_courses
 from agents.evaluate.contestants import parse
 from agents.evaluate.loading import check, load
-from agents.teachers import Teachers
+from agents.history import BAND_SHARE, History
+from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.env import SoilWheelEnv
 from soil_env.parameters import load_scenario
+from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import load_rover
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
-TINY = {"grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4}}, "hidden": 2}
+TINY = {"grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}}, "hidden": 2}
+TINY["effects"] = ["shear_softening", "bulldozing"]
 TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
 
 @pytest.fixture(scope="module")
 def trained():
     """A model after a few steps on two grounds."""
-    model = generalist.load(generalist.Generalist, TINY, "").build()
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("ROUNDS", "OF_GROUND"):
+            patch.setattr(generalist, name, ((2, 1),))
+        model = generalist.load(generalist.Generalist, TINY, "").build()
     student.teach(model, 1000, 0)
     return model
 
@@ -40,15 +44,32 @@ def test_it_drives_every_wheel_scenario(name):
     assert runs.metric("finished").mean() >= (0.3 if name in ("sticky", "unseen") else 0.7)
 
 
-def test_common_layout_is_that_of_two_lines_with_a_flag_and_the_drive():
+def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit():
     for name, camera in (("two_lines", 1.0), ("mixed", 0.0)):
         env = SoilWheelEnv(name, scaled=True)
         seen, _ = env.reset(seed=1)
-        common = CommonScaling(env.scenario)(env.physical(seen)[None])[0]
-        np.testing.assert_allclose(common[: seen.size], seen, atol=1e-5)
-        assert not common[seen.size : -len(ADDED)].any()
-        np.testing.assert_allclose(common[-len(ADDED) :], [camera, 0.2, 1.5857, 0.15], rtol=1e-3)
-        assert len(common) == len(NAMES) == len(COMMON) + len(ADDED)
+        values = env.physical(seen)
+        own = dict(zip(COMMON, range(len(values)), strict=False))
+        for entry, k in own.items():
+            values[k] = {"slip": 0.275, "drawbar_pull": 0.3, "load": 1.5, "best_pull": 0.25}.get(entry.name, values[k])
+        common = CommonScaling(env.scenario)(values[None])[0]
+        np.testing.assert_allclose(common[: seen.size], env.scaling(values[None])[0], atol=1e-5)
+        assert not common[seen.size : len(COMMON)].any() and len(common) == len(NAMES)
+        np.testing.assert_allclose(common[len(COMMON) :][: len(ADDED)], [camera, 0.2, 1.5857, 0.15], rtol=1e-3)
+        np.testing.assert_allclose(common[len(COMMON) + len(ADDED) :], [-0.05, 0.5, 0.5, 0.0, 0.0], atol=1e-5)
+
+
+def test_history_keeps_the_misfit_of_each_band_of_slip():
+    """The average of a band is the misfit of the steps in it; steps in no band leave it as it is."""
+    history, seen = History(NAMES, 1), np.zeros((1, len(NAMES)), dtype=np.float32)
+    misfit, band = NAMES.index("misfit"), NAMES.index("slip_band_2")
+    kept, fresh = np.zeros((1, history.kept), dtype=np.float32), np.array([True])
+    for step in range(6):
+        seen[0, band], seen[0, misfit] = float(step < 3), -0.2 if step < 3 else 0.4
+        observed, kept = history.observe(seen, kept, fresh)
+        fresh = np.array([False])
+    share = 1.0 - (1.0 - BAND_SHARE) ** 3
+    np.testing.assert_allclose(observed[0, -8:], [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -70,13 +91,17 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
         made = json.loads(str(archive["made"]))
     held_out = load_scenario("unseen").soils
     grounds = made["config"]["grounds"]
-    assert "unseen" not in grounds and "shear_softening" in made["config"]["without"]
-    trained_on = [load_scenario(own["scenario"] or name, own["changes"]).soils for name, own in grounds.items()]
-    assert not {"mars_simulant_dlr", "mars_slope_soil"} & set().union(*trained_on) and "mars_slope_soil" in held_out
-    bad = tmp_path / "bad.npz"
-    bad.write_bytes(b"no zip")
-    with pytest.raises(ParameterError, match="not the weights of a default policy"):
-        DefaultPolicy(load_scenario("mixed"), bad)
+    trained_on = [load_scenario(own["scenario"] or name, own["changes"]) for name, own in grounds.items()]
+    soils = set().union(*(s.soils for s in trained_on), *(s.belief.soils for s in trained_on))
+    assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "mars_slope_soil" in held_out
+    assert "unseen" not in grounds
+    bad, good = tmp_path / "bad.npz", WEIGHTS.read_bytes()
+    for content in (b"", b"no zip", good[:9000], good[:5000] + bytes(4000) + good[9000:]):
+        bad.write_bytes(content)
+        with pytest.raises(ParameterError, match="not the weights of a default policy"):
+            DefaultPolicy("mixed", bad)
+    with pytest.raises(ParameterError, match="cannot be read"):
+        DefaultPolicy("mixed", tmp_path / "none.npz")
 
 
 def test_the_file_acts_as_the_trained_model(trained, tmp_path):
@@ -92,19 +117,34 @@ def test_the_file_acts_as_the_trained_model(trained, tmp_path):
 
 
 def test_teachers_of_several_grounds_and_hidden_worlds(trained):
-    """Each wheel has the teacher of its ground; no hidden world has an effect that is left out."""
+    """Each wheel has the teacher that was chosen for its ground and world."""
     env = trained.get_vec_normalize_env().unwrapped
-    assert [(p.num_envs, p.scenario.name, p.model is None) for p in env.parts] == [
-        (4, "two_lines", True), (2, "two_lines", False), (2, "two_lines", False),
-        (2, "field_vehicle", True), (1, "field_vehicle", False), (1, "field_vehicle", False),
+    effects = [p.model and next(iter(p.model.effects)) for p in env.parts]
+    assert [(p.num_envs, p.scenario.name, e) for p, e in zip(env.parts, effects, strict=True)] == [
+        (4, "two_lines", None), (2, "two_lines", "shear_softening"), (2, "two_lines", "bulldozing"),
+        (1, "field_vehicle", None), (1, "field_vehicle", "shear_softening"), (2, "field_vehicle", "bulldozing"),
     ]  # fmt: skip
     teachers = Teachers(env)
-    fast, slow = teachers.parts[0][1].settings, teachers.parts[-1][1].settings
-    assert fast["speed"] == pytest.approx(0.54 * 0.75) and slow["speed"] == pytest.approx(0.36 * 2.8233, rel=1e-3)
+    for part, teacher in teachers.parts:
+        top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
+        assert teacher.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
+        assert (teacher.settings["acceleration"], teacher.share) == (
+            part.teacher["acceleration"],
+            part.teacher["share"],
+        )
     action, choosing, weight = teachers.lesson(np.ones(12, dtype=bool))
     assert action.shape == (12, 1) and choosing.shape == weight.shape == (12,)
-    effects = {name for w in hidden_worlds(load_scenario("mixed"), 30, 0, ("grousers",)) for name in w.effects}
-    assert "grousers" not in effects and "shear_softening" in effects
+
+
+def test_the_teacher_of_a_softening_world_starts_gently():
+    """The rule that knows the soil but not the effect digs in; the chosen one does better on other courses."""
+    scenario = load_scenario("mixed")
+    world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
+    settings = generalist.chosen(scenario, [world], ((30, 1),))
+    assert settings["acceleration"] < 0.5 * settings_of(scenario)["acceleration"]
+    drivers = Teacher(scenario), Teacher(scenario, **settings)
+    own, better = (run_courses(d, scenario, 77, 60, model=world).returns.mean() for d in drivers)
+    assert better > own + 1.0
 
 
 def test_it_is_a_contestant_and_drives_from_the_command(capsys):
@@ -113,12 +153,12 @@ def test_it_is_a_contestant_and_drives_from_the_command(capsys):
         (contestant,) = parse(text).values()
         assert contestant.name == default_policy.NAME
         check(contestant, scenario)
-    assert load(contestant, replace(scenario)).variant == "identified"
+    assert load(contestant, scenario).variant == DefaultPolicy("mixed").variant == "identified"
     assert soil_env(["drive", "--policy", "default", "--scenario", "loose_slopes", "--seed", "2"]) == 0
     assert capsys.readouterr().out.startswith("default_policy: ")
 
 
-def test_it_is_exported_to_onnx(tmp_path):
+def test_it_is_exported_to_onnx(tmp_path, capsys):
     pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
     for name in ("two_lines", "mixed"):
         assert soil_env(["export", "default", "--scenario", name, f"--out={tmp_path / name}", "--steps=60"]) == 0
@@ -126,3 +166,10 @@ def test_it_is_exported_to_onnx(tmp_path):
         (exported,) = parse(str(tmp_path / name)).values()
         both = [run_courses(d, scenario, 5, 4) for d in (DefaultPolicy(scenario), load(exported, scenario))]
         np.testing.assert_allclose(both[0].distance, both[1].distance, atol=1e-3)
+    assert not capsys.readouterr().err
+    load(exported, load_scenario("unseen"))  # the same wheel
+    assert not capsys.readouterr().err
+    load(exported, load_scenario("sticky"))
+    assert "exported for the wheel of 'mixed', that of 'sticky' differs" in capsys.readouterr().err
+    assert soil_env(["export", "defualt", f"--out={tmp_path / 'x'}"]) == 2
+    assert "did you mean 'default'?" in capsys.readouterr().err
