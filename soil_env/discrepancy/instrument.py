@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,6 +73,23 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
 )})  # fmt: skip
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
+
+
+class Choice(NamedTuple):
+    """One effect in one of its published forms."""
+
+    effect: str
+    form: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the form, `<effect>_<parameter>`."""
+        return tuple(f"{self.effect}_{p}" for p in LISTED[self.effect].forms[self.form].free)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that the form sets."""
+        return {f"{self.effect}_{p}": v for p, v in LISTED[self.effect].forms[self.form].fixed}
 
 
 def _known(sd: Calibration) -> dict[str, float | None]:

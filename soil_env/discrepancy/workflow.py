@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
@@ -149,12 +149,13 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
     """
     while True:
         own, names = finding.stated.evidence, finding.names
-        model, anonymous = finding.best(*names), finding.best(free=True)
+        behind = next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
+        model, anonymous = finding.best(*behind), finding.best(free=True)
         asserted = bool(names) or finding.verdict in ("none", "undetermined")
-        if asserted and names not in finding.refuted:
+        if asserted and behind not in finding.refuted:
             weak = not names or model.probability <= anonymous.probability
             if _far(problem, model.evidence) or (weak and structure(problem, model.evidence, seed) < STRUCTURED):
-                finding = finding.without(names)
+                finding = finding.without(behind, alone=True)
                 continue
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
         # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
@@ -168,7 +169,7 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
         closed = [judgement.closed(problem, judgement.gaps(problem, held[some], held[names])) for some in beside]
         if all(share is None or share >= 0.0 for share in closed):
             return finding, (fits[()], fits[names]), held
-        finding = finding.without(names)
+        finding = finding.without(names, alone=names not in finding.refuted)
 
 
 def _far(problem: Problem, model: Evidence) -> bool:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import instrument, search as search_module
-from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.report import words
 from soil_env.discrepancy.search import candidates, search
 from soil_env.measurement.setup import Calibration, setup_of
@@ -25,7 +24,7 @@ def wrong(data, name, value):
     values = p.fit().parameters()
     parameter = f"{name}_{instrument.INSTRUMENT[name].parameters[0].name}"
     guess = np.zeros(len(data.table))
-    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), (Choice(name, 0),)))
+    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), (instrument.Choice(name, 0),)))
     return problem(data, np.random.default_rng(1), after - before), after - before
 
 
