@@ -37,9 +37,9 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
-#: Correlation lengths of the error of the base law, one as probable as another. The shortest, about
-#: the step between two slips of a table, is for laws that are right at some slips alone: soil flows in two zones below a
-#: driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res. 12:257-269).
+#: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
+#: two slips of a table, for laws that are right at some slips alone: soil flows in two zones below a driven wheel, and
+#: in one at large slip (Wong 1967, J. Agric. Eng. Res. 12:257-269).
 LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 _LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
 GRAVITY = 9.81

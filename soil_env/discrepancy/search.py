@@ -71,7 +71,7 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
-    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that predicted held-out rows worse than the base model
+    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that held-out rows or a pattern speak against
 
     def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1.

@@ -24,7 +24,8 @@ def wrong(data, name, value):
     values = p.fit().parameters()
     parameter = f"{name}_{instrument.INSTRUMENT[name].parameters[0].name}"
     guess = np.zeros(len(data.table))
-    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), (instrument.Choice(name, 0),)))
+    chosen = (instrument.Choice(name, 0),)
+    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), chosen))
     return problem(data, np.random.default_rng(1), after - before), after - before
 
 
