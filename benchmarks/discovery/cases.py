@@ -21,7 +21,8 @@ import numpy as np
 import yaml
 
 from benchmarks.common import short
-from benchmarks.discovery.forms import CHANNELS, MECHANISMS, VARIES, Form, Hidden, forms_of
+from benchmarks.discovery.forms import MECHANISMS, VARIES, forms_of
+from benchmarks.discovery.hidden import CHANNELS, Form, Hidden
 from benchmarks.discovery.laws import log_slip, regimes, smooth
 from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
@@ -136,7 +137,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "laws", "plan", "unlisted", "world")
+    names = ("cases", "forms", "hidden", "laws", "plan", "unlisted", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 

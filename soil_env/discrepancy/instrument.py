@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io.loading import unknown_value
+from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -109,6 +109,8 @@ def exact(setup: Setup) -> dict[str, str]:
     for name in setup.checked:
         if name not in LISTED:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
+        if setup.checked.count(name) > 1:
+            raise ParameterError(f"{setup.source}: checked: {name} is there twice: expected each name once")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
@@ -119,6 +121,10 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     A rig that is known five times better than usual is wrong a fifth as often, since somebody looked.
     """
     own, usual = _spread(setup.calibration, bench), _spread(Calibration(), bench)
+    for name, most in (("force_offset", bench.load), ("torque_offset", bench.load * bench.radius)):
+        if own[name] > most:
+            limit = f"at most {most:.3g}, the middle load" + (" times the radius" if name == "torque_offset" else "")
+            raise ParameterError(f"{setup.source}: calibration.{name} = {own[name]:g}: expected {limit}")
     return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 
 

@@ -18,7 +18,8 @@ from benchmarks.common import share
 from benchmarks.discovery import __main__ as command, entrants
 from benchmarks.discovery.cases import GROUPS, SETS, Task, draw_case, task_of, tasks, write_case
 from benchmarks.discovery.entrants import Answer, entrant
-from benchmarks.discovery.forms import CHANNELS, FORMS, MECHANISMS, Hidden, forms_of
+from benchmarks.discovery.forms import FORMS, MECHANISMS, forms_of
+from benchmarks.discovery.hidden import CHANNELS, Hidden
 from benchmarks.discovery.laws import LENGTHS, RandomFunction, StressError, covariance, log_slip, regimes
 from benchmarks.discovery.plan import DEVELOPMENT, HELD_BACK, Measure, draw_bench
 from benchmarks.discovery.score import Record, figures, reliability, targets
