@@ -147,9 +147,8 @@ def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = sum(p.probability**2 for p in report.next_tests[0].predicted)
     return (
-        "Make the runs in this order and add their rows. If one of the candidates below is right, as often as its "
-        f"probability says, it has {percent(now)} on average now, and at least {percent(report.next_tests[-1].sure)} "
-        "after them"
+        "Make the runs in this order and add their rows. A candidate is right as often as its probability says, so the "
+        f"right one has {percent(now)} on average now, and at least {percent(report.next_tests[-1].sure)} after them"
     )
 
 
