@@ -3,8 +3,7 @@
 A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, and
 sinkage is below the surface in front of the wheel. Pull is the net forward force on the axle, less the weight component
 where a grade effect is hidden. Set `laws` has law errors of several sizes that are smooth in slip, and several designs;
-set `ten` has rich tables with errors of 10 % of all kinds (`laws.smooth`, `laws.log_slip`, `laws.regimes`). Set
-`certified` has the same without errors of the instrument beyond a certificate, which the setup states (`CERTIFICATE`).
+set `ten` has rich tables with errors of 10 % of all kinds (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
 """
 
 from __future__ import annotations
@@ -22,7 +21,8 @@ import numpy as np
 import yaml
 
 from benchmarks.common import short
-from benchmarks.discovery.forms import CHANNELS, MECHANISMS, VARIES, Form, Hidden, forms_of
+from benchmarks.discovery.forms import MECHANISMS, VARIES, forms_of
+from benchmarks.discovery.hidden import CHANNELS, Form, Hidden
 from benchmarks.discovery.laws import log_slip, regimes, smooth
 from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
@@ -35,10 +35,6 @@ PAIRS = tuple(combinations(MECHANISMS, 2))
 STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
 DEEPEST = 0.7  # sinkage over the radius, with effects
-#: Standard deviations of a certificate: level [deg], gains, zeros over the mean load (times the radius), radius. A
-#: force sensor in a wheel errs by half a percent each in linearity, hysteresis and repeatability (Sensor Rev. 45:207).
-CERTIFICATE = {"tilt_deg": 0.1, "force_gain": 0.01, "force_offset": 0.001, "torque_gain": 0.01, "torque_offset": 0.001,
-               "wheel_radius": 0.002}  # fmt: skip
 
 
 # --- sets and groups --------------------------------------------------------------------------------------------------
@@ -52,7 +48,7 @@ class Group:
     design: str  # rich, poor, few: of `plan`
     error: float  # size of the law errors
     count: int
-    sort: str = ""  # outliers; certified; held: unlisted kinds that are held back
+    sort: str = ""  # outliers; held: unlisted kinds that are held back
     of_slip: Callable = smooth  # kind of the law errors
 
     @property
@@ -105,12 +101,6 @@ SETS: dict[str, list[Group]] = {
         for of_slip in (smooth, log_slip, regimes)
         for group in _groups(kind, {0.1: count}, sort=sort, of_slip=of_slip)
     ],
-    "certified": [
-        group
-        for kind, count in (("one", 13), ("two", 9), ("none", 7), ("unlisted", 7))
-        for of_slip in (smooth, log_slip, regimes)
-        for group in _groups(kind, {0.1: count}, sort="certified", of_slip=of_slip)
-    ],
 }  # fmt: skip
 GROUPS = {group.name: group for groups in reversed(SETS.values()) for group in groups}
 
@@ -147,7 +137,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "laws", "plan", "unlisted", "world")
+    names = ("cases", "forms", "hidden", "laws", "plan", "unlisted", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 
@@ -228,8 +218,6 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
     values = np.where(wrong, clean + noise * gross, values)
     stated = rng.random() < (0.5 if group.design == "few" else 0.8)
     setup = _setup(rng, bench, stated, WIDE if group.design == "few" else 1.0)
-    if group.sort == "certified":
-        setup["calibration"], values = _certified(rng, bench, values)
     truth = {
         "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
         "law_error": group.error, "law_errors": group.of_slip.__name__,
@@ -239,17 +227,6 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
         **_described(measure, effects, sizes),
     }  # fmt: skip
     return Case(_columns(bench, effects, values), setup, truth, clean, bench, effects)
-
-
-def _certified(rng, bench: Bench, values: np.ndarray) -> tuple[dict, np.ndarray]:
-    """(Certificate of the rig, values [3, N] as a rig reads them that errs within it; its radius is exact)."""
-    sd, load = dict(CERTIFICATE), bench.load
-    sd["force_offset"], sd["torque_offset"] = sd["force_offset"] * load, sd["torque_offset"] * load * bench.radius
-    error = {name: s * rng.standard_normal() for name, s in sd.items()}
-    pull = values[1] * (1.0 + error["force_gain"]) + error["force_offset"]
-    torque = values[2] * (1.0 + error["torque_gain"]) + error["torque_offset"]
-    read = np.stack([values[0], pull - bench.rows.load * np.tan(np.radians(error["tilt_deg"])), torque])
-    return {name: float(f"{s:.3g}") for name, s in sd.items()}, read
 
 
 def _described(measure: Measure, effects, sizes) -> dict:

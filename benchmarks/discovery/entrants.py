@@ -20,7 +20,8 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from benchmarks.discovery.forms import CHANNELS, MECHANISMS
+from benchmarks.discovery.forms import MECHANISMS
+from benchmarks.discovery.hidden import CHANNELS
 from benchmarks.discovery.laws import covariance
 from benchmarks.discovery.plan import SOIL
 from benchmarks.discovery.unlisted import INSTRUMENTS

@@ -1,93 +1,19 @@
 """Mechanisms of the catalogue that a case may hide, in published forms that the catalogue does not have.
 
-A form alters a `world.Contact` by one strength, 0 = absent; a form that has no strength in the literature is multiplied
-by one. Each names its source; "after" says that the source has the idea or the data, and the expression here is the
-simplest one of it. Side parameters are drawn once for a case. `cap` is the largest strength that is sensible for the
-wheel, soil and conditions at hand.
+A form that has no strength in the literature is multiplied by one. Each names its source; "after" says that the source
+has the idea or the data, and the expression here is the simplest one of it. Side parameters are drawn once for a case.
+`cap` is the largest strength that is sensible for the wheel, soil and conditions at hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.discovery.world import Contact, column
-
-if TYPE_CHECKING:
-    from benchmarks.discovery.plan import Bench
-
-CHANNELS = ("sinkage", "drawbar_pull", "torque")
-SINKAGE, PULL, TORQUE = CHANNELS
-Side = Callable[[np.random.Generator, "Bench"], dict]
-
-
-@dataclass(frozen=True, eq=False)
-class Form:
-    """One published form of an effect."""
-
-    effect: str  # name in the catalogue
-    name: str
-    strength: str  # meaning of the strength, with its unit
-    alter: Callable[[Contact, float, dict], None]
-    cap: Callable[[Bench], float]
-    channels: tuple[str, ...]  # that it moves
-    side: Side = lambda rng, bench: {}
-    freedom: int = 1  # parameters of the effect
-    signs: tuple[int, ...] = (1,)
-    floor: float = 0.0  # below it the form is another one
-    order: int = 1  # forms alter the contact in this order: true slip first
-    scales_grade: bool = False  # the strength is the amplitude of the grades, not of the response to them
-
-    @property
-    def source(self) -> str:
-        """Docstring of the form."""
-        return (self.alter.__doc__ or "").strip()
-
-
-@dataclass(frozen=True, eq=False)
-class Hidden:
-    """Form at a strength, which is added to the base world."""
-
-    form: Form
-    strength: float
-    side: dict
-
-    def __call__(self, contact: Contact) -> None:
-        self.form.alter(contact, self.strength, self.side)
-
-    def at(self, strength: float) -> Hidden:
-        """Return the same form at another strength."""
-        return replace(self, strength=strength)
-
-
-def enter(registry: list[Form], effect: str, strength: str, cap, channels=CHANNELS, **options):
-    """Add the decorated function to `registry` as a form of `effect`; `cap` is a number or a function of `plan.Bench`.
-
-    An empty `effect` takes the name of the function.
-    """
-
-    def register(function):
-        limit = cap if callable(cap) else (lambda bench: cap)
-        name = function.__name__
-        registry.append(Form(effect or name, name, strength, function, limit, channels, **options))
-        return function
-
-    return register
-
-
-def drawn(*known: str, **ranges: tuple[float, float]) -> Side:
-    """Side parameters: attributes of the `plan.Bench` by name, and uniform draws from ranges."""
-
-    def side(rng, bench):
-        found = {name: float(rng.uniform(*span)) for name, span in ranges.items()}
-        return found | {name: getattr(bench, name) for name in known}
-
-    return side
-
+from benchmarks.discovery.hidden import PULL, SINKAGE, TORQUE, Form, drawn, enter
+from benchmarks.discovery.world import column
 
 FORMS: list[Form] = []
 _form = partial(enter, FORMS)

@@ -31,7 +31,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.common import share, short
 from benchmarks.discovery.cases import DEEPEST, SEEN, _setup
-from benchmarks.discovery.forms import CHANNELS, MECHANISMS, Hidden, forms_of
+from benchmarks.discovery.forms import MECHANISMS, forms_of
+from benchmarks.discovery.hidden import CHANNELS, Hidden
 from benchmarks.discovery.plan import Measure, draw_bench
 from benchmarks.discovery.world import Rows
 from soil_env._io.files import make_folder, write_json

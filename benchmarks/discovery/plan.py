@@ -19,7 +19,8 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from benchmarks.discovery.forms import FORMS, Hidden
+from benchmarks.discovery.forms import FORMS
+from benchmarks.discovery.hidden import Hidden
 from benchmarks.discovery.laws import StressError, covariance, smooth
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
 

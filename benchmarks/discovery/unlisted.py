@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.discovery.forms import PULL, TORQUE, Form, drawn, enter
+from benchmarks.discovery.hidden import PULL, TORQUE, Form, drawn, enter
 from benchmarks.discovery.world import column
 
 UNLISTED: list[Form] = []

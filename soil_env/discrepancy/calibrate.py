@@ -22,17 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, nuisances, reading, true_rows
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, nuisances, reading, true_rows
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
-from soil_env.identification.table.form_error import (
-    INPUTS,
-    LAW_LENGTHS,
-    LENGTHS,
-    Process,
-    compressed,
-    stress_changes,
-    whitened,
-)
+from soil_env.identification.table import form_error
+from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process, compressed, stress_changes, whitened
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
@@ -44,25 +37,12 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
+#: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
+#: two slips of a table, for laws that are right at some slips alone: soil flows in two zones below a driven wheel, and
+#: in one at large slip (Wong 1967, J. Agric. Eng. Res. 12:257-269).
+LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 _LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
 GRAVITY = 9.81
-
-
-class Choice(NamedTuple):
-    """One effect in one of its published forms."""
-
-    effect: str
-    form: int
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Parameters of the form, `<effect>_<parameter>`."""
-        return tuple(f"{self.effect}_{p}" for p in LISTED[self.effect].forms[self.form].free)
-
-    @property
-    def fixed(self) -> dict[str, float]:
-        """Parameters that the form sets."""
-        return {f"{self.effect}_{p}": v for p, v in LISTED[self.effect].forms[self.form].fixed}
 
 
 class Sizes(NamedTuple):
@@ -71,7 +51,7 @@ class Sizes(NamedTuple):
     law: float = 0.0  # alpha, relative, of the stresses of the base law
     effect: float = 0.0  # beta, relative to what an effect adds
     free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
-    span: int = 0  # of `form_error.LAW_LENGTHS`, that of the base law's error
+    span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
     scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
     #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their relative sizes.
     patterns: tuple[tuple[str, float], ...] = ()

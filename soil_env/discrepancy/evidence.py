@@ -24,12 +24,11 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import log_ndtr, logsumexp, ndtr
 from scipy.stats import chi2
 
-from soil_env.discrepancy.calibrate import Choice, Fit, Problem, Sizes
+from soil_env.discrepancy.calibrate import LAW_LENGTHS, Fit, Problem, Sizes
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.identification.table.form_error import (
     INPUTS,
-    LAW_LENGTHS,
     LENGTHS,
     SIZES,
     Process,
@@ -304,18 +303,23 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     at = problem.data.conditions | problem.data.elapsed
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
-    channels = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
+    channels: dict[str, np.ndarray] = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
+    alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
     out = {}
     for names in [*((n,) for n in alone), *(("slip", n) for n in alone if n != "slip")]:
         process = Process.over(at, of=names, most=_FUNCTIONS)
         if process.names != names:
             continue
-        places = channels if {*names} <= {*INPUTS} else dict(zip(_STRESSES, moved, strict=True)) | channels
+        places, functions = channels, process.at_points
+        if not {*names} <= {*INPUTS}:
+            places = dict(zip(_STRESSES, moved, strict=True)) | channels
+            if "slip" in names:  # what goes with the slip alone is the form error of the base law
+                functions = functions - alone_with_slip @ np.linalg.lstsq(alone_with_slip, functions, rcond=1e-6)[0]
         for place, change in places.items():
             if names[-1] in _OWNED.get(place, ()):
                 continue
-            errors = change[:, :, None] * process.at_points[:, None, :]
+            errors = change[:, :, None] * functions[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
     return out
 

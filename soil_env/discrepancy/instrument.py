@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._io.loading import unknown_value
+from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -74,6 +75,23 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
 
 
+class Choice(NamedTuple):
+    """One effect in one of its published forms."""
+
+    effect: str
+    form: int
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the form, `<effect>_<parameter>`."""
+        return tuple(f"{self.effect}_{p}" for p in LISTED[self.effect].forms[self.form].free)
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Parameters that the form sets."""
+        return {f"{self.effect}_{p}": v for p, v in LISTED[self.effect].forms[self.form].fixed}
+
+
 def _known(sd: Calibration) -> dict[str, float | None]:
     """Standard deviation by name to which a rig is known; None where it goes with the load."""
     return {name: getattr(sd, "tilt_deg" if name == "tilt" else name) for name in INSTRUMENT}
@@ -91,6 +109,8 @@ def exact(setup: Setup) -> dict[str, str]:
     for name in setup.checked:
         if name not in LISTED:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
+        if setup.checked.count(name) > 1:
+            raise ParameterError(f"{setup.source}: checked: {name} is there twice: expected each name once")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 
@@ -101,6 +121,10 @@ def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     A rig that is known five times better than usual is wrong a fifth as often, since somebody looked.
     """
     own, usual = _spread(setup.calibration, bench), _spread(Calibration(), bench)
+    for name, most in (("force_offset", bench.load), ("torque_offset", bench.load * bench.radius)):
+        if own[name] > most:
+            limit = f"at most {most:.3g}, the middle load" + (" times the radius" if name == "torque_offset" else "")
+            raise ParameterError(f"{setup.source}: calibration.{name} = {own[name]:g}: expected {limit}")
     return {name: min(own[name] / usual[name], 1.0) for name in INSTRUMENT}
 
 

@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import truncnorm
 
-from soil_env.discrepancy.calibrate import Fit, Problem
+from soil_env.discrepancy.calibrate import LAW_LENGTHS, Fit, Problem
 from soil_env.discrepancy.evidence import Evidence
 from soil_env.discrepancy.instrument import nuisances
-from soil_env.identification.table.form_error import INPUTS, LAW_LENGTHS, LENGTHS, Process
+from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
 from soil_env.terramechanics.model import rows_of
 
 DEEPEST = 0.6  # [radii] deepest sinkage of a feasible run

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from soil_env.discrepancy.calibrate import Choice, Problem
+from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, resembling, settle
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, exact, odds
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 
 #: Prior odds that a listed effect, or an error of the instrument, is missing, each independent of the others: of 19
 #: none is missing with 33 %, one with 38 %. An error of the instrument is less probable where the setup states that the
@@ -71,15 +71,21 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
-    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that predicted held-out rows worse than the base model
+    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that held-out rows or a pattern speak against
 
-    def without(self, names: tuple[str, ...]) -> Finding:
+    def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1.
 
-        Without names the base model is refuted; it stays as a hypothesis, as what the others are compared with.
+        `alone`: these effects and no other; sets with more may explain what they leave. So is the base model, without
+        names. What is refuted alone stays as a hypothesis, as what the others are compared with.
         """
-        left = [h for h in self.hypotheses if not names or not {*names} <= {*h.names}]
-        share = np.array([h.probability if names or h.names or h.free else 0.0 for h in left])
+        alone = alone or not names
+
+        def refuted(h: Hypothesis) -> bool:
+            return ({*h.names} == {*names} and bool(names or not h.free)) if alone else {*names} <= {*h.names}
+
+        left = [h for h in self.hypotheses if alone or not refuted(h)]
+        share = np.array([0.0 if refuted(h) else h.probability for h in left])
         total = float(share.sum())
         share = share / total if total > 0.0 else np.full(len(left), 1.0 / len(left))
         kept = [replace(h, probability=float(p)) for h, p in zip(left, share, strict=True)]

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import doubts, judgement, symbolic
-from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Choice, Fit, Problem, calibrate
+from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
@@ -143,18 +143,20 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
     be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
-    than the base model does, a second effect that closes nothing of the gap beside the first, effects that need a soil
-    far from the setup's, and effects that leave a pattern in a channel (`structure`) unless they are, by themselves,
-    more probable than an anonymous law. So is the base model with a pattern where nothing would be missing.
+    than the base model does (95 % interval), and a second effect that closes nothing of the gap beside the first. So is
+    the most probable set behind a name, without those that have a further effect, if it needs a soil far from the
+    setup's, or leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an anonymous law;
+    and the base model with a pattern where nothing would be missing.
     """
     while True:
         own, names = finding.stated.evidence, finding.names
-        model, anonymous = finding.best(*names), finding.best(free=True)
+        behind = next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
+        model, anonymous = finding.best(*behind), finding.best(free=True)
         asserted = bool(names) or finding.verdict in ("none", "undetermined")
-        if asserted and names not in finding.refuted:
+        if asserted and behind not in finding.refuted:
             weak = not names or model.probability <= anonymous.probability
             if _far(problem, model.evidence) or (weak and structure(problem, model.evidence, seed) < STRUCTURED):
-                finding = finding.without(names)
+                finding = finding.without(behind, alone=True)
                 continue
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
         # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
@@ -164,11 +166,18 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
             near = base if not some else own.fit if some == names else finding.best(*some).evidence.fit
             fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
         held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
-        beside = [some for some in held if some != names]
-        closed = [judgement.closed(problem, judgement.gaps(problem, held[some], held[names])) for some in beside]
-        if all(share is None or share >= 0.0 for share in closed):
+        if not any(_worse(problem, some, held[some], held[names], seed) for some in held if some != names):
             return finding, (fits[()], fits[names]), held
         finding = finding.without(names)
+
+
+def _worse(problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int) -> bool:
+    """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base model's, for sure."""
+    share = judgement.closed(problem, judgement.gaps(problem, before, after))
+    if share is None or share >= 0.0 or some:
+        return share is not None and share < 0.0
+    interval = judgement.closed_interval(problem, before, after, np.random.default_rng([seed, 2]))
+    return interval is not None and interval[1] < 0.0
 
 
 def _far(problem: Problem, model: Evidence) -> bool:

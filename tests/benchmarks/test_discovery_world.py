@@ -8,7 +8,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from benchmarks.discovery.forms import CHANNELS, FORMS, Hidden
+from benchmarks.discovery.forms import FORMS
+from benchmarks.discovery.hidden import CHANNELS, Hidden
 from benchmarks.discovery.plan import PRIOR_SD, SOIL, Bench, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from benchmarks.discovery.world import Ground, Rows, Wheel, predict

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from soil_env.discrepancy import evidence
-from soil_env.discrepancy.calibrate import Choice, Sizes
+from soil_env.discrepancy.calibrate import Sizes
+from soil_env.discrepancy.instrument import Choice
 from soil_env.discrepancy.search import forms
 from tests.discrepancy.tables import NOISE, problem, table
 

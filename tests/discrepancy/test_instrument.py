@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import instrument, search as search_module
-from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.report import words
 from soil_env.discrepancy.search import candidates, search
 from soil_env.measurement.setup import Calibration, setup_of
@@ -25,7 +25,8 @@ def wrong(data, name, value):
     values = p.fit().parameters()
     parameter = f"{name}_{instrument.INSTRUMENT[name].parameters[0].name}"
     guess = np.zeros(len(data.table))
-    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), (Choice(name, 0),)))
+    chosen = (instrument.Choice(name, 0),)
+    before, after = (p.predict(values | {parameter: value}, choices, guess) for choices in ((), chosen))
     return problem(data, np.random.default_rng(1), after - before), after - before
 
 
@@ -71,6 +72,14 @@ def test_a_rig_that_is_known_better_is_wrong_less_often(level):
     expected = dict.fromkeys(instrument.INSTRUMENT, 1.0) | {"tilt": 0.2, "torque_offset": 0.5}
     assert instrument.odds(dataclasses.replace(level.setup, calibration=known), p.bench) == pytest.approx(expected)
     assert search_module.log_prior(("tilt",), of_rig={"tilt": 0.2}) == pytest.approx(np.log(0.2 * search_module.ODDS))
+
+
+def test_a_calibration_and_checks_that_cannot_be_are_refused(level):
+    huge = dataclasses.replace(level.setup, calibration=Calibration(torque_offset=1e9))
+    with pytest.raises(ParameterError, match="calibration.torque_offset = 1e.09: expected at most .* the radius"):
+        search(problem(dataclasses.replace(level, setup=huge), np.random.default_rng(0)))
+    with pytest.raises(ParameterError, match="checked: tilt is there twice"):
+        instrument.exact(dataclasses.replace(level.setup, checked=("tilt", "tilt")))
 
 
 def test_every_name_has_an_explanation():

@@ -9,10 +9,9 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from soil_env._io.loading import ParameterError
-from soil_env.discrepancy.calibrate import Choice
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import settle
-from soil_env.discrepancy.instrument import exact
+from soil_env.discrepancy.instrument import Choice, exact
 from soil_env.discrepancy.next_tests import (
     CHECKS,
     LEAST,

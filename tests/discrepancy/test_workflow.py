@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import judgement, run, workflow
-from soil_env.discrepancy.calibrate import Choice, Problem
+from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.instrument import Choice
 from soil_env.discrepancy.report import content
 from soil_env.discrepancy.workflow import model_of
 from soil_env.terramechanics.effects import CATALOGUE

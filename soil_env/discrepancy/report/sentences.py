@@ -147,8 +147,8 @@ def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = sum(p.probability**2 for p in report.next_tests[0].predicted)
     return (
-        "Make the runs in this order and add their rows. The right one of the candidates below has a probability of "
-        f"{percent(now)} on average now, and of at least {percent(report.next_tests[-1].sure)} after them"
+        "Make the runs in this order and add their rows. A candidate is right as often as its probability says, so the "
+        f"right one has {percent(now)} on average now, and at least {percent(report.next_tests[-1].sure)} after them"
     )
 
 
@@ -186,7 +186,7 @@ def summary(report: Report) -> str:
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
-        refuted=[title(" and ".join(names)) for names in finding.refuted if names],
+        refuted=[title(" and ".join(n)) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
     return " ".join(text.split()).replace(" ,", ",")
 

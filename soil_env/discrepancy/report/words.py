@@ -36,10 +36,11 @@ def conclusion(report: Report) -> str:
     """The result in one sentence without a number."""
     names = listed([title(e.name) for e in report.effects]) if report.effects else ""
     near = [title(n) for n in report.finding.candidates[:3]]
+    explains = f"{names[:1].upper()}{names[1:]} {'explain' if len(report.effects) > 1 else 'explains'}"
     if report.verdict == "named":
-        return f"{names[:1].upper()}{names[1:]} explains what the simulation misses."
+        return f"{explains} what the simulation misses."
     if report.verdict == "partly":
-        return f"{names[:1].upper()}{names[1:]} explains a part of what the simulation misses, and a part is left."
+        return f"{explains} a part of what the simulation misses, and a part is left."
     if report.verdict == "unlisted":
         near_by = f"; {listed(near, 'or')} comes closest, but in another form" if near else ""
         return f"Something is missing from the simulation that is none of the listed effects{near_by}."
