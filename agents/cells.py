@@ -7,8 +7,6 @@ An engine takes a picklable function and cells, and yields (cell, result) in the
 once. A worker that dies loses its cell, which is done again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

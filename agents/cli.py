@@ -1,7 +1,5 @@
 """Options that several commands share: config keys as --KEY VALUE, YAML files, engines, optional packages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -6,8 +6,6 @@ which is the measured pull less the best one that this soil should give, and the
 `history` keeps the misfit of the course so far.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from gymnasium import spaces
 

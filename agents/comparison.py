@@ -1,7 +1,5 @@
 """Comparison at the end of a training: the agent and the classical controllers on the same held-out courses."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

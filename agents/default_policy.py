@@ -3,8 +3,6 @@
 `python -m soil_env_agents.generalist` trains it. The file of weights holds arrays without pickles, and how it was made.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`soil-env drive`: one course under a controller or an agent, as numbers, a picture or a video."""
 
-from __future__ import annotations
-
 import importlib.util
 from dataclasses import replace
 from functools import partial

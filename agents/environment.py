@@ -3,8 +3,6 @@
 Some worlds may have effects that the model of the identifier does not have (`hidden_worlds`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

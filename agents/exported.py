@@ -1,7 +1,5 @@
 """An agent exported by `agents.export`: the ONNX file alone, run by onnxruntime."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -5,8 +5,6 @@
 The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds with hidden effects.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable, Sequence

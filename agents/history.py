@@ -6,8 +6,6 @@ those of the classes seen ahead follow. Where an observation has bands of slip, 
 band follow: over a course they show what the pull does at slips at which the wheel is not now.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of the arguments of a trained agent's `predict`; each error is one line with place and expectation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

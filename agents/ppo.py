@@ -1,7 +1,5 @@
 """PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in training."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """Output of the commands: tables and lines, a progress bar on a terminal, progress lines elsewhere."""
 
-from __future__ import annotations
-
 import textwrap
 
 from rich.console import Console

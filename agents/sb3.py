@@ -1,7 +1,5 @@
 """The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from typing import Any

@@ -9,8 +9,6 @@ where the soil is not known it learns the mean of the actions, and the line that
 Its value network learns the returns of the last rounds, so that PPO can go on from here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

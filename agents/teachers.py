@@ -1,7 +1,5 @@
 """Teachers of a student: what knows the true soil and is asked for its action in every state (`student.teach`)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`soil-env train`: train an agent and compare it with the classical controllers."""
 
-from __future__ import annotations
-
 import dataclasses
 import textwrap
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One training run: its folder, and an agent that is trained there, resumed, or loaded where it is done."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """`soil-env tune`: settings of the classical controllers for a scenario."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import get_args, get_type_hints
 

@@ -6,8 +6,6 @@ The threshold of the alarm is set on other courses, so that it is false for 5 % 
 docs/results/warning.json has what it is worth: area under the ROC curve 0.92, a logistic of the same inputs 0.82.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

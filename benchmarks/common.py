@@ -1,7 +1,5 @@
 """Shared by the benchmarks: rounds of a measurement, the machine, options, results as JSON with a page of tables."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping

@@ -1,7 +1,5 @@
 """Drives of wheels and rovers with the true soil along them, for judging what is identified."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

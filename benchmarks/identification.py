@@ -10,8 +10,6 @@ Nothing was chosen on the courses of the seed. Errors are those of the ground un
 whatever the status of the estimate.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from functools import partial

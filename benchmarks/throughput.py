@@ -7,8 +7,6 @@ Torque commands are random, one a control period, held for eight; resets include
 each figure is a median over rounds with the lowest and the highest. Run it on an idle machine.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable

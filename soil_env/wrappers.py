@@ -1,7 +1,5 @@
 """Wrappers of the single environment."""
 
-from __future__ import annotations
-
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

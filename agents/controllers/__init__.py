@@ -5,8 +5,6 @@ The true soil is an input of `best_slip_true` alone. All but `full_throttle` and
 drive follows it with any action of the scenario. docs/guide/controllers.md has their table and laws.
 """
 
-from __future__ import annotations
-
 from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
 from soil_env.parameters import Scenario
 

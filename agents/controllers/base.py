@@ -1,7 +1,5 @@
 """Base of the classical controllers: checked settings, and the control loop from a rim speed to an action."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -13,8 +13,6 @@
 All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`), one for each wheel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 

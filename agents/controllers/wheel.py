@@ -1,7 +1,5 @@
 """Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on its soil."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from soil_env.slip import rim_speeds, travel_speeds

@@ -1,7 +1,5 @@
 """`soil-env evaluate`: controllers and agents on the same courses, with confidence intervals."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace

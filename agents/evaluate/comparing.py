@@ -1,7 +1,5 @@
 """Comparison of controllers on the same courses: rates and means with 95 % intervals, paired differences."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

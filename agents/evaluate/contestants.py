@@ -4,8 +4,6 @@ Models that train.py did not write are unpickled in part, and modules are import
 trust.
 """
 
-from __future__ import annotations
-
 import glob
 import hashlib
 import re

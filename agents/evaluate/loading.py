@@ -1,7 +1,5 @@
 """Loading and trial of contestants' controllers; failures of foreign code are errors of one line."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sys

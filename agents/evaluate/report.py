@@ -1,7 +1,5 @@
 """Files of an evaluation, and its table on the terminal."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -8,8 +8,6 @@ pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). They hold for anoth
 training seed only the courses are drawn. They are computed from weights: how often a member and a course were drawn.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

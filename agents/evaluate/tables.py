@@ -1,7 +1,5 @@
 """Metrics with their 95 % intervals as cells, tables and points in a figure."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence

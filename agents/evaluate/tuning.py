@@ -6,8 +6,6 @@ many trials on as many courses as every other. The one that finishes most course
 sampler of each trial has a seed of its own, so that a tuning that goes on from its log ends as one without a break.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable

@@ -22,8 +22,6 @@ Published for another method, machine and ground: 1.8 m and 2.9 s on average, a 
 Autonomous Vehicles and Systems 2(3) 031001 (2022).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from soil_env.driving.wheels import Worlds

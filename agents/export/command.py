@@ -1,7 +1,5 @@
 """`soil-env export`: a trained agent as one ONNX file that needs neither torch, Stable-Baselines3 nor soil_env."""
 
-from __future__ import annotations
-
 import io
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The ONNX model of an agent, its description, and the steps on which both are compared."""
 
-from __future__ import annotations
-
 import json
 import platform
 from importlib import metadata

@@ -1,7 +1,5 @@
 """`soil-env study`: arms compared over training seeds and scenarios."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Results of a study: study.json, one table and one figure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from soil_env._io.document import Table

@@ -6,8 +6,6 @@ tuned/CELL.log        trials of a tuning
 cells/CELL.json       the courses of all scenarios as driven by one arm with one training seed: the cell is done
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

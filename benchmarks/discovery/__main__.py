@@ -14,8 +14,6 @@ benchmarks.discovery.entrants.Answer. The same command goes on with a run that w
 DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed and generator.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

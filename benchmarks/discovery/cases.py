@@ -6,8 +6,6 @@ where a grade effect is hidden. Set `laws` has law errors of several sizes that 
 set `ten` has rich tables with errors of 10 % of all kinds (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import zlib

@@ -5,8 +5,6 @@ has the idea or the data, and the expression here is the simplest one of it. Sid
 `cap` is the largest strength that is sensible for the wheel, soil and conditions at hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -8,8 +8,6 @@ of 95 % (`noncentrality`): 1 is the detection limit. Sizes grow with the strengt
 small. What an effect adds is computed without the law errors, whose change by the effect is of second order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property

@@ -4,8 +4,6 @@ A case *counts* for the targets where the hidden effect is at or above twice its
 where what the best listed form would leave of it is. The calibration and the shares under `all` have every case.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@
 listed mechanisms.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -8,8 +8,6 @@ smoothing change of variable, Sidi 1993), own root search, numpy only.
 SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape [N, nodes].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

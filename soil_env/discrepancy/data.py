@@ -1,7 +1,5 @@
 """A measurement table made ready for the search: its conditions as factors with levels, groups to hold out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ The measured values of a row are checked by the rows beside it (`noise`). A row 
 comes near is checked by none, and a mistyped condition makes such a row.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -12,8 +12,6 @@ probable. *Smooth*: a function of all conditions and of the time in one channel 
 its form error. *Scatter*: every value by itself, as where each row has a soil of its own.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import product

@@ -5,8 +5,6 @@ of that size are in the covariance of every fit (`nuisances`), so that no effect
 candidate with a name, in `INSTRUMENT`. The simulated world has none of these, and model.yaml holds none.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

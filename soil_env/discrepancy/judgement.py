@@ -3,8 +3,6 @@
 All are linearised about the fits of the search and need no further ones.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ v being 1 in the box and A the Jacobian of the fit with its priors as further ro
 |t| over all boxes and channels; its null distribution is simulated through P.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import combinations

@@ -11,8 +11,6 @@ to change if i is right, under the square root of the evidence; `search` tempers
 after the other, each by the information that it adds to those before it for its cost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ an effect. (`identification.table.problem` estimates noise from what its own fit
 be right, here it is in question.)
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 the posterior of the sizes of its form errors. `predicted` carries the posterior of one to other conditions.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math

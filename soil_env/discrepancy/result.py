@@ -1,7 +1,5 @@
 """The result of the workflow: what is missing, how sure that is, the corrected model, and what they follow from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole workflow: from a measurement table and its setup to the missing effect and the corrected model."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Result of the workflow as files (report.json, report.html, model.yaml) and on the terminal."""
 
-from __future__ import annotations
-
 import json
 import platform
 from pathlib import Path

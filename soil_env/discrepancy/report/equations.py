@@ -1,7 +1,5 @@
 """Additions to the model as equations with the fitted numbers: for the terminal, the page and report.json."""
 
-from __future__ import annotations
-
 import math
 import re
 from html import escape

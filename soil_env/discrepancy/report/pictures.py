@@ -1,7 +1,5 @@
 """Plots of a report, as SVG; the same report gives the same bytes."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

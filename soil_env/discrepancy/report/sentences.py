@@ -1,7 +1,5 @@
 """Sentences of a report: summary, cautions, disagreements and next tests, by the templates of this folder."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """Tables of a report."""
 
-from __future__ import annotations
-
 from soil_env._io.document import Table
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED

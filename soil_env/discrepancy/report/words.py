@@ -1,7 +1,5 @@
 """Result in a sentence, next step, and each effect in plain words: the head of the report."""
 
-from __future__ import annotations
-
 from soil_env.discrepancy.instrument import INSTRUMENT
 from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report.sentences import listed, title
