@@ -109,6 +109,8 @@ def exact(setup: Setup) -> dict[str, str]:
             raise unknown_value(name, LISTED, f"{setup.source}: checked")
         if setup.checked.count(name) > 1:
             raise ParameterError(f"{setup.source}: checked: {name} is there twice: expected each name once")
+    if len(setup.checked) == len(LISTED):
+        raise ParameterError(f"{setup.source}: checked: has all effects: expected those that a check has ruled out")
     known |= dict.fromkeys(setup.checked, "checked, by the setup")
     return known | ({"tilt": "tilt_deg of the setup has it"} if setup.tilt_deg is not None else {})
 

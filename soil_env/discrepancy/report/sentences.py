@@ -17,6 +17,7 @@ from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
+LITTLE = 0.01  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which a table shows hardly any misfit
@@ -141,12 +142,26 @@ def next_test(report: Report, t: NextTest) -> str:
     return f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
 
 
+def right_now(report: Report) -> float:
+    """Probability that the right candidate has on average, before the next runs."""
+    return sum(p.probability**2 for p in report.next_tests[0].predicted)
+
+
+def runs_help(report: Report) -> bool:
+    """True if there are next runs that should raise that probability by `LITTLE` or more."""
+    return bool(report.next_tests) and report.next_tests[-1].sure - right_now(report) >= LITTLE
+
+
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
-    now = sum(p.probability**2 for p in report.next_tests[0].predicted)
+    now = percent(right_now(report))
+    if not runs_help(report):
+        return (
+            f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
+        )
     return (
         "Make the runs in this order and add their rows. A candidate is right as often as its probability says, so the "
-        f"right one has {percent(now)} on average now, and at least {percent(report.next_tests[-1].sure)} after them"
+        f"right one has {now} on average now, and at least {percent(report.next_tests[-1].sure)} after them"
     )
 
 

@@ -2,7 +2,7 @@
 
 from soil_env.discrepancy.instrument import INSTRUMENT
 from soil_env.discrepancy.next_tests import CHECKS
-from soil_env.discrepancy.report.sentences import listed, title
+from soil_env.discrepancy.report.sentences import listed, runs_help, title
 from soil_env.discrepancy.result import Report
 
 #: The page on which every effect has its equations and sources.
@@ -60,7 +60,7 @@ def next_step(report: Report) -> str:
     done = ", ".join(n for c in CHECKS if c.work in checks for n in c.decides)
     corrected = f"correct the columns, and write in the setup `checked: [{done}]`"
     steps = ["; ".join((*checks, corrected))] if checks else []
-    steps += ["make the next tests below, the first one first, and add their rows"] if report.next_tests else []
+    steps += ["make the next tests below, the first one first, and add their rows"] if runs_help(report) else []
     if steps and report.verdict not in ("named", "none"):
         return f"{steps[0][:1].upper()}{'; then '.join(steps)[1:]}; then run this again."
     if report.verdict in ("ambiguous", "undetermined"):
