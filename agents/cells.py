@@ -76,7 +76,7 @@ def load_study(cls, folder: Path):
     """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of other code."""
     path = Path(folder) / STUDY
     if not Path(folder).is_dir():
-        raise ParameterError(f"{path}: no such folder; expected one that a study has written")
+        raise ParameterError(f"{path}: no such folder; expected that of a begun {cls.__name__.lower()}")
     study = load(cls, read_yaml(path), str(path))
     if study.version != code_version():
         here = code_version()

@@ -19,6 +19,7 @@ WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
 CLIP = 10.0  # of a normalised input
 LAYERS = ("policy_0", "policy_1", "line_0", "line_1", "action")  # each with a weight [out, in] and a bias [out]
+_EXPECTED = f"expected an .npz of {__package__}.generalist; the shipped one comes again with an installation"
 
 
 class DefaultPolicy:
@@ -43,15 +44,17 @@ class DefaultPolicy:
         except OSError as error:
             raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected an .npz") from None
         except Exception as error:  # a broken zip fails in a dozen ways
-            expected = "expected an .npz of agents.generalist; the shipped one comes again with an installation"
             raise ParameterError(
-                f"{path}: not the weights of a default policy ({type(error).__name__}): {expected}"
+                f"{path}: not the weights of a default policy ({type(error).__name__}): {_EXPECTED}"
             ) from None
         if names != common_layout.NAMES:
             raise ParameterError(
-                f"{path}: trained on another observation layout; expected that of agents.common_layout"
+                f"{path}: trained on another observation layout; expected that of {common_layout.__name__}"
             )
         self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
+        wrong = _unfitting(self.layers, self.mean.size, len(self.lines[0]))
+        if wrong is not None:
+            raise ParameterError(f"{path}: {wrong}: {_EXPECTED}")
         self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
@@ -73,6 +76,17 @@ class DefaultPolicy:
         (w, b), (v, c) = of_line
         ahead, beside = (_relu(_relu(x[:, columns] @ w.T + b) @ v.T + c) for columns in self.lines)
         return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive) @ last.T + bias
+
+
+def _unfitting(layers, inputs: int, of_line: int) -> str | None:
+    """What is wrong with the shape of the first layer that does not fit those before it, None if all fit."""
+    (first, _), (second, _), (line, _), *_ = layers
+    before = inputs, len(first), of_line, len(line), len(second)
+    after = len(first), len(second), len(line), len(second), 1
+    for name, (weight, bias), n_in, n_out in zip(LAYERS, layers, before, after, strict=True):
+        if (weight.shape, bias.shape) != ((n_out, n_in), (n_out,)):
+            return f"{name} has shapes {weight.shape} and {bias.shape}, the other layers need {(n_out, n_in)}"
+    return None
 
 
 def _relu(x):

@@ -1,6 +1,8 @@
 """`soil-env drive`: one course under a controller or an agent, as numbers, a picture or a video."""
 
 import importlib.util
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -65,8 +67,9 @@ def command(
     if rover is not None and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT:
         raise ParameterError(f"--scenario {scenario}: expected none beside --rover, whose file has its own")
     task = load_scenario(scenario) if rover is None else load_rover(rover)
-    contestants = parse(controller, known=controllers_of(task)[0]).values()
-    drivers = {c.name: load(c, task) for c in contestants}
+    with _as_option():
+        contestants = parse(controller, known=controllers_of(task)[0]).values()
+        drivers = {c.name: load(c, task) for c in contestants}
     make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
     if rover is not None:
         make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full")
@@ -75,7 +78,8 @@ def command(
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
         held = replace(task.control, **control).held
-        frames, info, steps = _drive(env, driver, held, seed, frame, every if video else 0)
+        with _as_option():
+            frames, info, steps = _drive(env, name, driver, held, seed, frame, every if video else 0)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""
@@ -83,6 +87,17 @@ def command(
     if out is not None:
         _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
         print(f"written: {out}")
+
+
+@contextmanager
+def _as_option() -> Iterator[None]:
+    """Inside the block an error of the controllers is one of --controller."""
+    try:
+        yield
+    except ParameterError as error:
+        text = str(error)
+        own = text.removeprefix("controllers: ")
+        raise ParameterError(text if own == text else f"--controller: {own}") from None
 
 
 def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
@@ -106,7 +121,7 @@ def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
 
 
 def _drive(
-    env: gymnasium.Env, driver: Any, held: int, seed: int, last: int | None, every: int
+    env: gymnasium.Env, name: str, driver: Any, held: int, seed: int, last: int | None, every: int
 ) -> tuple[list, dict, int]:
     """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most `last`.
 
@@ -118,6 +133,9 @@ def _drive(
         if steps % held == 0:
             start = np.array([steps == 0])
             action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
+            if not np.isfinite(action).all():
+                given = f"{action[0].tolist()} in control period {steps}"
+                raise ParameterError(f"controllers: {name}: predict gave {given}: expected finite numbers")
         observation, _, terminated, truncated, info = env.step(action[0])
         over, steps = terminated or truncated, steps + 1
         if every and (steps % every == 0 or over):

@@ -31,7 +31,7 @@ class ExportedAgent:
             said = (str(error).splitlines() or [""])[0][:200]
             raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
         if self.content.get("format") != FORMAT:
-            raise ParameterError(f"{path}: not written by agents.export: expected a description {FORMAT!r} inside")
+            raise ParameterError(f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} inside")
         self.variant = self.content["observation"]
         self.control = load(Control, self.content["scenario"]["control"], f"{path}: scenario.control")
         self._layout = self._checked_layout()

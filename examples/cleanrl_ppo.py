@@ -16,6 +16,8 @@ import torch
 from gymnasium.vector import AutoresetMode
 from torch import nn
 
+from soil_env import ParameterError
+
 GAMMA, LAMBDA, CLIP, EPOCHS, BATCH, RATE, REWARD_SCALE = 0.99, 0.95, 0.2, 10, 512, 5e-4, 0.1
 
 
@@ -93,18 +95,33 @@ def mean_return(envs, act) -> float:
     return float(total.mean())
 
 
+def count(text: str) -> int:
+    """A whole number of at least 1, for argparse."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number >= 1")
+    return number
+
+
 def main() -> None:
     """Train, then compare with full throttle."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scenario", default="mixed", help="name or YAML file")
-    p.add_argument("--steps", type=int, default=600_000)
-    p.add_argument("--wheels", type=int, default=128)
-    p.add_argument("--length", type=int, default=128, help="steps of each wheel between updates")
-    p.add_argument("--courses", type=int, default=200, help="of the comparison at the end")
+    p.add_argument("--steps", type=count, default=600_000)
+    p.add_argument("--wheels", type=count, default=128)
+    p.add_argument("--length", type=count, default=128, help="steps of each wheel between updates")
+    p.add_argument("--courses", type=count, default=200, help="of the comparison at the end")
     options = p.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    envs, score, ended = make(options.scenario, options.wheels), np.zeros(options.wheels), []
+    try:
+        envs = make(options.scenario, options.wheels)
+    except ParameterError as error:
+        p.error(f"--scenario: {error}")
+    score, ended = np.zeros(options.wheels), []
     agent = Agent(envs.single_observation_space.shape[0])
     optimiser, rollouts = torch.optim.Adam(agent.parameters()), options.steps // (options.wheels * options.length)
     x = torch.as_tensor(envs.reset(seed=0)[0])

@@ -2,8 +2,8 @@
 
 The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed), WrenchStamped (drawbar
 pull, load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
-estimates from the bag equal those of the drive. `soil-env logs BAG --map MAP --out DIR` reads it too and writes a
-report. Needs `pip install "soil_env[logs]"`, no ROS.
+estimates from the bag agree with those of the drive to three digits. `soil-env logs BAG --map MAP --out DIR`
+reads it too and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
 
 Examples:
     python examples/record_bag.py                          writes drive/ (the bag) and drive.map.yaml

@@ -9,7 +9,7 @@ from soil_env.course_env import actions_of
 from soil_env.env import SoilWheelEnv
 
 
-class LineAction(gymnasium.ActionWrapper):
+class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs):
     """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a `Box(-1, 1, (2,))`.
 
     The second number counts only where a line is chosen, below 0 for the line beside; else the first one counts. In the
@@ -18,10 +18,13 @@ class LineAction(gymnasium.ActionWrapper):
     """
 
     def __init__(self, env: gymnasium.Env):
-        super().__init__(env)
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.ActionWrapper.__init__(self, env)
         inner = env.unwrapped
         if not isinstance(inner, SoilWheelEnv) or "choice" not in inner.observation_names:
             raise ParameterError(f"LineAction: {env}: expected SoilWheel-v0 with two lines")
+        if env.action_space.shape != (1,):
+            raise ParameterError(f"LineAction: {env}: has {env.action_space}: expected an action of one number")
         self._inner, self._choice = inner, inner.observation_names.index("choice")
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 

@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 from soil_env import ParameterError
 from soil_env.wrappers import LineAction
@@ -37,3 +38,17 @@ def test_other_actions_are_refused(action):
 def test_an_environment_without_two_lines_is_refused():
     with pytest.raises(ParameterError, match="expected SoilWheel-v0 with two lines"):
         LineAction(gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed"))
+
+
+def test_it_is_made_again_from_its_spec():
+    env = LineAction(gymnasium.make("soil_env:SoilWheel-v0", info="none"))
+    again = gymnasium.make(env.spec)
+    assert isinstance(again, LineAction) and again.action_space == env.action_space
+    np.testing.assert_array_equal(again.reset(seed=4)[0], env.reset(seed=4)[0])
+    check_env(env, skip_render_check=True)
+
+
+def test_a_wrapped_action_is_refused():
+    env = LineAction(gymnasium.make("soil_env:SoilWheel-v0", info="none"))
+    with pytest.raises(ParameterError, match="expected an action of one number"):
+        LineAction(env)

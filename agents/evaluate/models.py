@@ -51,6 +51,7 @@ def load_model(path: Path, scenario: Scenario):
     A policy.onnx of `agents.export` is run by onnxruntime. A zip of train.py (soil_env.json inside) has its
     normalisation and is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its observation
     space gives the variant, and a file vecnormalize.pkl beside it, as rl-baselines3-zoo writes, the normalisation.
+    It may have been trained with `LineAction`.
     """
     path = Path(path)
     if path.suffix == ".onnx":
@@ -124,7 +125,13 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     except Exception as error:  # SB3 raises whatever zipfile, torch or pickle do
         said = f"{type(error).__name__}: {saved.one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
-    return _Plain(model, *_variant(model, path, scenario.course), _normalisation(path))
+    variant, scaling = _variant(model, path, scenario.course)
+    names, shape = [e.name for e in layout(variant, scenario.course)], model.action_space.shape
+    of_line = shape == (2,) and "choice" in names  # trained with LineAction
+    axles = getattr(scenario, "axles", 1)
+    if shape != (axles,) and not of_line:
+        raise ParameterError(f"{path}: trained with actions of shape {shape}: expected ({axles},)")
+    return _Plain(model, variant, scaling, _normalisation(path), names.index("choice") if of_line else None)
 
 
 @cache
@@ -164,15 +171,22 @@ def _normalisation(path: Path):
 
 
 class _Plain:
-    """A model of SB3 that reads the observation of `variant`, normalised where it was trained so."""
+    """A model of SB3 that reads the observation of `variant`, normalised where it was trained so.
 
-    def __init__(self, model, variant: str, scaling: Scaling, normalisation):
+    `choice` is the place of that reading in the observation for a model trained with `LineAction`, else None.
+    """
+
+    def __init__(self, model, variant: str, scaling: Scaling, normalisation, choice: int | None = None):
         self.model, self.policy, self.variant = model, model.policy, variant
-        self.scaling, self.normalisation = scaling, normalisation
+        self.scaling, self.normalisation, self.choice = scaling, normalisation, choice
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
         x = self.scaling(observation)
         if self.normalisation is not None:
             x = self.normalisation.normalize_obs(x)
-        return self.model.predict(x, state, episode_start, deterministic)
+        action, state = self.model.predict(x, state, episode_start, deterministic)
+        if self.choice is not None:
+            choosing = np.asarray(observation)[..., [self.choice]] > 0.5
+            action = np.where(choosing, action[..., 1:], action[..., :1])
+        return action, state

@@ -5,11 +5,11 @@ import platform
 from importlib import metadata
 
 import numpy as np
+from gymnasium.spaces import Box
 
 import soil_env
 from soil_env._io.files import plain
 from soil_env._io.loading import ParameterError, to_dict
-from soil_env.env import action_space
 from soil_env.parameters import Control, Scenario, Wheel
 from soil_env.simulation.task import layout
 from soil_env.simulation.world.wheel import REVERSE
@@ -30,8 +30,10 @@ def onnx_model(agent, description: dict):
     Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a network of no such form.
     """
     shipped = isinstance(agent, DefaultPolicy)
-    if not shipped and agent.policy.action_space != action_space():
-        raise ParameterError(f"action space {agent.policy.action_space}: expected {action_space()}")
+    choice = None if shipped else getattr(agent, "choice", None)  # of a model trained with LineAction
+    expected = Box(-1.0, 1.0, (1 if choice is None else 2,), np.float32)
+    if not shipped and agent.policy.action_space != expected:
+        raise ParameterError(f"action space {agent.policy.action_space}: expected {expected}")
     graph, entries = Graph(), len(description["inputs"])
     seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
     raw, inputs, results = agent.scaling(seen) if agent.scaling.scaled else seen, [graph.info(seen, ["n", entries])], []
@@ -42,6 +44,8 @@ def onnx_model(agent, description: dict):
         results = [(kept, f"next_{name}", size)]
     x = _normalised(raw, agent)
     action = agent.action(x) if shipped else action_of(graph, agent.policy, x)
+    if choice is not None:
+        action = np.where(np.greater(seen[:, [choice]], 0.5), action[:, [1]], action[:, [0]])
     results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
     outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
                for x, name, size in results]  # fmt: skip

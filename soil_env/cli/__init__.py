@@ -65,8 +65,12 @@ def soil_env() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `soil-env` with these arguments, by default those of the process; return the exit status."""
-    return run(soil_env, arguments, "soil-env")
+    """Run `soil-env` with these arguments, by default those of the process; return the exit status.
+
+    Without any it prints the help.
+    """
+    given = sys.argv[1:] if arguments is None else arguments
+    return run(soil_env, given or ["--help"], "soil-env")
 
 
 def entry() -> None:

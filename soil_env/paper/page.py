@@ -1,4 +1,4 @@
-"""docs/paper.md: tables and figures of the recomputed paper; the text is in templates/paper.md."""
+"""paper.md of `soil-env paper`: tables and figures of the recomputed paper; the text is in templates/paper.md."""
 
 from collections.abc import Sequence
 from pathlib import Path

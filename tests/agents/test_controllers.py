@@ -305,7 +305,7 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert np.std(matplotlib.image.imread(out)[..., :3]) > 0.02  # something is drawn
     assert main(["drive", *rover, "--scenario", "mixed"]) == 2 and "beside --rover" in capsys.readouterr().err
     assert main(["drive", "--rover", "mars_rover", "--controller", "default"]) == 2
-    assert "controllers: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
+    assert "--controller: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
 
     held = load_scenario("mixed").control.held
     asked = []
@@ -318,5 +318,16 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
             return np.full((1, 1), 0.5, dtype=np.float32), state
 
     env = gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed", observation="blind", repeat=1, scaled=False)
-    _drive(env, Counting(), held, 3, 3 * held, 0)
+    _drive(env, "mine", Counting(), held, 3, 3 * held, 0)
     assert asked == [True, False, False]
+
+
+def test_a_drive_with_an_action_that_is_not_finite_is_refused(tmp_path, capsys, monkeypatch):
+    (tmp_path / "lost.py").write_text(
+        "import numpy as np\n\n\nclass Lost:\n    def predict(self, obs, state=None, **rest):\n"
+        "        return np.full((len(obs), 1), np.nan), state\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["drive", "--controller", "lost:Lost"]) == 2
+    said = "--controller: lost:Lost: predict gave [nan] in control period 0: expected finite numbers\n"
+    assert capsys.readouterr().err.endswith(said)

@@ -7,7 +7,7 @@ import pytest
 
 from agents import default_policy, generalist, student
 from agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
-from agents.default_policy import WEIGHTS, DefaultPolicy
+from agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
 from agents.evaluate import run_courses
 from agents.evaluate.contestants import parse
 from agents.evaluate.loading import check, load
@@ -102,6 +102,12 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
             DefaultPolicy("mixed", bad)
     with pytest.raises(ParameterError, match="cannot be read"):
         DefaultPolicy("mixed", tmp_path / "none.npz")
+    with np.load(WEIGHTS, allow_pickle=False) as archive:
+        arrays = dict(archive)
+    for name in LAYERS:
+        np.savez(bad, **arrays | {f"{name}_weight": arrays[f"{name}_weight"][:-1]})
+        with pytest.raises(ParameterError, match=r"has shapes .* the other layers need .*\.generalist"):
+            DefaultPolicy("mixed", bad)
 
 
 def test_the_file_acts_as_the_trained_model(trained, tmp_path):

@@ -6,6 +6,7 @@ import sys
 import textwrap
 from dataclasses import replace
 
+import gymnasium
 import numpy as np
 import pytest
 import yaml
@@ -24,6 +25,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.env import SoilWheelEnv, observation_space
 from soil_env.parameters import load_scenario
+from soil_env.wrappers import LineAction
 
 onnx = pytest.importorskip("onnx", reason="onnx and onnxruntime are in the extra export")
 pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
@@ -130,6 +132,26 @@ def test_an_export_describes_itself_and_is_a_contestant_by_its_path(tmp_path, sc
             other.predict(*given)
 
 
+def test_a_model_trained_with_line_action_drives_and_is_exported(tmp_path, capsys):
+    path = tmp_path / "lines.zip"
+    env = LineAction(gymnasium.make("soil_env:SoilWheel-v0", info="none"))
+    model = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, buffer_size=200)
+    model.save(path)
+    agent, k = load_model(path, load_scenario()), env.unwrapped.observation_names.index("choice")
+    space = observation_space("identified", load_scenario().course, scaled=False)
+    x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
+    x[:, k] = np.arange(40) % 2
+    both = model.predict(agent.scaling(x), deterministic=True)[0]
+    expected = np.where(x[:, [k]] > 0.5, both[:, 1:], both[:, :1])
+    np.testing.assert_array_equal(agent.predict(x)[0], expected)
+    assert export(path, tmp_path / "out") == 0
+    found, _ = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert soil_env(["drive", "--controller", str(path), "--frame", "3", "--out", str(tmp_path / "a.png")]) == 0
+    with pytest.raises(ParameterError, match=r"another observation layout|actions of shape \(2,\)"):
+        load_model(path, load_scenario("mixed"))
+
+
 @pytest.mark.parametrize("algorithm", [A2C, SAC])
 def test_models_of_plain_sb3_with_their_vecnormalize(tmp_path, capsys, algorithm):
     env = VecNormalize(SoilWheelVecEnv(2, **COURSE), clip_obs=2.0)
@@ -163,7 +185,7 @@ def test_files_that_are_not_known_are_named(tmp_path, scenario):
     model, file = onnx.load(tmp_path / "policy.onnx"), tmp_path / "other.onnx"
     content = json.loads(model.metadata_props[0].value)
     content["inputs"][0]["high"] = 2.0
-    for description, said in ((content, "another observation layout"), ({}, "not written by agents.export")):
+    for description, said in ((content, "another observation layout"), ({}, "not written by `soil-env export`")):
         model.metadata_props[0].value = json.dumps(description)
         onnx.save(model, file)
         with pytest.raises(ParameterError, match=said):

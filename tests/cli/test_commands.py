@@ -31,6 +31,11 @@ def test_an_unknown_command_is_refused_with_the_nearest(capsys):
     assert "unknown command 'identfy'; did you mean 'identify'? (known: drive, " in refusal(capsys, "identfy")
 
 
+def test_without_arguments_the_help_is_printed(capsys):
+    assert main([]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 15
+
+
 @pytest.mark.parametrize("arguments", [["identify", *TABLE], ["discover", *TABLE], ["paper"]])
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, capsys, tmp_path):
     assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")

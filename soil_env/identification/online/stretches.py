@@ -23,7 +23,8 @@ SHARED = 3  # unknowns that a passing wheel does not change: phi, ln K, c
 BELIEF = SHARED + SHARED * SHARED
 STRETCHES = 4  # that a wheel remembers
 #: 1-sigma of what pooling leaves out of (phi [rad], ln K, ln S, c [Pa], ln g): errors that all wheels have alike,
-#: borders that are found late. Set on courses of seed 779, so that 68 % intervals hold as much, docs/identification.md.
+#: borders that are found late. Set on courses of seed 779, so that 68 % intervals hold as much. Method:
+#: docs/physics/estimation.md.
 ERROR_OF_MODEL = np.array([math.radians(0.6), 0.06, 0.0, 100.0, 0.0])
 COHESION = 3
 WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
