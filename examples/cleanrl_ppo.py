@@ -120,7 +120,7 @@ def main() -> None:
     try:
         envs = make(options.scenario, options.wheels)
     except ParameterError as error:
-        p.error(f"--scenario: {error}")
+        p.error(str(error))
     score, ended = np.zeros(options.wheels), []
     agent = Agent(envs.single_observation_space.shape[0])
     optimiser, rollouts = torch.optim.Adam(agent.parameters()), options.steps // (options.wheels * options.length)

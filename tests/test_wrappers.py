@@ -40,6 +40,7 @@ def test_an_environment_without_two_lines_is_refused():
         LineAction(gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed"))
 
 
+@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version")
 def test_it_is_made_again_from_its_spec():
     env = LineAction(gymnasium.make("soil_env:SoilWheel-v0", info="none"))
     again = gymnasium.make(env.spec)
