@@ -79,7 +79,7 @@ class DefaultPolicy:
 
 
 def _unfitting(layers, inputs: int, of_line: int) -> str | None:
-    """What is wrong with the shape of the first layer that does not fit those before it, None if all fit."""
+    """Return the fault of the first layer whose shape does not fit those before it, None if all fit."""
     (first, _), (second, _), (line, _), *_ = layers
     before = inputs, len(first), of_line, len(line), len(second)
     after = len(first), len(second), len(line), len(second), 1
