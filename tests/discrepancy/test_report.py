@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -117,3 +118,14 @@ def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
     report = run(*write_files(tmp_path, table_text(PLANTED), setup))
     assert report.verdict == "none"
     assert any("has the slip-sinkage of the setup (dig_gain 1.5)" in said for said in sentences.cautions(report))
+
+
+@pytest.mark.parametrize(("sure", "words"), [(0.75, "would hardly help"), (0.9, "at least 90 % after them")])
+def test_runs_that_separate_nothing_are_not_recommended(sure, words):
+    """Candidates with 0.85 and 0.15: the right one has 0.745 on average now."""
+    predicted = [SimpleNamespace(probability=p) for p in (0.85, 0.15)]
+    report = SimpleNamespace(next_tests=[SimpleNamespace(predicted=predicted, sure=sure)])
+    assert sentences.right_now(report) == pytest.approx(0.745)
+    assert words in sentences.after_next(report)
+    assert sentences.runs_help(report) == (sure > 0.8)
+    assert not sentences.runs_help(SimpleNamespace(next_tests=[]))
