@@ -20,15 +20,11 @@ class CourseSpec(Checked):
     The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
     at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
 
-    With `classes` the ground is of that many terrain classes, which a camera can distinguish (`Camera`). The soil of a
-    class is drawn anew for every course; its patches scatter about it by `class_scatter` of the scenario's spread. The
-    first patches show each class once. With `lines` = 2 the wheel may go on along one of two lines over each patch
-    after those, of different classes and each with a grade of its own. It is halted `halt_before` the border, and the
-    sign of the action at the end of a halt chooses: below 0 the line beside, else the one straight ahead. On a share
-    `dead_ends` of these patches one of the two lines, either with equal chance, lacks `deficit` of drawbar pull at its
-    best slip. The other is passable by `margin` as all others are. Rovers predict slip by class to choose a way around
-    such ground before they are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field
-    Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
+    With `classes` the ground is of that many terrain classes, which a camera can distinguish (`Camera`), and with
+    `lines` = 2 the wheel may go on along one of two lines over each patch after the first of each class
+    (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by class to choose a way around ground before they
+    are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA
+    SPACE, doi 10.2514/6.2016-5539).
     """
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)

@@ -145,20 +145,10 @@ class OnlineIdentifier:
     `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
     `traversability`. `belief`: the prior of the ground to be expected. `noise`: standard deviations of the sensors.
     `period` [s]: time between readings without a time. `relaxation` [wheel radii]: distance in which sinkage adapts.
-    `gravity` [m/s2].
+    `gravity` [m/s2]. Missing readings are NaN, now and then or always; docs/guide/online.md says what stands for each.
 
-    Missing readings are NaN, now and then or always:
-
-    * torque, pull, motor torque or acceleration: the channel has no weight. An accelerometer times the mass on the
-      wheel is a pull (gravity along the slope is in both);
-    * load: the weight m g cos(pitch) stands for it, of a mass that is doubted by 5 %;
-    * slip: it follows from the two speeds, with their noise;
-    * sinkage: the filter follows it by the law of slip-sinkage, from that of the belief under the weight;
-    * wheel speed or speed, and no slip in its place: the set is passed over.
-
-    Readings are averaged to points of a few control periods, each with the channels that it has. An instance is not for
-    several threads at once; it can be pickled and copied. Raises TypeError for arguments of other types,
-    `ParameterError` for numbers out of range.
+    An instance is not for several threads at once; it can be pickled and copied. Raises TypeError for arguments of
+    other types, `ParameterError` for numbers out of range.
     """
 
     def __init__(

@@ -24,17 +24,8 @@ class SoilWheelVectorEnv(CourseVectorEnv):
 
     Spaces, rewards and terminations are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory,
     bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s +
-    k.
-
-    `autoreset_mode`: "NextStep" (default; the step after an end ignores its action and resets), "SameStep" (resets
-    within the ending step: `info["final_obs"]` and `info["final_info"]` are of before the reset, all else of after it)
-    or "Disabled" (`reset(options={"reset_mask": ...})`). `max_episode_steps` truncates episodes, as
-    `gymnasium.wrappers.TimeLimit` does. Other keyword arguments as in `SoilWheelEnv`.
-
-    `info` holds arrays [N]: `cause`, the numbers of `task.Cause`: 0 RUNNING, 1 FINISHED, 2 ENTRAPPED, 3 STALLED,
-    4 BOGGED, 5 TIME_LIMIT (`Cause(k).name` is what `SoilWheelEnv` says); `immobilised`; `x` [m]; `reward_NAME` of each
-    term. That is the keyword `info="short"`, the default here; "numeric", "full" and "none" are as in `SoilWheelEnv`,
-    and cost time. `final_info` has `reward_terms`, `estimate`, `traversability` and `state` too, as in "full", 0 for
+    k. `autoreset_mode`, `max_episode_steps` (as `gymnasium.wrappers.TimeLimit` truncates) and the arrays [N] of `info`:
+    docs/guide/vector.md. Other keyword arguments as in `SoilWheelEnv`. `final_info` has the groups of "full" too, 0 for
     wheels that have not ended, and beside each `KEY` an array `_KEY` that says which have. No rendering.
     """
 

@@ -9,11 +9,9 @@ import hashlib
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from filelock import FileLock, Timeout
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
@@ -128,7 +126,6 @@ class _Once:
         dispatcher = self._dispatcher
         compiled = type(dispatcher).compile
         with global_compiler_lock:
-            _ASIDE.pop((dispatcher, signature), _nothing)()
             if _Once._depth or signature in dispatcher.overloads or is_kept(dispatcher, signature):
                 return compiled(dispatcher, signature)
             with _alone(_lock_of(dispatcher)):
@@ -139,15 +136,6 @@ class _Once:
                     return compiled(dispatcher, signature)
                 finally:
                     _Once._depth -= 1
-
-
-#: Calls that wait for another process, by the dispatcher and the signature that it compiles.
-_ASIDE: dict[tuple, Callable[[], Any]] = {}
-
-
-def await_code_of(dispatcher, signature: tuple, wait: Callable[[], Any]) -> None:
-    """Call `wait` before this process compiles a function for these types: another process is at it."""
-    _ASIDE[dispatcher, signature] = wait
 
 
 def _lock_of(dispatcher) -> Path | None:

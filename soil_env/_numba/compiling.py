@@ -32,7 +32,7 @@ import numpy as np
 from numba import config, njit, typeof, types
 from numba.extending import typeof_impl
 
-from soil_env._numba.cache import CACHE, await_code_of, is_kept, keep
+from soil_env._numba.cache import CACHE, is_kept, keep
 from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 
 #: True if functions are compiled at all.
@@ -48,7 +48,7 @@ _mask = getattr(signal, "pthread_sigmask", None)  # not on Windows
 
 
 def _uninterrupted(function, arguments, keywords):
-    """Call compiled code that returns a tuple; Ctrl-C waits until it is done.
+    """Call compiled code that may return a tuple; Ctrl-C waits until it is done.
 
     Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what that returns without
     checking it for an error: a crash.
@@ -63,10 +63,6 @@ def _uninterrupted(function, arguments, keywords):
         _mask(signal.SIG_SETMASK, before)
 
 
-def _gives_tuples(dispatcher) -> bool:
-    return any(isinstance(o.signature.return_type, types.BaseTuple) for o in dispatcher.overloads.values())
-
-
 class Part:
     """A function of compiled code, which Python may call too; `py_func` is its source as a Python function."""
 
@@ -74,8 +70,6 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        # True if the root gives tuples for arguments of these types; no entry before its first call with them.
-        self._given: dict[tuple[type, ...], bool] = {}
         compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
         self.dispatcher = compiled(function)
         template = self.dispatcher.get_call_template
@@ -92,14 +86,9 @@ class Part:
         return self._root
 
     def __call__(self, *arguments, **keywords):
-        root, kinds = self.root, tuple(map(type, arguments))
-        tuples = self._given.get(kinds)
-        if tuples:
-            return _uninterrupted(root, arguments, keywords)
-        result = root(*arguments, **keywords)  # the first time it compiles, which Ctrl-C may end
-        if tuples is None:
-            self._given[kinds] = _gives_tuples(root)
-        return result
+        if not self.root.overloads:  # it compiles, which Ctrl-C may end
+            return self.root(*arguments, **keywords)
+        return _uninterrupted(self.root, arguments, keywords)
 
     def __reduce__(self):
         return _named, (self.__module__, self.__qualname__)
@@ -150,19 +139,19 @@ class FastCall:
     """A compiled function without numba's look-up of the types of the arguments at each call.
 
     The look-up takes 8 us for the nested tuples of a simulation, the call itself 1 us. All calls must have arguments of
-    the same types as the first; nothing checks that.
+    the same types as the first; nothing checks that. The function returns no tuple (`_uninterrupted`).
     """
 
     def __init__(self, function) -> None:
-        self._function, self._code, self._tuples = function, None if COMPILED else function, False
+        self._function, self._code = function, None if COMPILED else function
 
     def __call__(self, *arguments):
         if self._code is None:
             function = getattr(self._function, "root", self._function)
             signature = tuple(typeof(a) for a in arguments)
             function.compile(signature)
-            self._code, self._tuples = function.overloads[signature].entry_point, _gives_tuples(function)
-        return _uninterrupted(self._code, arguments, {}) if self._tuples else self._code(*arguments)
+            self._code = function.overloads[signature].entry_point
+        return self._code(*arguments)
 
     def __reduce__(self):
         """Pickle by name: numba would pickle the source of the function, and compile it anew in another process."""
@@ -176,35 +165,29 @@ def _fast_call(module: str, name: str) -> FastCall:
 
 # --- two roots at once ------------------------------------------------------------------------------------------------
 
-
-_CHILDREN: list[subprocess.Popen] = []  # processes that compile for this one
+#: Program of a process that compiles a root into the cache on the disk: module, name and types come pickled on stdin.
+_COMPILE = """import importlib, pickle, sys
+module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`
+getattr(importlib.import_module(module), name).compile(signature)"""
 
 
 def compile_aside(function, arguments: tuple) -> None:
     """Start a process that compiles a root for such arguments, if the cache does not hold it yet.
 
-    Meanwhile this process compiles what it needs first; a call of the root waits for the other process and loads its
-    code. There are at most as many such processes as there are other processors, and none without a cache or in workers
-    of `multiprocessing`.
+    Meanwhile this process compiles what it needs first; a call of the root waits at the lock of the cache for the other
+    process and loads its code. None is started without a second processor, without a cache or in workers of
+    `multiprocessing`.
     """
-    if not (COMPILED and CACHE and sys.executable) or multiprocessing.parent_process() is not None:
-        return
+    alone = os.cpu_count() == 1 or multiprocessing.parent_process() is not None
     signature = tuple(typeof(a) for a in arguments)
-    if signature in function.overloads or is_kept(function, signature):
-        return
-    _CHILDREN[:] = [child for child in _CHILDREN if child.poll() is None]
-    if len(_CHILDREN) >= (os.cpu_count() or 1) - 1:
+    if alone or not (COMPILED and CACHE and sys.executable) or is_kept(function, signature):
         return
     path = os.pathsep.join([str(Path(__file__).resolve().parents[2]), *sys.path])
-    try:
+    with contextlib.suppress(OSError):
         child = subprocess.Popen(
-            [sys.executable, "-m", "soil_env._numba.aside"], env=os.environ | {"PYTHONPATH": path},
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-c", _COMPILE], env=os.environ | {"PYTHONPATH": path}, stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-    except OSError:
-        return
-    _CHILDREN.append(child)
-    atexit.register(child.kill)
-    with contextlib.suppress(OSError), child.stdin as orders:
-        orders.write(pickle.dumps((function.__module__, function.__name__, signature)))
-    await_code_of(function, signature, child.wait)
+        atexit.register(child.kill)
+        with child.stdin as orders:
+            orders.write(pickle.dumps((function.__module__, function.__name__, signature)))

@@ -72,7 +72,7 @@ def test_no_unsafe_loading_in_the_sources():
     files = [p for folder in ("soil_env", "agents", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
     lines = [(path.name, line.strip()) for path in files for line in path.read_text("utf-8").splitlines()]
     assert sorted((name, line) for name, line in lines if unsafe.search(line)) == [
-        ("aside.py", "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`"),
+        ("compiling.py", "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`"),
         ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
         ("models.py", "normalisation = pickle.load(stream)"),
         ("records.py", 'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does'),

@@ -1,17 +1,12 @@
-"""Borders between soils: where one is, by the grade and by the forces.
+"""Borders between soils: where one is, by the grade and by the forces (docs/physics/estimation.md).
 
-Over `Belief.border` metres the ground passes from one soil to the next (`ground.share_of_next`). The soils of a course
-have a grade each, which passes with them, so that the grade shows a border before the forces do. Every reading of the
-pitch tests `CANDIDATES` places, evenly over the length of a border. The likelihood of a border over that of none is
-(Bayesian linear regression)
+Every reading of the pitch tests `CANDIDATES` places, evenly over the length of a border. The likelihood of a border
+over that of none is (Bayesian linear regression)
 
     (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y
 
 with y the pitch less that of this soil so far and w the share of the new soil if the border were there. t is the sd of
-the unknown rise, v the variance of a reading.
-
-Once one is likely enough, the wheel comes to a border, whose place and rise are the means over all places by their
-likelihoods, renewed with every point.
+the unknown rise, v the variance of a reading. Place and rise are the means over all places by their likelihoods.
 """
 
 import math

@@ -1,11 +1,7 @@
 """Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and sinkage.
 
-Readings are averaged to points, points of like slip and sinkage to bins of the curve. A bin has little noise left in
-its slip, so a fit does not take that noise for excitation. A filter that takes each noisy slip as new is drawn to a low
-K and friction angle (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
-
-Points are grouped by the most likely slip under the soil so far, by slip, pull and torque together. Groups by the slip
-reading itself would select its noise (Wald 1940, Annals of Mathematical Statistics 11:284-300).
+Readings are averaged to points, points of like slip and sinkage to bins of the curve, by the most likely slip under the
+soil so far: why, docs/physics/estimation.md has.
 """
 
 import math

@@ -1,12 +1,8 @@
-"""The filter of the online identifier: the soil under a wheel by its readings, one set after the other.
+"""The filter of the online identifier: the soil under a wheel by its readings (docs/physics/estimation.md).
 
 Readings are averaged to points, over times in which little changes; a quantity of two sensors is their mean by
 precision. Where the grade changes, or the forces of a few points are less likely than the errors allow, the wheel comes
-to another soil (`border`).
-
-The laws of the forces are those of a wheel in steady motion. Readings of a wheel that is nearly at rest, locked,
-spinning on the spot or turned much faster or slower are passed over. Where even the others contradict the laws, these
-have a form error, as large as the fit needs (Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464).
+to another soil (`border`). Where even other readings contradict the laws, these have a form error.
 """
 
 import math

@@ -1,11 +1,10 @@
 """Filter of the sinkage and of the two parameters of the soil that show in it: a bank of extended Kalman filters.
 
 States, each a value a lane, are (z, y, l), on a border with the old soil's (y, l) behind them. z is the sinkage [m]; y
-the ln of S depth^n [Pa], which lets the wheel `depth` deep; l the ln of the gain of digging over the nominal one.
-Between two points the sinkage follows the exact solution of its law (`effects.excavation_rate`). Where it is less than
-the bearing sinkage it comes up at once, in the mean over the uncertainty of both (statistical linearisation: Gelb 1974,
-Applied Optimal Estimation, Sec. 6.2). Pressure and gain hide each other along a curved ridge, so the prior of the gain
-is split among the filters (Gaussian sum: Alspach & Sorenson 1972, IEEE Trans. Automatic Control 17:439-448).
+the ln of S depth^n [Pa], which lets the wheel `depth` deep; l the ln of the gain of digging over the nominal one. The
+law between two points: docs/physics/estimation.md. Where the sinkage is less than the bearing sinkage it comes up at
+once, in the mean over the uncertainty of both (statistical linearisation: Gelb 1974, Applied Optimal Estimation, Sec.
+6.2). Pressure and gain hide each other, so the prior of the gain is split among the filters (Gaussian sum).
 """
 
 import math

@@ -1,9 +1,7 @@
 """Posterior of the soil under a wheel as eight nodes of ln K, each a Gaussian of the other unknowns.
 
 Unknowns of a node are tan phi, cohesion and the exponent n, and the place of the border where the soil passes into the
-next. Given the shear deformation modulus K the readings are nearly linear in them (`curve_fit`); friction angle and K
-hide each other along a curved ridge that the nodes follow. The readings are kept as a curve, so that nodes which lie
-closer together, where K becomes known, are fitted to all of them anew.
+next. Why: docs/physics/estimation.md.
 """
 
 import math

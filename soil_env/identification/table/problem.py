@@ -4,17 +4,8 @@ With the unknowns whitened by their priors (`priors`), the most probable ones mi
 
     J(u) = e' V^-1 e + |u|^2,    e = y - f(u) - F (q - q^)
 
-over the measured sinkage, drawbar pull and torque y of all rows. f is the steady model at the slip and load q = (i, W)
-of a row. These are exact unless the setup gives them a noise; then a row has the covariance
-
-    V = F diag(var i, var W) F' + diag(var z, var DP, var T),    F = df/dq at q^ = q + diag(var i, var W) F' V^-1 e.
-
-The first pass, with q^ = q, is least squares with effective variance (Orear 1982, Am. J. Phys. 50:912-916); repeated,
-it converges to the solution that minimises over the true slips and loads too (Britt & Luecke 1973, Technometrics
-15:233-247).
-
-Noise that the setup leaves out is estimated with the soil until it no longer changes (MacKay 1992, Neural Computation
-4:415-447). For each channel var = sum(residual^2) / (values - values spent on fitting).
+over the measured sinkage, drawbar pull and torque y of all rows, with the covariance V of a row, F = df/dq and the
+corrected condition q^ of docs/physics/estimation.md. Noise that the setup leaves out is estimated with the soil.
 """
 
 import math

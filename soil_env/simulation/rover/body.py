@@ -1,22 +1,9 @@
-"""Body of a rover: its state, and its suspension in equilibrium.
+"""Body of a rover: its state, and its suspension in equilibrium (docs/physics/rover.md).
 
-A rover is seen from the side, its two sides alike, so all masses and forces are those of one side. The places of its
-wheels along the course differ by the distances of the axles; they travel at one speed V and turn each at its own:
-
-    M dV/dt  = sum over the axles of (DP - m g sin(grade))
-    J dw/dt  = T_motor - T                                   for each axle
-
-with m the share of M that an axle bears at rest on level ground: what lifts the rover on the way is the grade under
-each wheel, by the share that it bears. The suspension has no mass of its own and is in equilibrium at every instant.
-With the soil's forces W, DP and torque T at each axle, x how far an axle is ahead of the centre of mass, h the height
-of that above the axles, x_p and h_p those of the bogie's pivot, and pitch p of the body,
-
-    sum W = M g cos p,      sum (W x + DP h + T) = 0,
-    sum over the bogie (W (x - x_p) + DP h_p + T) = 0.
-
-Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the
-loads of the forces that the last reaction foresees, and again with those of the forces found, where that changes a load
-by more than `LOAD_TOLERANCE`.
+A rover is seen from the side, its two sides alike, so all masses and forces are those of one side. Loads follow from
+the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the loads of the forces
+that the last reaction foresees, and again with those of the forces found, where that changes a load by more than
+`LOAD_TOLERANCE`.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,7 @@
 """Newton's method for the speeds of a stage of a step of eight rovers in lanes: one of travel, one of rotation an axle.
 
-    V = V* + h/M sum (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T) for each axle
-
-The equation of each axle has its own u and V only, so a step of Newton's method is the elimination of all u, at a cost
-that is linear in the axles. Stages and reaction are those of `simulation.stage`.
+The equation of each axle has its own rim speed and V only, so a step of Newton's method is the elimination of all rim
+speeds, at a cost that is linear in the axles. Stages and reaction are those of `simulation.stage`.
 """
 
 from soil_env._numba.compiling import compiled_inline, compiled_part

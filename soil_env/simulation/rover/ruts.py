@@ -1,12 +1,6 @@
-"""Ruts of a rover, left by the wheels ahead to those behind them.
+"""Ruts of a rover, left by the wheels ahead to those behind them (docs/physics/rover.md).
 
 A wheel behind another runs on the floor of its rut: its sinkage is that below the floor, and its contact begins there.
-The soil of the floor has another sinkage coefficient S than before, by the factor of `terrain.leave_rut`. A wheel that
-rolls leaves it five times as stiff. Sinkage goes with (W/S)^(2/(2n + 1)) (Bekker 1969), so that at n = 1 the next wheel
-sinks by 0.34 of the first, and both by 1.34 of one. Abebe, Tanaka & Yamazaki (1989, J. Terramechanics 26:139-148) have
-2^(1/a) for two passes of a rigid wheel, a = 2 to 3 on loose soil and 3 to 4 on medium: 1.41 to 1.19. A wheel that digs
-loosens the floor, as `terrain` has it.
-
 Each wheel keeps its own rut, as a wheel by itself does, and meets it again where the rover reverses; what wheels behind
 it have left it does not meet.
 """
@@ -18,7 +12,7 @@ import numpy as np
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.lanes import COUNT
 
-COMPACTION_OF_RUT = 5.0
+COMPACTION_OF_RUT = 5.0  # factor on S behind a wheel that rolls
 
 
 class Ruts(NamedTuple):

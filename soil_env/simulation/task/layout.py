@@ -1,7 +1,8 @@
 """Layout of the observation, number by number.
 
 All variants begin with the same entries. Forces, speeds and sinkage are relative to the wheel's weight, top rim speed
-and radius, so that they are of order one for any wheel.
+and radius, so that they are of order one for any wheel. Centres and scales were read off the scenarios two_lines,
+sticky and field_vehicle.
 """
 
 from dataclasses import dataclass, replace
@@ -20,47 +21,49 @@ class ObservedNumber:
     unit: str
     low: float
     high: float
+    centre: float = 0.0  # observed is (value - centre)/scale, unless the values themselves are asked for
+    scale: float = 1.0
 
 
 _BLIND = (
-    ObservedNumber("slip", "-", -1.0, 1.0),
-    ObservedNumber("sinkage", "of radius", -1.0, 3.0),
-    ObservedNumber("drawbar_pull", "of weight", -10.0, 10.0),
-    ObservedNumber("load", "of weight", -10.0, 10.0),
-    ObservedNumber("torque", "of weight x radius", -10.0, 10.0),
-    ObservedNumber("speed", "of top rim speed", -5.0, 5.0),
-    ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0),
-    ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6),
+    ObservedNumber("slip", "-", -1.0, 1.0, 0.2, 0.3),
+    ObservedNumber("sinkage", "of radius", -1.0, 3.0, 0.25, 0.15),
+    ObservedNumber("drawbar_pull", "of weight", -10.0, 10.0, 0.1, 0.2),
+    ObservedNumber("load", "of weight", -10.0, 10.0, 1.1, 0.1),
+    ObservedNumber("torque", "of weight x radius", -10.0, 10.0, 0.4, 0.2),
+    ObservedNumber("speed", "of top rim speed", -5.0, 5.0, 0.2, 0.2),
+    ObservedNumber("rim_speed", "of top rim speed", -5.0, 5.0, 0.2, 0.2),
+    ObservedNumber("pitch", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15),
     ObservedNumber("last_action", "-", -1.0, 1.0),
-    ObservedNumber("odometry", "of course length", -5.0, 5.0),
+    ObservedNumber("odometry", "of course length", -5.0, 5.0, 0.5, 0.3),
     ObservedNumber("halted", "0 or 1", 0.0, 1.0),
-    ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0),
-    ObservedNumber("acceleration", "of gravity", -10.0, 10.0),
-    ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0),
+    ObservedNumber("motor_torque", "of weight x radius", -10.0, 10.0, 0.4, 0.2),
+    ObservedNumber("acceleration", "of gravity", -10.0, 10.0, 0.0, 0.15),
+    ObservedNumber("rim_command", "of top rim speed", -1.0, 1.0, 0.2, 0.2),
 )
 _IDENTIFIED = (
-    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
-    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
-    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
-    ObservedNumber("friction_angle_sd", "rad", 0.0, 2.0),
-    ObservedNumber("shear_modulus_sd", "relative", 0.0, 20.0),
-    ObservedNumber("sinkage_coefficient_sd", "relative", 0.0, 20.0),
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6, 0.5, 0.1),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0, -2.0, 0.3),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0, 6.0, 0.3),
+    ObservedNumber("friction_angle_sd", "rad", 0.0, 2.0, 0.05, 0.03),
+    ObservedNumber("shear_modulus_sd", "relative", 0.0, 20.0, 0.3, 0.2),
+    ObservedNumber("sinkage_coefficient_sd", "relative", 0.0, 20.0, 0.3, 0.2),
     ObservedNumber("estimate_valid", "0 or 1", 0.0, 1.0),
-    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
-    ObservedNumber("dig_gain", "-", 0.0, 100.0),
-    ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0),
-    ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0),
-    ObservedNumber("best_pull", "of load", -1.0, 2.0),
-    ObservedNumber("best_pull_sd", "of load", 0.0, 2.0),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0, 1.0, 1.0),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0, 2.0, 1.0),
+    ObservedNumber("cohesion_sd", "kPa", 0.0, 1000.0, 0.5, 0.3),
+    ObservedNumber("dig_gain_sd", "relative", 0.0, 20.0, 0.5, 0.2),
+    ObservedNumber("best_pull", "of load", -1.0, 2.0, 0.1, 0.15),
+    ObservedNumber("best_pull_sd", "of load", 0.0, 2.0, 0.05, 0.05),
 )
 _TRUE = (
-    ObservedNumber("friction_angle", "rad", 0.0, 1.6),
-    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0),
-    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0),
-    ObservedNumber("cohesion", "kPa", 0.0, 1000.0),
-    ObservedNumber("sinkage_exponent", "-", 0.0, 4.0),
-    ObservedNumber("dig_gain", "-", 0.0, 100.0),
-    ObservedNumber("dig_recovery", "-", 0.0, 10.0),
+    ObservedNumber("friction_angle", "rad", 0.0, 1.6, 0.5, 0.1),
+    ObservedNumber("log10_shear_modulus", "log10 m", -5.0, 1.0, -2.0, 0.3),
+    ObservedNumber("log10_sinkage_coefficient", "log10 N/m^(n+2)", 0.0, 15.0, 6.0, 0.3),
+    ObservedNumber("cohesion", "kPa", 0.0, 1000.0, 1.0, 1.0),
+    ObservedNumber("sinkage_exponent", "-", 0.0, 4.0, 1.0, 0.2),
+    ObservedNumber("dig_gain", "-", 0.0, 100.0, 2.0, 1.0),
+    ObservedNumber("dig_recovery", "-", 0.0, 10.0, 0.5, 0.5),
 )
 
 
@@ -69,10 +72,10 @@ _AHEAD = {  # of the soil of a line ahead
     "identified": (
         ObservedNumber("met", "0 or 1", 0.0, 1.0),
         *(e for e in _IDENTIFIED if e.name not in ("estimate_valid", "best_pull", "best_pull_sd")),
-        ObservedNumber("margin", "of load", -2.0, 2.0),
-        ObservedNumber("margin_sd", "of load", 0.0, 2.0),
+        ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1),
+        ObservedNumber("margin_sd", "of load", 0.0, 2.0, 0.05, 0.05),
     ),
-    "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0)),
+    "true_soil": (*_TRUE, ObservedNumber("margin", "of load", -2.0, 2.0, 0.0, 0.1)),
 }
 LINES = ("ahead", "beside")
 AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for each (`rover.task`)
@@ -80,10 +83,10 @@ AXLES = ("front", "middle", "rear")  # of a rover, which has its own entries for
 
 def _seen(classes: int, lines: int) -> list[ObservedNumber]:
     """Entries of the camera for so many terrain classes and lines."""
-    entries = [ObservedNumber("border_distance", "m", 0.0, 100.0)]
+    entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
     entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
     for line in LINES[:lines]:
-        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6))
+        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15))
         entries += [ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
     return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
 

@@ -1,7 +1,7 @@
 """Observations of order one: (value - centre)/scale, entry by entry, the same for every scenario.
 
 A learner whose first layer takes numbers as they are (any library's default) starts with weights for inputs of order
-one; log10 of a sinkage coefficient is 6 +- 0.3. Centre and scale were read off two_lines, sticky and field_vehicle.
+one; log10 of a sinkage coefficient is 6 +- 0.3.
 """
 
 from collections.abc import Iterable
@@ -12,43 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soil_env._io.loading import ParameterError
-from soil_env.simulation.task import AXLES, LINES, ObservedNumber
+from soil_env.simulation.task import LINES, ObservedNumber
 
-#: (centre, scale) in the unit of the entry, also of a line's or an axle's; (0, 1) of all others.
-CENTRE_AND_SCALE = {
-    "slip": (0.2, 0.3),
-    "sinkage": (0.25, 0.15),
-    "drawbar_pull": (0.1, 0.2),
-    "load": (1.1, 0.1),
-    "torque": (0.4, 0.2),
-    "speed": (0.2, 0.2),
-    "rim_speed": (0.2, 0.2),
-    "pitch": (0.0, 0.15),
-    "odometry": (0.5, 0.3),
-    "motor_torque": (0.4, 0.2),
-    "acceleration": (0.0, 0.15),
-    "rim_command": (0.2, 0.2),
-    "friction_angle": (0.5, 0.1),
-    "log10_shear_modulus": (-2.0, 0.3),
-    "log10_sinkage_coefficient": (6.0, 0.3),
-    "friction_angle_sd": (0.05, 0.03),
-    "shear_modulus_sd": (0.3, 0.2),
-    "sinkage_coefficient_sd": (0.3, 0.2),
-    "cohesion": (1.0, 1.0),
-    "dig_gain": (2.0, 1.0),
-    "cohesion_sd": (0.5, 0.3),
-    "dig_gain_sd": (0.5, 0.2),
-    "sinkage_exponent": (1.0, 0.2),
-    "dig_recovery": (0.5, 0.5),
-    "border_distance": (1.0, 0.5),
-    "grade": (0.0, 0.15),
-    "best_pull": (0.1, 0.15),
-    "best_pull_sd": (0.05, 0.05),
-    "margin": (0.0, 0.1),
-    "margin_sd": (0.05, 0.05),
-}
 _OF_LINES = tuple(f"{line}_" for line in LINES)
-_PREFIXES = (*_OF_LINES, *(f"{axle}_" for axle in AXLES))
 _ALWAYS = "log10_sinkage_coefficient"
 
 
@@ -64,10 +30,8 @@ class Scaling:
         self.entries: tuple[ObservedNumber, ...] = tuple(entries)
         self.scaled: bool = bool(scaled)
         names = [e.name for e in self.entries]
-        plain = [n.partition("_")[2] if n.startswith(_PREFIXES) else n for n in names]
-        pairs = np.array([CENTRE_AND_SCALE.get(n, (0.0, 1.0)) for n in plain], dtype=np.float32).reshape(-1, 2)
-        self.centre: NDArray[np.float32] = pairs[:, 0].copy()
-        self.scale: NDArray[np.float32] = pairs[:, 1].copy()
+        self.centre: NDArray[np.float32] = np.array([e.centre for e in self.entries], dtype=np.float32)
+        self.scale: NDArray[np.float32] = np.array([e.scale for e in self.entries], dtype=np.float32)
         # for each entry one that is 0 if its line is out of sight, and 1 if it is kept then
         self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None

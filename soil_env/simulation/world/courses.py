@@ -1,10 +1,7 @@
-"""Drawing courses: every patch passable by construction, as the wheel comes near it.
+"""Drawing courses: every patch passable by construction, as the wheel comes near it (docs/physics/wheel.md).
 
 A course has a random stream of its own, and its patches are drawn from it in order, each as the wheel comes near it:
-what they are like does not depend on how far or in how many pieces the course is drawn. Each patch draws a preset by
-weight and scatters it (`SoilSpread`); its grade follows from what the wheel can do there at its best slip less the
-margin of the scenario (`CourseSpec`), so that every course is passable by construction. Soils on which even the mildest
-grade leaves less than the margin, or in which the wheel would be bogged, are drawn again. Ground of terrain classes and
+what they are like does not depend on how far or in how many pieces the course is drawn. Ground of terrain classes and
 with two lines is drawn by `lines`.
 """
 

@@ -1,18 +1,11 @@
 """One control period of many wheels, eight at a time in lanes: two implicit stages a step, short steps where needed.
 
-Sliding speed and travel speed answer to force within milliseconds for a slow rover, so (V, u = r w) are stepped by an
-L-stable Runge-Kutta method with a safeguarded Newton iteration on analytic derivatives (`newton`), and the sinkage z,
-which is slow, by the exact solution of its law with A, B and z_w held over each stage (`wheel`).
-
-A command that is held lets the speeds settle; one that has changed moves them. The linearised step (`change_ahead`)
-predicts the change of speed without another evaluation of the reaction, and a wheel whose speeds are about to change
-takes 2, 4 or 8 steps where others take one.
+The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change (`change_ahead`) takes 2, 4 or
+8 steps where others take one; one whose iteration fails goes on by shorter steps, its neighbours waiting.
 
 Within one wheel nearly everything depends on what came before, and a processor that steps one wheel after the other
 mostly waits. Here each operation acts on eight wheels. They share no number: a wheel goes through the same operations
-on the same bits whoever its neighbours are, so that a wheel alone gives what it gives among others. Newton's method
-takes one wheel longer than another: a lane whose wheel has converged goes on with the next of up to `MANY`. A wheel
-whose iteration fails goes on by shorter steps, its neighbours waiting.
+on the same bits whoever its neighbours are, so that a wheel alone gives what it gives among others.
 """
 
 from typing import NamedTuple

@@ -1,10 +1,7 @@
-"""Courses of terrain classes, and the lines between which a wheel may choose.
+"""Courses of terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
 
-A class is a soil drawn anew for each course; patches of a class scatter about it. The first patches show each class
-once, in random order. Over each patch after those lead two lines of different classes (`CourseSpec.lines`): one is
-passable by construction, as every patch of a course without classes is, and so is every border between passable lines;
-the other may be steeper than any slip can climb. They differ in the soil: a line's grade alone does not
-say which is passable.
+One of two lines over a patch is passable by construction, as every patch of a course without classes is, and so is
+every border between passable lines; the other may be steeper than any slip can climb.
 """
 
 import math

@@ -2,11 +2,9 @@
 
     V = V* + h/m (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T),   u = r w
 
-with the analytic derivatives of the reaction. A step of H seconds has two such stages, each with h = g H,
-g = 1 - 1/sqrt(2): the first from the speeds V0, u0 that it begins with, the second from V* = V0 + (1 - g)/g (V1 - V0)
-and u* alike. That is the L-stable diagonally implicit Runge-Kutta method of second order (Alexander 1977, SIAM J.
-Numer. Anal. 14(6):1006-1021). Newton's method takes one wheel longer than another: a lane whose wheel has converged
-goes on with the next of up to `MANY`.
+with the analytic derivatives of the reaction; V* and u* of the two stages: docs/physics/wheel.md (Alexander 1977).
+Newton's method takes one wheel longer than another: a lane whose wheel has converged goes on with the next of up to
+`MANY`.
 """
 
 from typing import NamedTuple

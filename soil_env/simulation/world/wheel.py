@@ -1,17 +1,12 @@
-"""State of a driven wheel and its laws of motion.
+"""State of a driven wheel and its laws of motion (docs/physics/wheel.md), which `dynamics` steps.
 
     m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
     J dw/dt = T_motor - T                    rotation
     dz/dt   = B z_w - A z                    sinkage on fresh ground, `effects.excavation_rate`
     W       = m g cos(grade)                 Eq. (1), met at every instant
 
-z_w is the depth at which undisturbed soil carries the same peak pressure as the wheel now has under it. At a sinkage
-z the load mobilises a sinkage coefficient s, in closed form since Eq. (1) is linear in it
-(`contact.mobilised_sinkage_coefficient`); equal pressure s z^n = S z_w^n then gives z_w = z (s/S)^(1/n). So the
-balance (1) holds throughout and no root is sought; the steady state at any slip is that of `steady.steady_state`.
-(Where cohesion alone carries more than the load, s is 0 and the reported load exceeds the weight: a deeply dug wheel
-in strongly cohesive soil.) Ground that the wheel has touched before keeps its rut: travel over it takes the sinkage to
-the depth of the rut instead of z_w (`relax_sinkage`). `dynamics` steps these equations.
+z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it (`bearing_sinkage`).
+On ground that the wheel has touched before, travel takes the sinkage to the depth of the rut instead (`relax_sinkage`).
 """
 
 import math

@@ -34,13 +34,9 @@ def onto_fresh(x, low, high):
 
 @compiled_inline
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
-    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z.
+    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that undisturbed soil has:
 
-    z_w [m] is the depth of undisturbed soil that carries the load. With travel |V| the wheel moves onto fresh soil
-    and z relaxes to z_w over the distance `length` [m]. The sliding speed |r w - V| carries soil away from under the
-    rim (`gain`), more slowly the deeper the hole, whose walls flow back (`recovery`):
-
-        dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
+    dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
     """
     a = (travel_speed + recovery * slip_speed) / length
     b = (travel_speed + (gain + recovery) * slip_speed) / length
