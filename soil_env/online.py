@@ -31,7 +31,7 @@ from soil_env.identification.online.identifier import (
 )
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
-from soil_env.slip import rim_speeds, slip_ratio, travel_speeds
+from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import steady_state
 
@@ -126,17 +126,10 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
     forget(ids, 0, numbers)
 
 
-@compiled_root(nogil=True)
-def _fill_slips(rim_speed: np.ndarray, speed: np.ndarray, out: np.ndarray) -> None:
-    for i in range(out.size):
-        out[i] = slip_ratio(rim_speed[i], speed[i], REST_SPEED)
-
-
 def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V braking."""
-    out = np.empty(len(rim_speed))
-    _fill_slips(np.ascontiguousarray(rim_speed, float), np.ascontiguousarray(speed, float), out)
-    return np.where(np.isnan(rim_speed) | np.isnan(speed), math.nan, out)
+    slip = (rim_speed - speed) / np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), REST_SPEED)
+    return np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
 
 
 class OnlineIdentifier:

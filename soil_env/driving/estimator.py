@@ -33,7 +33,6 @@ from soil_env.identification.online.identifier import (
 )
 from soil_env.identification.online.immobilisation import (
     MEMORY,
-    View,
     WarningNumbers,
     begin,
     follow,
@@ -106,27 +105,11 @@ def knowledge(ids, k, precision):
 
 
 @compiled_inline
-def _view_of(image, memory, k, sight):
-    """`View` of the ground for the warning, from an image and the memory of terrain classes."""
-    here = int(image.here)
-    on_way, beside = int(image.label_0), int(image.label_1)
-    grade, other = image.grade_0, image.grade_1
-    if image.taken > 0.0:
-        on_way, beside, grade, other = beside, on_way, other, grade
-    return View(
-        image.since, min(image.left, sight), memory.estimate[k, here, PULL], float(memory.patches[k, here]),
-        image.seen > 0.0, image.chosen > 0.0,
-        grade, memory.estimate[k, on_way, PULL], float(memory.patches[k, on_way]),
-        other, memory.estimate[k, beside, PULL], float(memory.patches[k, beside]),
-    )  # fmt: skip
-
-
-@compiled_inline
 def _look_ahead(estimator, numbers, record, k, period):
     """Note the view of wheel k for the warning, where it is asked for."""
     if estimator.recent.shape[0] > 0:
         image = load_image(record.images[k, period])
-        see(estimator.recent, k, _view_of(image, estimator.memory, k, numbers.task.camera.sight), numbers.warning)
+        see(estimator.recent, k, image, estimator.memory, numbers.task.camera.sight, numbers.warning)
 
 
 @compiled_part

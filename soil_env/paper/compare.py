@@ -138,11 +138,11 @@ def table_3() -> list[Row]:
     return rows
 
 
-def reaches(e: Equations, guess: ArrayLike, solution: ArrayLike) -> bool:
-    """True if plain Newton-Raphson from `guess` ends on `solution`, phi up to the period of its tangent."""
-    found = newton_raphson(MEASURED, guess, e)
-    turn = (found[0] - solution[0] + 90.0) % 180.0 - 90.0
-    return bool(abs(turn) < 0.01 and np.all(np.abs(found[1:] / solution[1:] - 1.0) < 1e-4))
+def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
+    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of its tangent."""
+    found, solution = newton_raphson(MEASURED, guesses, e), root(e)
+    turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
+    return (np.abs(turn) < 0.01) & np.all(np.abs(found[:, 1:] / solution[1:] - 1.0) < 1e-4, axis=1)
 
 
 def table_4() -> list[Row]:
@@ -152,8 +152,9 @@ def table_4() -> list[Row]:
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
         limits = []
         for e in HELD:
-            solution = root(e)
-            good = np.array([reaches(e, [*GUESS[:k], v, *GUESS[k + 1 :]], solution) for v in scan])
+            guesses = np.tile(GUESS, (scan.size, 1))
+            guesses[:, k] = scan
+            good = reaches(e, guesses)
             below, above = (np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k]))
             lowest = (scan[below[-1] + 1], "") if below.size else (scan[0], "<")
             limits.append((lowest, (scan[above[0] - 1], "") if above.size else (scan[-1], ">")))
@@ -175,7 +176,8 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three points."""
     rng = np.random.default_rng([seed, 5])
     factors = 1.0 + 0.05 * rng.standard_normal((draws, 3, 3))
-    found = np.array([newton_raphson(Points(*(np.array(MEASURED) * f)), GUESS, e) for f in factors])
+    noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
+    found = newton_raphson(noisy, np.tile(GUESS, (draws, 1)), e)
     errors = 100.0 * np.abs(found / ACTUAL_SET - 1.0)
     good = np.isfinite(errors).all(axis=1)
     limit = [P.table5[name][1] for name in NAMES]

@@ -1,7 +1,6 @@
 """Printed numbers of the source paper, its equations, and its Newton-Raphson method.
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its Section 4. The stresses,
-their integrals and the forces are the compiled functions of `soil_env.terramechanics`.
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its Section 4.
 """
 
 import math
@@ -14,10 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soil_env._io.loading import read_yaml
-from soil_env._numba.compiling import compiled_part, compiled_root
-from soil_env.slip import motion_from_slip
-from soil_env.terramechanics.arc_integrals import arc_integrals, shear_modulus_rates, simpson_integrals
-from soil_env.terramechanics.contact import compaction_resistance, entry_angle, forces as contact_forces, shear_forces
+from soil_env.slip import travel_speeds
+from soil_env.terramechanics.arc_integrals import NODE_DEPTHS, NODE_WEIGHTS
 
 #: Wheel of Wong & Reece (1967), J. Terramechanics 4(1):81-98, from which the paper takes its wheel, sand and points:
 #: radius 24.7 in [m], which the paper prints as 0.6274.
@@ -73,56 +70,44 @@ _ITERATIONS = 100  # of Newton-Raphson at most
 _TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
 
 
-class Linear(NamedTuple):
-    """(pull, load, torque) and drawbar pull by phi, K and S."""
-
-    pull: float
-    load: float
-    torque: float
-    by_phi: float
-    by_K: float
-    by_S: float
-
-
-@compiled_part
-def at_point(x, slip, sinkage, e):
-    """`Linear` at x = (phi [rad], K [m], S) for any phi, K > 0 and any S."""
-    K, tan_phi, r = x[1], math.tan(x[0]), e.radius
-    theta1 = entry_angle(sinkage, r)
-    thetam = (e.peak + e.peak_by_slip * slip) * theta1
-    rim, travel = motion_from_slip(slip)
-    if e.simpson > 0:
-        q, by_rim, by_travel = simpson_integrals(theta1, 0.0, thetam, rim, travel, K, e.exponent, r, e.simpson)
-    else:
-        q, by_rim, by_travel = arc_integrals(theta1, 0.0, thetam, rim, travel, K, e.exponent, r)
-    k = shear_modulus_rates(by_rim, by_travel, rim, travel, K)
-    f = contact_forces(q, x[2], tan_phi, e.cohesion, r, e.width, 1.0)
-    by_phi = shear_forces(q, x[2] * (1.0 + tan_phi * tan_phi), 0.0, r, e.width, 1.0)
-    by_K = shear_forces(k, x[2] * tan_phi, e.cohesion, r, e.width, 1.0)
-    by_S = contact_forces(q, 1.0, tan_phi, 0.0, r, e.width, 1.0)
-    more = 0.0  # resistance of Eq. (11) less that of Eq. (12), for S = 1
-    if e.compaction:
-        more = r * e.width * q.p_sin - compaction_resistance(sinkage, 1.0, e.exponent, e.width)
-    return Linear(
-        f.drawbar_pull + x[2] * more, f.load, f.torque, by_phi.drawbar_pull, by_K.drawbar_pull, by_S.drawbar_pull + more
-    )
-
-
-@compiled_root
-def _forces(x, slip, sinkage, e, out):
-    for p in range(x.shape[0]):
-        y = at_point(x[p], slip[p], sinkage[p], e)
-        out[p, 0], out[p, 1], out[p, 2] = y.pull, y.load, y.torque
-        out[p, 3], out[p, 4], out[p, 5] = y.by_phi, y.by_K, y.by_S
+def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
+    """(places in [0, 1], weights) in a zone of the arc: Simpson with 2m subintervals, Eqs. (14)-(15); 0: Gauss."""
+    if m == 0:
+        return NODE_DEPTHS, NODE_WEIGHTS
+    weights = np.full(2 * m + 1, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    return np.linspace(0.0, 1.0, 2 * m + 1), weights / (6.0 * m)
 
 
 def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -> np.ndarray:
-    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m], S), [3] or [M, 3]."""
-    x = np.atleast_2d(np.asarray(soil, dtype=float)) * (math.pi / 180.0, 1.0, 1.0)
-    count = max(np.size(slip), np.size(sinkage), len(x))
-    out = np.empty((count, 6))
-    columns = [np.array(np.broadcast_to(v, count), dtype=float) for v in (slip, sinkage)]
-    _forces(np.array(np.broadcast_to(x, (count, 3))), *columns, e, out)
+    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m], S), [3] or [M, 3].
+
+    For any phi and S, and K > 0. Nodes at the same place of the front and the rear zone have one stress, Eq. (8).
+    """
+    phi, K, S = (np.atleast_2d(np.asarray(soil, float)) * (math.pi / 180.0, 1.0, 1.0)).T[:, :, None]
+    slip, z = (np.atleast_1d(np.asarray(v, float))[:, None] for v in (slip, sinkage))
+    r, b, c, n, tan_phi = e.radius, e.width, e.cohesion, e.exponent, np.tan(phi)
+    place, weight = _nodes(e.simpson)
+    theta1 = 2.0 * np.arcsin(np.sqrt(z / (2.0 * r)))
+    rear = (e.peak + e.peak_by_slip * slip) * theta1  # length of the zone, theta2 = 0
+    ahead = theta1 - (theta1 - rear) * place
+    theta = np.concatenate([ahead, rear * place], axis=1)
+    w = r * b * np.concatenate([(theta1 - rear) * weight, rear * weight], axis=1)
+    p = np.tile(np.maximum(r * (np.cos(ahead) - np.cos(theta1)), 0.0) ** n, (1, 2))
+    j = r * (theta1 - theta - travel_speeds(1.0, slip) * (np.sin(theta1) - np.sin(theta)))
+    left = np.exp(-np.abs(j) / K)
+    share, strength, cos = np.copysign(1.0 - left, j), c + S * p * tan_phi, np.cos(theta)
+    resistance = (w * p * np.sin(theta)).sum(axis=1)  # Eq. (11), for S = 1
+    if e.compaction:
+        resistance = b * z[:, 0] ** (n + 1.0) / (n + 1.0)  # Eq. (12)
+    shear, by_phi = strength * share, S * p * (1.0 + tan_phi * tan_phi) * share
+    columns = (
+        shear * cos, S * p * cos + shear * np.sin(theta), r * shear, by_phi * cos,
+        -strength * j * left / (K * K) * cos, p * tan_phi * share * cos,
+    )  # fmt: skip
+    out = np.stack([(w * f).sum(axis=1) for f in columns], axis=1)
+    out[:, 0] -= S[:, 0] * resistance
+    out[:, 5] -= resistance
     return out
 
 
@@ -138,34 +123,28 @@ class Points(NamedTuple):
 MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.measured]).T.copy())
 
 
-@compiled_root(allocates=True)
-def _newton_raphson(path, slip, sinkage, pull, e, tolerance):
-    """Iterates from path[0] = (phi [rad], K, S) into `path`; their number, negative where it did not converge.
-
-    It ends without convergence at a singular Jacobian, at K <= 0, where Eq. (10) means nothing, or with `path` full.
-    """
-    residual, jacobian = np.empty(3), np.empty((3, 3))
-    for k in range(path.shape[0] - 1):
-        for p in range(3):
-            y = at_point(path[k], slip[p], sinkage[p], e)
-            residual[p] = pull[p] - y.pull
-            jacobian[p, 0], jacobian[p, 1], jacobian[p, 2] = y.by_phi, y.by_K, y.by_S
-        determinant = np.linalg.det(jacobian)
-        if not (np.isfinite(determinant) and determinant != 0.0):
-            return -k - 1
-        step = np.linalg.solve(jacobian, residual)
-        path[k + 1] = path[k] + step
-        if not np.all(np.isfinite(path[k + 1])) or path[k + 1, 1] <= 0.0:
-            return -k - 1
-        small = abs(step[0]) < tolerance and abs(step[1]) < tolerance * path[k + 1, 1]
-        if small and abs(step[2]) < tolerance * abs(path[k + 1, 2]):
-            return k + 1
-    return -path.shape[0]
-
-
 def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray:
-    """Root (phi [deg], K [m], S) by plain Newton-Raphson from `guess`, the paper's Section 4; NaN if it is lost."""
-    path = np.empty((_ITERATIONS + 1, 3))
-    path[0] = math.radians(guess[0]), guess[1], guess[2]
-    count = _newton_raphson(path, *points, e, _TOLERANCE)
-    return path[count] * (180.0 / math.pi, 1.0, 1.0) if count > 0 else np.full(3, np.nan)
+    """Roots (phi [deg], K [m], S) by plain Newton-Raphson, the paper's Section 4; NaN where it is lost.
+
+    `guess` [3], or [G, 3] of as many searches; points [3] of all of them, or [G, 3]. A search is lost at a singular
+    Jacobian, at K <= 0, where Eq. (10) means nothing, and after `_ITERATIONS`.
+    """
+    x = np.array(np.atleast_2d(guess), dtype=float)
+    slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
+    out, going, degrees = np.full(x.shape, np.nan), np.arange(len(x)), np.array([math.degrees(1.0), 1.0, 1.0])
+    with np.errstate(all="ignore"):
+        for _ in range(_ITERATIONS):
+            y = forces(np.repeat(x[going], 3, axis=0), slip[going].ravel(), sinkage[going].ravel(), e)
+            jacobian, residual = y[:, 3:].reshape(-1, 3, 3), pull[going] - y[:, 0].reshape(-1, 3)
+            determinant = np.linalg.det(jacobian)
+            solvable = np.isfinite(determinant) & (determinant != 0.0)
+            going = going[solvable]
+            step = np.linalg.solve(jacobian[solvable], residual[solvable][:, :, None])[:, :, 0] * degrees
+            x[going] += step
+            valid = np.all(np.isfinite(x[going]), axis=1) & (x[going, 1] > 0.0)
+            size = np.abs(x[going])
+            size[:, 0] = degrees[0]
+            there = valid & np.all(np.abs(step) < _TOLERANCE * size, axis=1)
+            out[going[there]] = x[going[there]]
+            going = going[valid & ~there]
+    return out.reshape(np.shape(guess))

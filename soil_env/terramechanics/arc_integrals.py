@@ -1,10 +1,9 @@
-"""Integrals over the contact arc by Gauss-Legendre quadrature, and by the paper's Simpson rule.
+"""Integrals over the contact arc by Gauss-Legendre quadrature.
 
 The nodes of one wheel's arc are in the lanes; those of eight wheels' arcs, one wheel a lane, are taken one after the
 other. The same code does both (`lanes.over_eight`).
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import fma, half_sin_cos, larger, log, power, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, over_eight, summed, to_array, turns
 from soil_env._numba.rows import Rows, rows, scratch_rows
-from soil_env.terramechanics import contact
 from soil_env.terramechanics.contact import JANOSI, Arc, ArcIntegrals, ArcRates, mobilised
 
 #: Gauss-Legendre nodes per zone of the contact arc (front and rear nodes share the normal stress).
@@ -223,22 +221,15 @@ def _by_exponent(frame, nodes, cos1, r, shear):
 
 
 @compiled_inline
-def integrals_at_nodes(frame, nodes, at, rim, travel, K, r, law):
-    """`ArcIntegrals` of the nodes of `store_nodes` at one motion, without derivatives."""
-    shear = _shear_at_nodes()
-    for k in range(turns(frame.theta1)):
-        a, z, a2, z2 = _levers(frame, nodes, at + k * COUNT, k, r)
-        to_array(mobilised(fma(rim, a, travel * z), K, law)[0], shear.e_front, k * COUNT)
-        to_array(mobilised(fma(rim, a2, travel * z2), K, law)[0], shear.e_rear, k * COUNT)
-    return _integrals(frame, _sums(frame, nodes, at, shear.e_front, shear.e_rear))
-
-
-@compiled_inline
 def integrals_alone(arc, rim, travel, K, n, law):
     """`ArcIntegrals` of one wheel's `Arc`, without derivatives."""
-    nodes = _one_arc()
+    nodes, shear = _one_arc(), _shear_at_nodes()
     frame = store_nodes(arc, n, nodes, 0)
-    return integrals_at_nodes(frame, nodes, 0, rim, travel, K, arc.radius, law)
+    for k in range(turns(frame.theta1)):
+        a, z, a2, z2 = _levers(frame, nodes, k * COUNT, k, arc.radius)
+        to_array(mobilised(fma(rim, a, travel * z), K, law)[0], shear.e_front, k * COUNT)
+        to_array(mobilised(fma(rim, a2, travel * z2), K, law)[0], shear.e_rear, k * COUNT)
+    return _integrals(frame, _sums(frame, nodes, 0, shear.e_front, shear.e_rear))
 
 
 @compiled_inline
@@ -250,47 +241,14 @@ def integrals_of(arc, rim, travel, K, n, law):
 
 
 @compiled_part
-def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, law=JANOSI):
+def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r):
     """Integrals of Eqs. (1)-(3) and their derivatives: (ArcIntegrals, ArcRates by `rim`, ArcRates by `travel`).
 
     Rule and nodes: `store_nodes`. Relative error about 1e-5 when driving; when braking j changes sign within the arc
     and it reaches 5.5e-3 of the load for K/r of 0.02 to 0.05 (docs/results/README.md). The derivative by K
     needs no further integrals: see `shear_modulus_rates`.
     """
-    return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, law)
-
-
-@compiled_part
-def simpson_integrals(theta1, theta2, thetam, rim, travel, K, n, r, m):
-    """`arc_integrals` by the paper's rule: composite Simpson with 2m subintervals in each zone, Eqs. (14)-(15)."""
-    sin1, cos1 = math.sin(theta1), math.cos(theta1)
-    p_cos = p_sin = 0.0
-    e_sums = by_rim = by_travel = ArcRates(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for zone in range(2):
-        low, high = (theta2, thetam) if zone == 0 else (thetam, theta1)
-        h = (high - low) / (2 * m)
-        for k in range(2 * m + 1):
-            w = h / 3.0 * (1.0 if k == 0 or k == 2 * m else (4.0 if k % 2 == 1 else 2.0))
-            theta = low + k * h
-            p = contact.relative_stress(contact.mirror_angle(theta, theta1, theta2, thetam), cos1, n, r)
-            j, lever_rim, lever_travel = contact.shear_displacement(theta, theta1, sin1, rim, travel, r)
-            e, g = mobilised(j, K, JANOSI)
-            wc, ws = w * math.cos(theta), w * math.sin(theta)
-            p_cos, p_sin = p_cos + p * wc, p_sin + p * ws
-            e_sums = _with_node(e_sums, e, p, w, wc, ws)
-            by_rim = _with_node(by_rim, g * lever_rim, p, w, wc, ws)
-            by_travel = _with_node(by_travel, g * lever_travel, p, w, wc, ws)
-    s = e_sums
-    return ArcIntegrals(p_cos, p_sin, s.pe_cos, s.pe_sin, s.pe, s.e_cos, s.e_sin, s.e), by_rim, by_travel
-
-
-@compiled_inline
-def _with_node(t, value, p, w, wc, ws):
-    """The six sums `t` with one more node."""
-    return ArcRates(
-        t.pe_cos + p * value * wc, t.pe_sin + p * value * ws, t.pe + p * value * w,
-        t.e_cos + value * wc, t.e_sin + value * ws, t.e + value * w,
-    )  # fmt: skip
+    return integrals_of(Arc(theta1, theta2, thetam, theta1, r), rim, travel, K, n, JANOSI)
 
 
 @compiled_inline

@@ -143,17 +143,11 @@ def mirror_angle(theta, theta1, theta2, thetam):
 
 
 @compiled_inline
-def janosi_hanamoto(ratio):
-    """(1 - e^-ratio, e^-ratio): share of the shear strength at a displacement of `ratio` K, Eq. (10), and the rest."""
-    rest = exp(-1.0 * ratio)
-    return 1.0 - rest, rest
-
-
-@compiled_inline
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
     distance, rate = abs(j), 1.0 / K
-    free, decay = janosi_hanamoto(rate * distance)
+    decay = exp(-1.0 * (rate * distance))
+    free = 1.0 - decay
     if law.a == 1.0 and law.b == 0.0 and law.c == 0.0:
         return copysign(free, j), rate * decay
     share = law.a + law.b * decay
@@ -199,12 +193,6 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     return Forces(
         normal * integrals.p_cos + shear.load, shear.drawbar_pull - direction * normal * integrals.p_sin, shear.torque
     )
-
-
-@compiled_part
-def compaction_resistance(sinkage, S, n, b):
-    """Resistance [N] of Eq. (12), b S z0^(n+1) / (n+1): equal to Eq. (11) only without the rear branch (8)."""
-    return b * S * sinkage ** (n + 1.0) / (n + 1.0)
 
 
 @compiled_inline

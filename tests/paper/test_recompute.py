@@ -38,6 +38,17 @@ def test_forces_against_the_independent_judge(compaction):
     np.testing.assert_allclose(found[:3], expected, rtol=1e-5)
 
 
+def test_simpson_converges_to_the_quadrature():
+    """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
+    e, entry = AS_PRINTED._replace(exponent=1.0, compaction=False), 0.9
+    judge = reference.forces(reference.Ground(SAND[0], e.cohesion, *SAND[1:], 1.0), 0.3, entry, e.radius, e.width)
+    expected, errors = np.array([judge.drawbar_pull, judge.load, judge.torque / e.radius]), []
+    for m in (2, 4, 8, 16):
+        found = model.forces(SAND, 0.3, e.radius * (1.0 - math.cos(entry)), e._replace(simpson=m))[0, :3]
+        errors.append(np.abs(found / [1.0, 1.0, e.radius] - expected).max() / judge.scale)
+    assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
+
+
 @pytest.mark.parametrize("e", HELD)
 @pytest.mark.parametrize("soil", [(30.0, 0.03, 4e5), (100.0, 0.06, -2e5)])
 def test_derivatives_against_central_differences(e, soil):

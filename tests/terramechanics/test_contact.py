@@ -10,9 +10,6 @@ from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import arc_integrals as quadrature, contact
 from tests.terramechanics import reference
 
-#: Compact sand of Hutangkabodee et al. (2006).
-PAPER_SOIL = reference.Ground(33.3, 689.48, 0.0381, 50936.0 / 0.1524 + 250668.0, 0.4706)
-
 
 def tan_phi(soil):
     return math.tan(math.radians(soil.friction_angle_deg))
@@ -56,18 +53,6 @@ def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
     for at in (slip, slips[0]):  # -1 is a locked wheel: all strength points backward, whatever K is
         judge = reference.forces(soil, at, theta1, r, b, theta2, thetam)
         assert relative_error(forces(soil, at, theta1, r, b, theta2, thetam), judge, r) < bound
-
-
-def test_simpson_converges_to_the_quadrature():
-    """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
-    soil, r, b, theta1 = PAPER_SOIL._replace(sinkage_exponent=1.0), 0.15, 0.15, 0.9
-    judge = reference.forces(soil, 0.3, theta1, r, b)
-    errors, motion = [], motion_from_slip(0.3)
-    for m in (2, 4, 8, 16):
-        q = quadrature.simpson_integrals(theta1, 0.0, 0.45, *motion, soil.shear_modulus, 1.0, r, m)[0]
-        w = contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
-        errors.append(relative_error(w, judge, r))
-    assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
 
 
 def test_resting_wheel_has_no_shear():
@@ -129,16 +114,15 @@ def test_rates_against_central_differences(seed):
     theta1, k, n, r = rng.uniform(0.2, 1.3), rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.5), 0.3
     rim, travel = rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)
     at, d = np.array([rim, travel, k]), 1e-6
-    for rule, extra in ((quadrature.arc_integrals, ()), (quadrature.simpson_integrals, (3,))):
 
-        def integrals(at, rule=rule, extra=extra):
-            return rule(theta1, -0.1, 0.4 * theta1, *at, n, r, *extra)
+    def integrals(at):
+        return quadrature.arc_integrals(theta1, -0.1, 0.4 * theta1, *at, n, r)
 
-        _, by_rim, by_travel = integrals(at)
-        by_k = quadrature.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
-        for rates, step in zip((by_rim, by_travel, by_k), d * np.eye(3), strict=True):
-            up, down = (np.array(integrals(at + sign * step)[0])[2:] for sign in (1.0, -1.0))
-            np.testing.assert_allclose(rates, (up - down) / (2 * d), rtol=1e-4, atol=1e-6)
+    _, by_rim, by_travel = integrals(at)
+    by_k = quadrature.shear_modulus_rates(by_rim, by_travel, rim, travel, k)
+    for rates, step in zip((by_rim, by_travel, by_k), d * np.eye(3), strict=True):
+        up, down = (np.array(integrals(at + sign * step)[0])[2:] for sign in (1.0, -1.0))
+        np.testing.assert_allclose(rates, (up - down) / (2 * d), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("slip", [-0.9, -0.2, 0.0, 0.3, 1.0])

@@ -4,7 +4,7 @@ A wheel is *immobilised* after the last moment at which it got further at the le
 The task declares it up to ten seconds later. Seconds are of driving: halts do not count.
 
 A small network reads moving averages of the sensor `Channels`, the time since the last halt, the estimate of the soil
-and the `View` of the ground ahead, but neither the true soil nor the action. All are without dimension: forces by the
+and the view of the ground ahead, but neither the true soil nor the action. All are without dimension: forces by the
 measured load, lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was
 trained on simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of
 `HORIZONS` and of the time from there to the second: the longer one is never the less probable.
@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
+from soil_env.identification.online.class_memory import PULL
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.motor import full_voltage
 
@@ -50,27 +51,9 @@ class Channels(NamedTuple):
     acceleration: float  # of travel [of gravity]
 
 
-class View(NamedTuple):
-    """The ground here and ahead, by the camera and the memory of terrain classes.
-
-    "line" is the route that the wheel is on the way to, "beside" the other one, or the same where there is one route.
-    A capacity is the best steady drawbar pull [of load] of a class; a count is the number of patches it was found on.
-    """
-
-    since: float  # [m] from the last border
-    left: float  # [m] to the next border, at most as far as the camera sees
-    capacity: float  # of the class here
-    count: float
-    seen: bool  # the patch ahead is in sight; without it what follows means nothing
-    chosen: bool  # no choice of a route is left
-    line_grade: float  # [rad]
-    line_capacity: float
-    line_count: float
-    beside_grade: float
-    beside_capacity: float
-    beside_count: float
-
-
+#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of lines that are out of sight. "line"
+#: is the route that the wheel is on the way to, "beside" the other one, or the same where there is one route. A margin
+#: is the best steady drawbar pull [of load] of a class over the grade; "met" counts the patches it was found on.
 _VIEW = (
     "camera", "border_behind", "border_ahead", "here_margin", "here_met", "ahead_seen", "line_chosen", "grade_change",
     "line_margin", "line_met", "beside_margin", "beside_met",
@@ -172,20 +155,23 @@ def follow(recent, k, reading, halted, numbers):
 
 
 @compiled_inline
-def see(recent, k, view, numbers):
-    """Store the `View` of a control period of wheel k."""
-    out, sine = recent[k, _SEEN:], recent[k, _PITCH]
-    tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
-    seen = 1.0 if view.seen else 0.0
+def see(recent, k, image, memory, sight, numbers):
+    """Store the view of a control period of wheel k, by an `Image` and its `ClassMemory`; `sight` [m] of the camera."""
+    out, sine, here = recent[k, _SEEN:], recent[k, _PITCH], int(image.here)
+    line, beside, grade, grade_beside = int(image.label_0), int(image.label_1), image.grade_0, image.grade_1
+    if image.taken > 0.0:
+        line, beside, grade, grade_beside = beside, line, grade_beside, grade
+    tangent, seen = sine / math.sqrt(max(1.0 - sine * sine, 0.01)), image.seen
     out[0] = 1.0
-    out[1] = min(max(view.since / numbers.radius, 0.0), _BEHIND)
-    out[2] = max(view.left / numbers.radius, 0.0)
-    out[3], out[4] = view.capacity - tangent, min(view.count, _OFTEN)
-    out[5], out[6] = seen, seen if view.chosen else 0.0
-    out[7] = seen * (math.sin(view.line_grade) - sine)
-    out[8], out[9] = seen * (view.line_capacity - math.tan(view.line_grade)), seen * min(view.line_count, _OFTEN)
-    out[10] = seen * (view.beside_capacity - math.tan(view.beside_grade))
-    out[11] = seen * min(view.beside_count, _OFTEN)
+    out[1] = min(max(image.since / numbers.radius, 0.0), _BEHIND)
+    out[2] = max(min(image.left, sight) / numbers.radius, 0.0)
+    out[3], out[4] = memory.estimate[k, here, PULL] - tangent, min(float(memory.patches[k, here]), _OFTEN)
+    out[5], out[6] = seen, seen * image.chosen
+    out[7] = seen * (math.sin(grade) - sine)
+    out[8] = seen * (memory.estimate[k, line, PULL] - math.tan(grade))
+    out[9] = seen * min(float(memory.patches[k, line]), _OFTEN)
+    out[10] = seen * (memory.estimate[k, beside, PULL] - math.tan(grade_beside))
+    out[11] = seen * min(float(memory.patches[k, beside]), _OFTEN)
 
 
 @compiled_inline
