@@ -21,10 +21,8 @@ from benchmarks.common import machine, machine_text, page, range_text, ready, sp
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
-from soil_env.env import SoilWheelEnv
-from soil_env.rover_env import SoilRoverEnv
-from soil_env.rover_vector_env import SoilRoverVectorEnv
-from soil_env.vector_env import SoilWheelVectorEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 
 NAME = "throughput"
 HELD = 8  # steps that a random command is held

@@ -1,13 +1,14 @@
-"""The Gymnasium environment of one driven wheel."""
+"""The Gymnasium environments of one driven wheel and of many."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
-from soil_env.course_env import CourseEnv, scenario_changes
+from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.estimate import published, soil_of_numbers
@@ -20,9 +21,10 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
 
-__all__ = ["IMMOBILISED", "SoilWheelEnv", "action_space", "build_scenario", "observation_space"]
+__all__ = ["IMMOBILISED", "SoilWheelEnv", "SoilWheelVectorEnv", "action_space", "build_scenario", "observation_space"]
 #: Keywords that are no part of a scenario.
 _OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
+_OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
 
 
 def build_scenario(
@@ -136,3 +138,40 @@ class SoilWheelEnv(CourseEnv):
         soil: SoilState
         soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
         return soil
+
+
+class SoilWheelVectorEnv(CourseVectorEnv):
+    """`num_envs` independent `SoilWheelEnv`s stepped by one compiled, threaded call.
+
+    Spaces, rewards and terminations are those of `SoilWheelEnv`; wheel k reset with seed s runs the same trajectory,
+    bit for bit, as a `SoilWheelEnv` reset with s and given the same actions. A single seed s seeds wheel k with s +
+    k. `autoreset_mode`, `max_episode_steps` (as `gymnasium.wrappers.TimeLimit` truncates) and the arrays [N] of `info`:
+    docs/guide/vector.md. Other keyword arguments as in `SoilWheelEnv`. `final_info` has the groups of "full" too, 0 for
+    wheels that have not ended, and beside each `KEY` an array `_KEY` that says which have. No rendering.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: str | Path | Scenario = DEFAULT_SCENARIO,
+        observation: str = "identified",
+        action: str | None = None,
+        repeat: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        model: str | Path | WheelSoilModel | None = None,
+        info: str = "short",
+        scaled: bool = True,
+        **changes: Any,
+    ):
+        super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
+        self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
+        self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
+        info = checked(info)
+        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and info != "none" and observation == "identified"
+        self.simulation: Simulation = Simulation(
+            self.num_envs, self.scenario, observation, threads, load_model(model), finals or asks(info)
+        )
+        self.infos: Infos = Infos(self.simulation, info)

@@ -1,12 +1,13 @@
-"""The Gymnasium environment of a rover on two or three axles."""
+"""The Gymnasium environments of a rover on two or three axles and of many."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
-from soil_env.course_env import CourseEnv, scenario_changes
+from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.driving.core import asks_for_estimates
 from soil_env.driving.infos import asks, checked
 from soil_env.driving.rover_infos import RoverInfos
@@ -17,12 +18,13 @@ from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
-__all__ = ["SoilRoverEnv", "build_rover", "rover_action_space"]
+__all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 
 if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
 
 _OWN = ("rover", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
+_OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
 
 
 def build_rover(
@@ -119,3 +121,40 @@ class SoilRoverEnv(CourseEnv):
         wheels, counts, border = w.rovers.wheels, w.rovers.counts, self.scenario.course.border
         rows = self.simulation.wheels[0].tolist()
         return tuple(ground_at(w.courses, 0, wheels.x[k], counts.patch[k], border)[0] for k in rows)
+
+
+class SoilRoverVectorEnv(CourseVectorEnv):
+    """`num_envs` independent `SoilRoverEnv`s stepped by one compiled, threaded call.
+
+    Spaces, rewards and terminations are those of `SoilRoverEnv`; rover j reset with seed s runs the same trajectory,
+    bit for bit, as a `SoilRoverEnv` reset with s and given the same actions. A single seed s seeds rover j with s + j.
+    `autoreset_mode`, `max_episode_steps` and the arrays of `info` as in `SoilWheelVectorEnv`; with `info="full"` the
+    groups are those of `SoilRoverEnv`. No rendering.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        rover: str | Path | RoverScenario = DEFAULT_ROVER,
+        observation: str = "identified",
+        action: str | None = None,
+        repeat: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        render_mode: str | None = None,
+        model: str | Path | WheelSoilModel | None = None,
+        info: str = "short",
+        scaled: bool = True,
+        **changes: Any,
+    ):
+        super().__init__(num_envs, autoreset_mode, max_episode_steps, threads, render_mode)
+        self.scenario: RoverScenario = build_rover(rover, action, repeat, changes, _OWN_OF_MANY)
+        axles = self.scenario.axles
+        self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
+        info = checked(info)
+        wanted = asks(info) or asks_for_estimates(self.scenario, observation)
+        self.simulation: RoverSimulation = RoverSimulation(
+            self.num_envs, self.scenario, observation, threads, load_model(model), wanted
+        )
+        self.infos: RoverInfos = RoverInfos(self.simulation, info)

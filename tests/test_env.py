@@ -13,14 +13,12 @@ import yaml
 from gymnasium.utils.env_checker import check_env
 
 from soil_env._io.loading import config_dir
-from soil_env.env import SoilWheelEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import ParameterError, load_scenario, scenario_names
-from soil_env.rover_env import SoilRoverEnv
-from soil_env.rover_vector_env import SoilRoverVectorEnv
+from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS, Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_working_point
-from soil_env.vector_env import SoilWheelVectorEnv
 from soil_env.vehicle import load_rover, rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")

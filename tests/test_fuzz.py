@@ -16,13 +16,12 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_root
-from soil_env.env import SoilWheelEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.world.dynamics import MOST_STEPS
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.simulation.world.wheel import WheelState
 from soil_env.terramechanics.reaction import REST_SPEED
-from soil_env.vector_env import SoilWheelVectorEnv
 from tests.fuzz_cases import Case, Random, draw_case
 
 CASES = int(os.environ.get("SOIL_ENV_FUZZ", "40"))

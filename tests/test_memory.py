@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import config_dir
-from soil_env.vector_env import SoilWheelVectorEnv
 
 TIMES = float(os.environ.get("SOIL_ENV_MEMORY", "1"))
 MOST = 2.0  # MB

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
 
-from soil_env.env import SoilWheelEnv
-from soil_env.vector_env import SoilWheelVectorEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from tests.conftest import ROOT
 
 SHORT = {"course": {"length": 2.0}}
@@ -76,7 +75,6 @@ def test_two_vector_envs_in_two_threads_at_once():
 
 CODE = """
 import numpy as np
-from soil_env.vector_env import SoilWheelVectorEnv
 env = SoilWheelVectorEnv(40, course={"length": 2.0})
 env.reset(seed=3)
 for _ in range(5):

@@ -8,13 +8,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soil_env.driving.infos import flat
-from soil_env.env import SoilWheelEnv
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.identification import Status
-from soil_env.rover_env import SoilRoverEnv
-from soil_env.rover_vector_env import SoilRoverVectorEnv
+from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vector_env import SoilWheelVectorEnv
 from soil_env.vehicle import rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")

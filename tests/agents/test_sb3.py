@@ -5,9 +5,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from soil_env.rover_vector_env import SoilRoverVectorEnv
+from soil_env.env import SoilWheelVectorEnv
+from soil_env.rover_env import SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS, Cause
-from soil_env.vector_env import SoilWheelVectorEnv
 
 KINDS = [(SoilWheelVecEnv, SoilWheelVectorEnv), (SoilRoverVecEnv, SoilRoverVectorEnv)]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from soil_env.driving.estimator import Results, knowledge, show_estimate
-from soil_env.env import observation_space
+from soil_env.env import SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
@@ -15,7 +15,6 @@ from soil_env.simulation.task.observation import write_observation
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world import sensors
 from soil_env.simulation.world.camera import Sight
-from soil_env.vector_env import SoilWheelVectorEnv
 from tests.simulation.wheels import started
 
 SENSORS = len(layout("blind"))  # entries that every variant has

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from soil_env.env import SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
 from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.world.sensors import sense
@@ -14,7 +15,6 @@ from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
-from soil_env.vector_env import SoilWheelVectorEnv
 from tests.simulation import wheels as bench
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, WHEEL
 
