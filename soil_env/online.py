@@ -129,7 +129,8 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V braking."""
     slip = (rim_speed - speed) / np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), REST_SPEED)
-    return np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
+    out: np.ndarray = np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
+    return out
 
 
 class OnlineIdentifier:

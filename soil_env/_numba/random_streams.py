@@ -47,6 +47,12 @@ def between(streams, k, low, high):
     return low + (high - low) * uniform(streams, k)
 
 
+@compiled_inline
+def within(streams, k, bounds):
+    """Next number of stream k, uniform in `bounds` [low, high)."""
+    return between(streams, k, bounds[0], bounds[1])
+
+
 @compiled_part
 def normal_pair(streams, k):
     """Two independent standard normal numbers of stream k (Box & Muller 1958)."""

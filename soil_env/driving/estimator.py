@@ -131,7 +131,7 @@ def _after_period(estimator, numbers, record, results, k, period):
     reading, task = load_reading(record.readings[k, period]), numbers.task
     if estimator.recent.shape[0] > 0:
         follow(estimator.recent, k, reading, record.halted[k, period], numbers.warning)
-    paid, prior = task.reward_information > 0.0, numbers.identifier.precision
+    paid, prior = task.reward.information > 0.0, numbers.identifier.precision
     before = knowledge(estimator.ids, k, prior) if paid and period == 0 else 0.0
     outcome = observe(estimator.ids, k, reading, numbers.identifier)
     estimator.changed[k] = estimator.changed[k] or outcome != HELD
@@ -152,7 +152,7 @@ def _step(estimator, numbers, record, results, k):
     estimator.changed[k] = False
     for period in range(record.periods[k]):
         _after_period(estimator, numbers, record, results, k, period)
-    if numbers.task.reward_information > 0.0:
+    if numbers.task.reward.information > 0.0:
         results.reward[k] = total_of(results.terms[k])
     show_estimate(estimator, numbers, record, results, k, record.periods[k] - 1)
 

@@ -107,7 +107,7 @@ def _knowledge(estimator, numbers, j):
 def _after_period(estimator, numbers, record, results, j, period):
     """Take the record of a control period of rover j."""
     axles, task, furthest = numbers.places.size, numbers.task, HELD
-    paid = task.reward_information > 0.0
+    paid = task.reward.information > 0.0
     before = _knowledge(estimator, numbers, j) if paid and period == 0 else 0.0
     for a in range(axles):
         k = wheel_of(j, a, axles)
@@ -128,7 +128,7 @@ def _step(estimator, numbers, record, results, j):
     """Take the record of a step of rover j."""
     for period in range(record.periods[j]):
         _after_period(estimator, numbers, record, results, j, period)
-    if numbers.task.reward_information > 0.0:
+    if numbers.task.reward.information > 0.0:
         results.reward[j] = total_of(results.terms[j])
     _show(estimator, numbers, results, j)
 

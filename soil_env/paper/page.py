@@ -30,7 +30,7 @@ def markdown(results: Results, command: str) -> str:
     tables = {f"{name}_table": _beside(rows) for name, rows in results.rows.items()}
     own, printed, _ = compare.sets(1).values()
     low = 100.0 * (1.0 - compare.prediction(*printed)[:, 1] / compare.prediction(*own)[:, 1])
-    tables |= {"rules": _rules(), "noise": _noise(results), "forces": _forces(), "rms": _rms()}
+    tables |= {"rules": _rules(), "noise": _noise(results), "rms": _rms()}
     tables["torques"] = _torque_table(results)
 
     def agree(table: str, reading: int = 1) -> int:
@@ -73,21 +73,6 @@ def _noise(r: Results) -> Table:
         rows.append(row)
     columns = (text for name in READINGS for text in (f"{name}: median [5 %, 95 %]", "below the printed"))
     return Table(("error with noise [%]", "printed", *columns), rows)
-
-
-def _forces() -> Table:
-    """Figs. 6 and 7 at the three measured points."""
-    rows = []
-    for k, reading in enumerate(READINGS):
-        own = compare.prediction(*next(iter(compare.sets(k).values())))
-        for name, (soil, e) in compare.sets(k).items():
-            y = compare.prediction(soil, e)
-            rms = np.sqrt(np.mean((y[:, 0] - MEASURED.pull) ** 2)), np.sqrt(np.mean((y[:, 1] - own[:, 1]) ** 2))
-            rows.append((f"{name}, {reading}", *(f"{v:.0f}" for v in (*y.T.ravel(), *rms))))
-    slips = [f"{100 * i:.1f} %" for i in MEASURED.slip]
-    header = ("parameters", *(f"DP at {i}" for i in slips), *(f"T at {i}" for i in slips),
-              "rms of DP from measured [N]", "rms of T from Table 2's [N m]")  # fmt: skip
-    return Table(header, rows)
 
 
 def _rms() -> Table:

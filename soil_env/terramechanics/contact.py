@@ -1,20 +1,13 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(12) of the source paper.
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper (docs/physics/contact.md).
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress distribution is
-Wong & Reece (1967), the shear law Janosi & Hanamoto (1961), the compaction resistance Bekker (1956).
+Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front* meaning the side the
-wheel travels to. The contact arc runs from the exit angle `theta2` to the entry angle `theta1`; the normal stress peaks
-at `thetam`.
-
-The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v* is the rim speed
-(`slip.motion_from_slip`, `motion_from_speeds`). They make Eq. (10) one expression for driving, braking, a locked wheel
-and reverse, with the sign of the shear stress: j = r [rim (theta1 - theta) - travel (sin theta1 - sin theta)].
-
-For a given shear deformation modulus and sinkage exponent every force is linear in S, S tan(phi) and c. So `forces`
-combines integrals over the arc (`ArcIntegrals`), the same for the world, the steady prediction and the identifier.
-
-Every function takes floats (one wheel) or lanes (eight wheels, `_numba.lanes`). The integrals are in `arc_integrals`.
+wheel travels to. The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v*
+is the rim speed (`slip.motion_from_slip`, `motion_from_speeds`). `forces` combines integrals over the arc
+(`ArcIntegrals`), the same for the world, the steady prediction and the identifier. Every function takes floats (one
+wheel) or lanes (eight wheels, `_numba.lanes`).
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Memory of terrain classes on a course: estimates and best drawbar pull of each, with their sd.
+"""Memory of terrain classes on a course: estimates and best drawbar pull of each, with their standard deviations.
 
 A patch of a class counts with the last estimate made on it, away from its borders as the camera sees them. Each of
 these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and the prior (m_0, s_0) the class has
@@ -6,9 +6,7 @@ these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and
     s^-2 = s_0^-2 + sum (s_i^-2 - s_0^-2),    s^-2 m = s_0^-2 m_0 + sum (s_i^-2 m_i - s_0^-2 m_0),
 
 each quantity by itself. Where two differ by more than they allow, chi-squared widens what they have together (Birge
-1932, Physical Review 40:207-227). The best steady drawbar pull, of the load, is one of them: the paper's criterion
-(Hutangkabodee et al. 2006, Section 6) for ground that lies ahead. That of the mean soil would be another: friction,
-cohesion and K of an estimate err together and leave the pull right.
+1932, Physical Review 40:207-227).
 """
 
 from typing import NamedTuple

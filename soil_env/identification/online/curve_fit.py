@@ -1,12 +1,9 @@
 """Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side by side.
 
-Slip and sinkage of a bin are measured too (errors in variables). Linearised, their errors add to those of pull and
-torque, b b'/w with the slopes b = d(pull, torque)/d(slip) and the weight w of the slip. A quarter of the ln of the
-determinant of that sum counts. Without it the slips of the bins are estimated beside the soil (profile likelihood). All
-of it prefers low slopes, the more so the more bins there are (Neyman & Scott 1948, Econometrica 16:1-32).
-
-Each node has a maximum a posteriori with a covariance (Laplace); the posterior is their mixture, weighted by the
-evidence. A bin is linearised at the slip that is most likely under the node.
+Each node has a maximum a posteriori with a covariance (Laplace) by the sum of docs/physics/estimation.md; the posterior
+is their mixture, weighted by the evidence. Of the ln of the determinant in it a quarter counts: all of it prefers low
+slopes, the more so the more bins there are (Neyman & Scott 1948, Econometrica 16:1-32). A bin is linearised at the slip
+that is most likely under the node.
 """
 
 import math

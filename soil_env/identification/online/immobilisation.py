@@ -1,15 +1,11 @@
 """Probability that a wheel will be immobilised within seconds, from its last readings and the soil as identified.
 
 A wheel is *immobilised* after the last moment at which it got further at the least mean speed that the task asks for.
-The task declares it up to ten seconds later. Seconds are of driving: halts do not count.
-
-A small network reads moving averages of the sensor `Channels`, the time since the last halt, the estimate of the soil
-and the view of the ground ahead, but neither the true soil nor the action. All are without dimension: forces by the
-measured load, lengths by the radius, speeds in radii a second. So one set of weights serves any wheel. The network was
-trained on simulated drives; weights and training are in immobilisation.json. Its outputs are hazards, of the first of
-`HORIZONS` and of the time from there to the second: the longer one is never the less probable.
-
-It is compiled: numpy takes several times as long for one wheel, which would slow each step with full `info`.
+Seconds are of driving: halts do not count. A small network reads moving averages of the sensor `Channels`, the time
+since the last halt, the estimate of the soil and the view of the ground ahead, but neither the true soil nor the
+action; all without dimension, so one set of weights serves any wheel. Its outputs are hazards, of the first of
+`HORIZONS` and of the time from there to the second. Weights and training: immobilisation.json. It is compiled, since
+numpy would slow each step with full `info`.
 """
 
 import functools

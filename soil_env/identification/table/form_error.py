@@ -1,16 +1,9 @@
 """Form error: the laws of a model are approximations, and what they miss is a smooth function of the conditions.
 
-What is measured is taken to be
-
-    y = f(u) + sum_k s_k B_k w_k + noise,    w_k ~ N(0, 1),
-
-where the columns B_k span a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
-(Kennedy & O'Hagan 2001, J. R. Stat. Soc. B 63:425-464; Brynjarsdottir & O'Hagan 2014, Inverse Problems 30:114007). The
-error of the base law acts in the stresses (`stress_changes`), as independent processes of the same size, which reach
-sinkage, drawbar pull and torque together through the steady state.
-
-A process is written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance
-becomes ordinary linear unknowns with unit prior.
+What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span a Gaussian process
+over the conditions and s_k is the unknown size of a kind of form error (docs/physics/discrepancy.md). A process is
+written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance becomes ordinary
+linear unknowns with unit prior.
 """
 
 import math

@@ -1,13 +1,15 @@
 """Rules of the task: numbers of the scenario, causes of an episode's end, reward."""
 
 import enum
+from collections import namedtuple
+from dataclasses import astuple, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_inline
-from soil_env.parameters import Scenario
+from soil_env.parameters import Limits, RewardWeights, Scenario
 from soil_env.simulation.task.layout import VARIANTS, layout
 from soil_env.simulation.world.camera import CameraNumbers, camera_numbers
 from soil_env.simulation.world.sensors import SensorNumbers, sensor_numbers
@@ -34,6 +36,11 @@ _FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
 _TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
 
 
+#: `Limits` and `RewardWeights` as the kernels take them.
+LimitValues = namedtuple("LimitValues", [f.name for f in fields(Limits)])
+RewardValues = namedtuple("RewardValues", [f.name for f in fields(RewardWeights)])
+
+
 class TaskNumbers(NamedTuple):
     """Numbers of a `Scenario` that define the task."""
 
@@ -50,15 +57,8 @@ class TaskNumbers(NamedTuple):
     sensors: SensorNumbers
     low: np.ndarray  # [D] float32 bounds of the observation
     high: np.ndarray
-    no_progress_distance: float
-    no_progress_time: float
-    stalled_rim_speed: float
-    bogged_sinkage: float  # [m]
-    reward_progress: float
-    reward_energy: float
-    reward_immobilisation: float
-    reward_information: float
-    information_discount: float
+    limits: LimitValues
+    reward: RewardValues
     dig_gain: float  # of the belief
     camera: CameraNumbers
     seen: int  # index of the first entry of the camera
@@ -69,7 +69,7 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
     if variant == "identified" and scenario.belief.method == "none":
         raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
     entries = layout(variant, scenario.course)
-    lim, w = scenario.limits, scenario.wheel
+    w = scenario.wheel
     return TaskNumbers(
         variant=VARIANTS.index(variant),
         weight=scenario.weight,
@@ -84,15 +84,8 @@ def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None 
         sensors=sensor_numbers(scenario, model),
         low=np.array([e.low for e in entries], dtype=np.float32),
         high=np.array([e.high for e in entries], dtype=np.float32),
-        no_progress_distance=lim.no_progress_distance,
-        no_progress_time=lim.no_progress_time,
-        stalled_rim_speed=lim.stalled_rim_speed,
-        bogged_sinkage=lim.bogged_sinkage * w.radius,
-        reward_progress=scenario.reward.progress,
-        reward_energy=scenario.reward.energy,
-        reward_immobilisation=scenario.reward.immobilisation,
-        reward_information=scenario.reward.information,
-        information_discount=scenario.reward.information_discount,
+        limits=LimitValues(*astuple(scenario.limits)),
+        reward=RewardValues(*astuple(scenario.reward)),
         dig_gain=scenario.belief.dig_gain,
         camera=camera_numbers(scenario),
         seen=len(layout(variant)),
@@ -104,23 +97,23 @@ def judge(state, counts, k, task):
     """`Cause` of wheel k after a control period; advances its clocks, which stand still in halts.
 
     A wheel is immobilised if it has not got `no_progress_distance` further than ever before for `no_progress_time`,
-    has left the course backwards, or has sunk deeper than `bogged_sinkage` [m].
+    has left the course backwards, or has sunk deeper than `bogged_sinkage` radii.
     """
     out_of_time = counts.steps[k] >= task.periods
     if state.halt_left[k] > 0.0:
         return _TIME_LIMIT if out_of_time else _RUNNING
-    if state.best_x[k] >= state.mark_x[k] + task.no_progress_distance:
+    if state.best_x[k] >= state.mark_x[k] + task.limits.no_progress_distance:
         state.mark_x[k] = state.best_x[k]
         state.idle_time[k] = state.stalled_time[k] = 0.0
     else:
         state.idle_time[k] += task.period
-        stalled = abs(state.wheel_speed[k]) * task.radius < task.stalled_rim_speed
+        stalled = abs(state.wheel_speed[k]) * task.radius < task.limits.stalled_rim_speed
         state.stalled_time[k] += task.period if stalled else 0.0
     if state.x[k] >= task.length:
         return _FINISHED
-    if state.sinkage[k] > task.bogged_sinkage:
+    if state.sinkage[k] > task.limits.bogged_sinkage * task.radius:
         return _BOGGED
-    if state.idle_time[k] >= task.no_progress_time - 1e-9 or state.x[k] < -BEHIND:
+    if state.idle_time[k] >= task.limits.no_progress_time - 1e-9 or state.x[k] < -BEHIND:
         return _STALLED if state.stalled_time[k] > 0.5 * state.idle_time[k] else _ENTRAPPED
     if out_of_time:
         return _TIME_LIMIT
@@ -134,10 +127,10 @@ def reward_terms(state, k, cause, task, terms):
     progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
     the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished.
     """
-    terms[0] += task.reward_progress * state.travel[k] / task.length
+    terms[0] += task.reward.progress * state.travel[k] / task.length
     work = max(state.motor_work[k], 0.0)
-    terms[1] -= task.reward_energy * work / (state.mass[k] * task.gravity * task.length)
-    terms[2] -= task.reward_immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
+    terms[1] -= task.reward.energy * work / (state.mass[k] * task.gravity * task.length)
+    terms[2] -= task.reward.immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
 
 
 @compiled_inline
@@ -148,8 +141,8 @@ def information_term(cause, before, after, task):
     Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and
     the last has `after`, which are 0 in the others.
     """
-    kept = task.information_discount * after if cause == _RUNNING else 0.0
-    return task.reward_information * (kept - before)
+    kept = task.reward.information_discount * after if cause == _RUNNING else 0.0
+    return task.reward.information * (kept - before)
 
 
 @compiled_inline

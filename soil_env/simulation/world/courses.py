@@ -6,17 +6,19 @@ with two lines is drawn by `lines`.
 """
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 
 from soil_env._numba.compiling import compiled_part
-from soil_env._numba.random_streams import between, word
+from soil_env._numba.random_streams import within, word
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import draw_classes, draw_patch, repeat_patch
 from soil_env.simulation.world.passability import (
-    ClassDistribution,
+    CameraValues,
     CourseDistribution,
     CourseNumbers,
+    CourseValues,
     capacity,
     draw_soil,
     margin_between,
@@ -44,13 +46,10 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         library = [presets[name].state(w.width) for name in scenario.soils]
         weights = np.array(list(scenario.soils.values()), dtype=float)
     drawn = CourseDistribution(
-        c.length,
-        *c.patch_length,
-        c.border,
+        CourseValues(*astuple(c)),
+        CameraValues(*astuple(camera)),
         ahead,
         *(math.tan(math.radians(g)) for g in c.grade_deg),
-        *c.margin,
-        *c.payload,
         w.body_mass,
         w.stall_torque,
         scenario.limits.bogged_sinkage * w.radius,
@@ -60,11 +59,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
         np.array(library),
         np.cumsum(weights) / weights.sum(),
         0.5 * w.no_load_speed * w.radius,
-        ClassDistribution(
-            c.classes, c.class_scatter, c.lines, c.dead_ends, *c.deficit, *c.halt_before, camera.label_error,
-            camera.grade_noise, camera.border_noise,
-        ),
-    )  # fmt: skip
+    )
     return CourseNumbers(drawn, interaction_of(scenario, model))
 
 
@@ -98,11 +93,9 @@ def start_course(k, courses, streams, numbers):
     courses.patches[k] = 0
     courses.streams[k] = word(streams, k)
     for _ in range(_MAX_REDRAWS):
-        mass = numbers.drawn.body_mass + between(
-            courses.streams, k, numbers.drawn.payload_low, numbers.drawn.payload_high
-        )
+        mass = numbers.drawn.body_mass + within(courses.streams, k, numbers.drawn.course.payload)
         load = mass * numbers.wheel.gravity
-        if numbers.drawn.classes.count > 0 and not draw_classes(k, courses, load, numbers):
+        if numbers.drawn.course.classes > 0 and not draw_classes(k, courses, load, numbers):
             continue
         if _try_patch(k, courses, load, numbers):
             extend_course(k, courses, mass, numbers.drawn.ahead, numbers)
@@ -124,15 +117,13 @@ def extend_course(k, courses, mass, x, numbers):
         if tries == _MAX_REDRAWS:
             found = False
             p = courses.patches[k]
-            if numbers.drawn.classes.count > 0:
+            if numbers.drawn.course.classes > 0:
                 repeat_patch(k, courses, p)
             else:
                 for j in range(7):
                     courses.soils[k, p, j] = courses.soils[k, p - 1, j]
                 courses.grades[k, p], courses.margins[k, p] = courses.grades[k, p - 1], courses.margins[k, p - 1]
-            _add_patch(
-                k, courses, between(courses.streams, k, numbers.drawn.patch_low, numbers.drawn.patch_high), numbers
-            )
+            _add_patch(k, courses, within(courses.streams, k, numbers.drawn.course.patch_length), numbers)
     return found
 
 
@@ -143,16 +134,16 @@ def _try_patch(k, courses, load, numbers):
     The blend at the border to the patch before is checked too, and the grades on both sides lowered if it falls short.
     So the grade of a patch is final when the next one is drawn.
     """
-    p, streams = courses.patches[k], courses.streams
-    length = between(streams, k, numbers.drawn.patch_low, numbers.drawn.patch_high)
-    if numbers.drawn.classes.count > 0:
+    p, streams, spec = courses.patches[k], courses.streams, numbers.drawn.course
+    length = within(streams, k, spec.patch_length)
+    if spec.classes > 0:
         found = draw_patch(k, courses, load, numbers)
         if found:
             _add_patch(k, courses, length, numbers)
         return found
-    margin = between(streams, k, numbers.drawn.margin_low, numbers.drawn.margin_high)
+    margin = within(streams, k, spec.margin)
     if p == 0:
-        margin = max(margin, 0.5 * (numbers.drawn.margin_low + numbers.drawn.margin_high))  # somewhere to get going
+        margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
     tangent = capacity = -np.inf
     for _ in range(_MAX_REDRAWS):
         soil = draw_soil(streams, k, numbers)
@@ -177,7 +168,7 @@ def _try_patch(k, courses, load, numbers):
 @compiled_part
 def _joined(k, courses, i, load, numbers):
     """Lower the grades of patches i - 1 and i until their border is passable; False if that cannot be."""
-    short = numbers.drawn.margin_low - _margin_at_border(k, courses, i, load, numbers)
+    short = numbers.drawn.course.margin[0] - _margin_at_border(k, courses, i, load, numbers)
     if short <= 0.0:
         return True
     for j in (i - 1, i):
@@ -193,7 +184,7 @@ def _joined(k, courses, i, load, numbers):
             least = min(least, courses.margins[k, j])
         if i > 1:
             least = min(least, _margin_at_border(k, courses, i - 1, load, numbers))
-    return numbers.drawn.margin_low - least <= 1e-6
+    return numbers.drawn.course.margin[0] - least <= 1e-6
 
 
 @compiled_part
@@ -202,10 +193,10 @@ def _add_patch(k, courses, length, numbers):
     p = courses.patches[k]
     start = 0.0 if p == 0 else courses.edges[k, p]
     end = start + length
-    whole = end >= numbers.drawn.length or p + 1 == courses.soils.shape[1]
+    whole = end >= numbers.drawn.course.length or p + 1 == courses.soils.shape[1]
     courses.edges[k, p], courses.edges[k, p + 1] = start, end
     courses.patches[k] = p + 1
-    courses.ready[k] = np.inf if whole else start - 0.5 * numbers.drawn.border
+    courses.ready[k] = np.inf if whole else start - 0.5 * numbers.drawn.course.border
     first = 0 if p == 0 else cell_at(courses, start) + 1
     cells = courses.rut_factors.shape[1]
     last = cells - 1 if whole else min(cell_at(courses, end) + 1, cells - 1)  # `between_cells` reads one further

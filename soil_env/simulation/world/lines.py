@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.random_streams import between, normal_pair, uniform
+from soil_env._numba.random_streams import normal_pair, uniform, within
 from soil_env.simulation.world.passability import draw_soil, margin_between, scattered, steepest
 from soil_env.terramechanics.ground import row_soil
 
@@ -20,11 +20,11 @@ _REDRAWS = 30
 def draw_classes(k, courses, load, numbers):
     """Draw the soils of the classes of course k; False if none was found that leaves the highest margin."""
     drawn, streams, library = numbers.drawn, courses.streams, courses.lines.library
-    for c in range(drawn.classes.count):
+    for c in range(drawn.course.classes):
         tries = 0
         while tries < _REDRAWS:
             soil = draw_soil(streams, k, numbers)
-            _, pull = steepest(load, soil, drawn.margin_high, numbers)
+            _, pull = steepest(load, soil, drawn.course.margin[1], numbers)
             if pull > -np.inf:
                 for j in range(7):
                     library[k, c, j] = soil[j]
@@ -66,7 +66,7 @@ def _draw_line(k, courses, p, line, margin, load, numbers):
     """
     lines, drawn = courses.lines, numbers.drawn
     mean = row_soil(lines.library[k, lines.classes[k, p, line]])
-    soil = scattered(mean, drawn.classes.scatter, courses.streams, k, numbers)
+    soil = scattered(mean, drawn.course.class_scatter, courses.streams, k, numbers)
     tangent, pull = steepest(load, soil, max(margin, 0.0), numbers)
     if pull == -np.inf:
         return False
@@ -98,21 +98,20 @@ def draw_patch(k, courses, load, numbers):
     the grades of both are lowered, so that the grades of a patch are final when the next one is drawn.
     """
     p, streams, lines, drawn = courses.patches[k], courses.streams, courses.lines, numbers.drawn
-    spec = drawn.classes
-    two = spec.lines > 1 and p >= spec.count
-    margin = between(streams, k, drawn.margin_low, drawn.margin_high)
-    other = between(streams, k, drawn.margin_low, drawn.margin_high)
+    spec = drawn.course
+    two = spec.lines > 1 and p >= spec.classes
+    margin, other = within(streams, k, spec.margin), within(streams, k, spec.margin)
     if p == 0:
-        margin = max(margin, 0.5 * (drawn.margin_low + drawn.margin_high))  # somewhere to get going
+        margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
     lines.count[k, p] = 2 if two else 1
-    if p < spec.count:
-        lines.classes[k, p, 0] = _introduced(k, courses, p, spec.count)
+    if p < spec.classes:
+        lines.classes[k, p, 0] = _introduced(k, courses, p, spec.classes)
     else:
-        lines.classes[k, p, 0] = int(uniform(streams, k) * spec.count)
+        lines.classes[k, p, 0] = int(uniform(streams, k) * spec.classes)
     if two:
-        lines.classes[k, p, 1] = _another(streams, k, spec.count, lines.classes[k, p, 0])
+        lines.classes[k, p, 1] = _another(streams, k, spec.classes, lines.classes[k, p, 0])
         if uniform(streams, k) < spec.dead_ends:
-            deficit = -between(streams, k, spec.deficit_low, spec.deficit_high)
+            deficit = -within(streams, k, spec.deficit)
             if uniform(streams, k) < 0.5:
                 margin = deficit
             else:
@@ -125,7 +124,7 @@ def draw_patch(k, courses, load, numbers):
         return False
     if p > 0 and not _joined(k, courses, p, load, numbers):
         return False
-    _draw_looks(k, courses, p, spec)
+    _draw_looks(k, courses, p, drawn)
     take_line(k, courses, p, 0)
     return True
 
@@ -149,21 +148,21 @@ def repeat_patch(k, courses, p):
 
 
 @compiled_inline
-def _draw_looks(k, courses, p, spec):
+def _draw_looks(k, courses, p, drawn):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
-    lines, streams = courses.lines, courses.streams
+    lines, streams, spec, camera = courses.lines, courses.streams, drawn.course, drawn.camera
     for line in range(2):
         label = lines.classes[k, p, line]
-        if uniform(streams, k) < spec.label_error and spec.count > 1:
-            label = _another(streams, k, spec.count, label)
+        if uniform(streams, k) < camera.label_error and spec.classes > 1:
+            label = _another(streams, k, spec.classes, label)
         lines.labels[k, p, line] = label
     a, b = normal_pair(streams, k)
-    lines.grade_errors[k, p, 0], lines.grade_errors[k, p, 1] = spec.grade_noise * a, spec.grade_noise * b
+    lines.grade_errors[k, p, 0], lines.grade_errors[k, p, 1] = camera.grade_noise * a, camera.grade_noise * b
     a, b = normal_pair(streams, k)
-    lines.border_errors[k, p] = spec.border_noise * a
+    lines.border_errors[k, p] = camera.border_noise * a
     if lines.count[k, p] == 1:
         lines.labels[k, p, 1], lines.grade_errors[k, p, 1] = lines.labels[k, p, 0], lines.grade_errors[k, p, 0]
-    lines.halts[k, p] = -between(streams, k, spec.halt_low, spec.halt_high)
+    lines.halts[k, p] = -within(streams, k, spec.halt_before)
 
 
 @compiled_inline
@@ -196,7 +195,7 @@ def _joined(k, courses, p, load, numbers):
             for line in range(lines.count[k, p]):
                 if not (passable(k, courses, p - 1, before) and passable(k, courses, p, line)):
                     continue
-                short = drawn.margin_low - _border_margin(k, courses, p, before, line, load, numbers)
+                short = drawn.course.margin[0] - _border_margin(k, courses, p, before, line, load, numbers)
                 least = min(least, -short)
                 if short > 0.0 and attempt == 0 and numbers.wheel.effects.grade_weakening == 0.0:
                     _lower(k, courses, p - 1, before, short, drawn.grade_low)

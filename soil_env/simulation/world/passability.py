@@ -1,6 +1,8 @@
 """Soils that a course is drawn from, and the steepest slope of them that this wheel can climb."""
 
 import math
+from collections import namedtuple
+from dataclasses import fields
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +10,7 @@ import numpy as np
 from soil_env._numba.compiling import compiled_part
 from soil_env._numba.lanes import scratch
 from soil_env._numba.random_streams import normal_pair, uniform
-from soil_env.parameters import SoilState
+from soil_env.parameters import Camera, CourseSpec, SoilState
 from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import blend, row_soil
 from soil_env.terramechanics.reaction import Interaction
@@ -20,36 +22,19 @@ _BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
 _six = scratch(6)
 
 
-class ClassDistribution(NamedTuple):
-    """Terrain classes, lines and what the camera sees of them, of `CourseSpec` and `Camera`."""
-
-    count: int  # 0: every patch has a soil of its own
-    scatter: float  # of the patches of a class, of `spread`
-    lines: int
-    dead_ends: float
-    deficit_low: float
-    deficit_high: float
-    halt_low: float  # [m] before a border
-    halt_high: float
-    label_error: float
-    grade_noise: float  # [rad]
-    border_noise: float  # [m]
+#: `CourseSpec` and `Camera` as the kernels take them.
+CourseValues = namedtuple("CourseValues", [f.name for f in fields(CourseSpec)])
+CameraValues = namedtuple("CameraValues", [f.name for f in fields(Camera)])
 
 
 class CourseDistribution(NamedTuple):
-    """`CourseSpec`, `SoilSpread` and the soil mixture as the kernels take them."""
+    """Course, camera, `SoilSpread` and the soil mixture as the kernels take them."""
 
-    length: float
-    patch_low: float
-    patch_high: float
-    border: float
+    course: CourseValues
+    camera: CameraValues
     ahead: float  # [m] final ground before a wheel: more than it travels in an action
     grade_low: float  # tangent
     grade_high: float  # tangent
-    margin_low: float
-    margin_high: float
-    payload_low: float
-    payload_high: float
     body_mass: float
     stall_torque: float
     bogged_sinkage: float  # [m]
@@ -59,7 +44,6 @@ class CourseDistribution(NamedTuple):
     library: np.ndarray  # [soils, 7] `SoilState` of the presets
     cumulative: np.ndarray  # [soils] cumulative share of the presets
     speed: float  # [m/s] travel at which passability is judged, half the top rim speed
-    classes: ClassDistribution
 
 
 class CourseNumbers(NamedTuple):
