@@ -1,8 +1,8 @@
 """Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
 
-`read_table` reads the table: CSV, or Parquet where pyarrow is installed. `soil_env.measurement.setup` reads the YAML
-file beside it. Everything is in SI units. Impossible values are refused with one line that names the file, the row,
-the column, the value and what was expected (`ParameterError`). The header is row 1.
+`read_table` reads a table in CSV. `soil_env.measurement.setup` reads the YAML file beside it. Everything is in SI
+units. Impossible values are refused with one line that names the file, the row, the column, the value and what was
+expected (`ParameterError`). The header is row 1.
 """
 
 import csv
@@ -124,13 +124,13 @@ class Table:
 
 
 def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
-    """The measurement table in a CSV or Parquet file; with `wheel`, no sinkage may exceed its radius.
+    """The measurement table in a CSV file; with `wheel`, no sinkage may exceed its radius.
 
     Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish repeats. Raises
     `ParameterError` with one line for everything that cannot be right.
     """
     path = Path(path)
-    header, rows = _parquet_cells(path) if path.suffix.lower() in (".parquet", ".pq") else _csv_cells(path)
+    header, rows = _csv_cells(path)
     whole = rows
     kept = [k for k, name in enumerate(header) if name not in ignore]
     header, rows = [header[k] for k in kept], [(line, [cells[k] for k in kept]) for line, cells in rows]
@@ -193,21 +193,6 @@ def _check_separator(path: Path, lines: list[str]) -> None:
                 f"{path}: {name} between the columns{also}: expected commas between the columns and decimal points "
                 "(export it as comma-separated values with English number format)"
             )
-
-
-def _parquet_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """As `_csv_cells`, from Parquet; the first row counts as row 2, as it would in a CSV file."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ParameterError(f"{path}: Parquet needs pyarrow (pip install pyarrow), or save it as CSV") from None
-    try:
-        content = pyarrow.parquet.read_table(path)
-    except (OSError, pyarrow.ArrowException) as error:
-        raise ParameterError(f"{path}: cannot be read as Parquet ({str(error).splitlines()[0]})") from None
-    columns = [["" if v is None or v != v else str(v) for v in column.to_pylist()] for column in content.columns]
-    return list(content.column_names), list(enumerate(map(list, zip(*columns, strict=True)), start=2))
 
 
 def _check_header(path: Path, header: list[str]) -> None:
