@@ -8,7 +8,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
-from soil_env.driving.core import asks_for_estimates
 from soil_env.driving.infos import asks, checked
 from soil_env.driving.rover_infos import RoverInfos
 from soil_env.driving.rovers import RoverSimulation
@@ -106,8 +105,7 @@ class SoilRoverEnv(CourseEnv):
         super().__init__(scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
         info = checked(info, observation)
-        wanted = asks(info) or asks_for_estimates(scenario, observation)
-        self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, wanted)
+        self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, asks(info))
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
     def _new_view(self, mode: str) -> "CourseView":
@@ -153,8 +151,7 @@ class SoilRoverVectorEnv(CourseVectorEnv):
         axles = self.scenario.axles
         self._set_spaces(rover_layout(observation, axles), rover_action_space(axles), scaled)
         info = checked(info)
-        wanted = asks(info) or asks_for_estimates(self.scenario, observation)
         self.simulation: RoverSimulation = RoverSimulation(
-            self.num_envs, self.scenario, observation, threads, load_model(model), wanted
+            self.num_envs, self.scenario, observation, threads, load_model(model), asks(info)
         )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)

@@ -19,7 +19,7 @@ from numba.core.compiler_lock import global_compiler_lock
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
 _ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
-_FILES = ("parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
+_FILES = ("course_parameters.py", "parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
 
 
 # --- what compiled code is valid for ----------------------------------------------------------------------------------

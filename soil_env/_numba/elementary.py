@@ -10,10 +10,9 @@ the scalar and the vector environment rely on that.
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from soil_env._numba.compiling import COMPILED, compiled_inline
-from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, lanes, numbers, spread
+from soil_env._numba.compiling import compiled_inline
+from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, emitted, lanes, numbers, spread
 
 # --- lanes as Python objects, while code is emitted -------------------------------------------------------------------
 
@@ -72,13 +71,13 @@ class _Emitted:
 def _of_one(polynomial, name):
     """A compiled function of one number: `polynomial` of lanes, LLVM's intrinsic `name` of a float."""
 
-    @intrinsic
     def function(typingctx, x):
         if x == lanes:
             return lanes(lanes), lambda context, builder, sig, args: polynomial(_Emitted(builder, args[0])).value
         return types.float64(types.float64), lambda context, builder, sig, args: call(builder, f"llvm.{name}.f64", args)
 
-    return function
+    function.__name__ = name
+    return emitted(function)
 
 
 # --- exp, log, sin, cos, asin -----------------------------------------------------------------------------------------
@@ -181,7 +180,7 @@ exp = _of_one(_exp, "exp")
 log = _of_one(_log, "log")
 
 
-@intrinsic
+@emitted
 def half_sin_cos(typingctx, x):
     """(sin(x/2), cos(x/2)) of lanes, |x| <= pi."""
 
@@ -192,7 +191,7 @@ def half_sin_cos(typingctx, x):
     return types.UniTuple(lanes, 2)(lanes), emit
 
 
-@intrinsic
+@emitted
 def asin_root(typingctx, t):
     """asin(sqrt(t)), t cut to [0, 1], of a float or of lanes, by the same polynomial."""
 
@@ -217,7 +216,7 @@ def _evenly(builder, sig, args):
     return [v if t == lanes else spread(builder, v) for v, t in zip(args, sig.args, strict=True)]
 
 
-@intrinsic
+@emitted
 def fma(typingctx, a, b, c):
     """a b + c, fused where the machine can."""
     result, given = _mixed(a, b, c)
@@ -225,7 +224,7 @@ def fma(typingctx, a, b, c):
     return result(*given), lambda context, builder, sig, args: call(builder, name, _evenly(builder, sig, args))
 
 
-@intrinsic
+@emitted
 def copysign(typingctx, size, sign):
     """`size` with the sign of `sign`."""
     result, given = _mixed(size, sign)
@@ -233,7 +232,7 @@ def copysign(typingctx, size, sign):
     return result(*given), lambda context, builder, sig, args: call(builder, name, _evenly(builder, sig, args))
 
 
-@intrinsic
+@emitted
 def where_less(typingctx, a, b, x, y):
     """x where a < b, else y."""
     result, given = _mixed(a, b, x, y)
@@ -245,7 +244,7 @@ def where_less(typingctx, a, b, x, y):
     return result(*given), emit
 
 
-@intrinsic
+@emitted
 def power(typingctx, x, y):
     """x^y; of lanes x is at least 1e-300."""
     result, given = _mixed(x, y)
@@ -257,20 +256,6 @@ def power(typingctx, x, y):
         return _exp(y * _log(x.where_less(1e-300, 1e-300, x))).value
 
     return result(*given), emit
-
-
-if not COMPILED:
-    from soil_env._numba.interpreted import (  # noqa: F401, F811
-        asin_root,
-        copysign,
-        exp,
-        fma,
-        half_sin_cos,
-        log,
-        power,
-        sqrt,
-        where_less,
-    )
 
 
 @compiled_inline

@@ -51,6 +51,11 @@ def numbers(*values):
     return ir.Constant(VECTOR, [float(v) for v in values])
 
 
+def emitted(definition):
+    """Decorate an `intrinsic` of numba; where nothing is compiled it is the function of that name in `interpreted`."""
+    return intrinsic(definition) if COMPILED else getattr(interpreted, definition.__name__)
+
+
 # --- operators --------------------------------------------------------------------------------------------------------
 
 _PAIRS = [
@@ -60,43 +65,18 @@ _PAIRS = [
 ]
 
 
-def _binary(op, emit):
+def _operator(op, emit, signatures):
     class Template(ConcreteTemplate):
-        cases = _PAIRS
+        cases = signatures
 
     infer_global(op)(Template)
-    for case in _PAIRS:
+    for case in signatures:
 
         @lower_builtin(op, *case.args)
         def lower(context, builder, sig, args):
-            pair = [a if t == lanes else spread(builder, a) for a, t in zip(args, sig.args, strict=True)]
-            return emit(builder, *pair)
-
-
-_binary(operator.add, lambda b, x, y: b.fadd(x, y))
-_binary(operator.sub, lambda b, x, y: b.fsub(x, y))
-_binary(operator.mul, lambda b, x, y: b.fmul(x, y))
-_binary(operator.truediv, lambda b, x, y: b.fdiv(x, y))
-
-
-@infer_global(operator.neg)
-class _Negate(ConcreteTemplate):
-    cases = [signature(lanes, lanes)]
-
-
-@lower_builtin(operator.neg, lanes)
-def _lower_negate(context, builder, sig, args):
-    return builder.fneg(args[0])
-
-
-@infer_global(abs)
-class _Absolute(ConcreteTemplate):
-    cases = [signature(lanes, lanes)]
-
-
-@lower_builtin(abs, lanes)
-def _lower_absolute(context, builder, sig, args):
-    return call(builder, "llvm.fabs.v8f64", args)
+            return emit(
+                builder, *(a if t == lanes else spread(builder, a) for a, t in zip(args, sig.args, strict=True))
+            )
 
 
 def call(builder, name, args):
@@ -109,6 +89,12 @@ def call(builder, name, args):
     return builder.call(function, args)
 
 
+_operator(operator.add, lambda b, x, y: b.fadd(x, y), _PAIRS)
+_operator(operator.sub, lambda b, x, y: b.fsub(x, y), _PAIRS)
+_operator(operator.mul, lambda b, x, y: b.fmul(x, y), _PAIRS)
+_operator(operator.truediv, lambda b, x, y: b.fdiv(x, y), _PAIRS)
+_operator(operator.neg, lambda b, x: b.fneg(x), [signature(lanes, lanes)])
+_operator(abs, lambda b, x: call(b, "llvm.fabs.v8f64", [x]), [signature(lanes, lanes)])
 if COMPILED:
     remember_types()
 
@@ -116,7 +102,7 @@ if COMPILED:
 # --- making and taking apart ------------------------------------------------------------------------------------------
 
 
-@intrinsic
+@emitted
 def fill(typingctx, x):
     """`x` in every lane."""
     if x == lanes:
@@ -124,7 +110,7 @@ def fill(typingctx, x):
     return lanes(types.float64), lambda context, builder, sig, args: spread(builder, args[0])
 
 
-@intrinsic
+@emitted
 def alike(typingctx, x, pattern):
     """The float `x` as what `pattern` is: a float, or lanes."""
     if pattern == lanes:
@@ -132,7 +118,7 @@ def alike(typingctx, x, pattern):
     return types.float64(types.float64, types.float64), lambda context, builder, sig, args: args[0]
 
 
-@intrinsic
+@emitted
 def from_array(typingctx, a, i):
     """Lanes a[i] .. a[i + 7] of a contiguous float64 array."""
 
@@ -146,7 +132,7 @@ def from_array(typingctx, a, i):
     return lanes(a, types.intp), emit
 
 
-@intrinsic
+@emitted
 def to_array(typingctx, x, a, i):
     """Store lanes into a[i] .. a[i + 7] of a contiguous float64 array."""
 
@@ -220,7 +206,7 @@ def over_eight(values):
     return get if COMPILED else lambda pattern, k: interpreted.over_eight(eight, pattern, k)
 
 
-@intrinsic
+@emitted
 def turns(typingctx, pattern):
     """Number of passes of the loop of `over_eight`: one for a float, eight for lanes."""
     count = COUNT if pattern == lanes else 1
@@ -228,7 +214,7 @@ def turns(typingctx, pattern):
     return types.intp(pattern), lambda context, builder, sig, args: ir.Constant(ir.IntType(64), count)
 
 
-@intrinsic
+@emitted
 def summed(typingctx, x, pattern):
     """The sum over the eight of a value accumulated in such a loop: over the lanes of `x` if `pattern` is a float."""
     if pattern == lanes:
@@ -249,7 +235,7 @@ def _total(builder, value):
     return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
 
-@intrinsic
+@emitted
 def made_of(typingctx, a, b, c, d, e, f, g, h):
     """Lanes of eight floats."""
 
@@ -262,20 +248,20 @@ def made_of(typingctx, a, b, c, d, e, f, g, h):
     return lanes(*[types.float64] * COUNT), emit
 
 
-@intrinsic
+@emitted
 def lane(typingctx, a, i):
     """Lane i of `a`."""
     return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
 
 
-@intrinsic
+@emitted
 def total(typingctx, a):
     """The sum over the lanes."""
 
     return types.float64(lanes), lambda context, builder, sig, args: _total(builder, args[0])
 
 
-@intrinsic
+@emitted
 def bits(typingctx, a):
     """Whole number with bit i set where lane i is not 0."""
 
@@ -286,7 +272,7 @@ def bits(typingctx, a):
     return types.int64(lanes), emit
 
 
-@intrinsic
+@emitted
 def smallest(typingctx, a):
     """The smallest of the lanes."""
 
@@ -299,19 +285,3 @@ def smallest(typingctx, a):
         return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
     return types.float64(lanes), emit
-
-
-if not COMPILED:
-    from soil_env._numba.interpreted import (  # noqa: F401, F811
-        alike,
-        bits,
-        fill,
-        from_array,
-        lane,
-        made_of,
-        smallest,
-        summed,
-        to_array,
-        total,
-        turns,
-    )

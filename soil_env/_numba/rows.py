@@ -75,10 +75,6 @@ class Rows:
         """Rows of their own with the same numbers."""
         return type(self)(self.count, self.data.copy())
 
-    def tobytes(self) -> bytes:
-        """All numbers."""
-        return self.data.tobytes()
-
     def __deepcopy__(self, memo: Any) -> "Rows":
         return self.copy()
 

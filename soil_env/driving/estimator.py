@@ -31,14 +31,7 @@ from soil_env.identification.online.identifier import (
     new_identifiers,
     observe,
 )
-from soil_env.identification.online.immobilisation import (
-    MEMORY,
-    WarningNumbers,
-    begin,
-    follow,
-    see,
-    warning_numbers,
-)
+from soil_env.identification.online.immobilisation import MEMORY, WarningNumbers, begin, follow, see, warning_numbers
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
 from soil_env.simulation.task.observation import SENSORS, clip, write_estimate, write_moments

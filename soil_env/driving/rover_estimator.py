@@ -20,14 +20,7 @@ from soil_env.identification.online.identifier import (
 )
 from soil_env.identification.online.pooling import share
 from soil_env.identification.online.status import Status
-from soil_env.identification.online.stretches import (
-    PoolNumbers,
-    Pools,
-    forget_stretches,
-    new_pools,
-    note,
-    pool_numbers,
-)
+from soil_env.identification.online.stretches import PoolNumbers, Pools, forget_stretches, new_pools, note, pool_numbers
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of

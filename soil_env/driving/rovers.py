@@ -34,7 +34,7 @@ Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *RoverEstimator._fields))
 class RoverSimulation(Vehicles):
     """`rovers` rovers under one scenario with one observation variant.
 
-    `estimates`: identify the soil; None: if the observation or the reward asks for it.
+    `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
     belief: RoverEstimatorNumbers | None
@@ -47,7 +47,7 @@ class RoverSimulation(Vehicles):
         variant: str,
         threads: int | None = None,
         model: WheelSoilModel | None = None,
-        estimates: bool | None = None,
+        estimates: bool = False,
     ) -> None:
         super().__init__(rovers, scenario, threads, COUNT)
         self.numbers: RoverNumbers = rover_numbers(scenario, variant, model)
@@ -55,7 +55,7 @@ class RoverSimulation(Vehicles):
         #: [rovers, axles] the row of each wheel in the arrays of wheels
         self.wheels: np.ndarray = (np.arange(rovers)[:, None] // COUNT * scenario.axles + axles) * COUNT
         self.wheels += np.arange(rovers)[:, None] % COUNT
-        estimates = asks_for_estimates(scenario, variant) if estimates is None else estimates
+        estimates = estimates or asks_for_estimates(scenario, variant)
         world = new_rover_worlds(rovers, scenario, task, estimates)
         wheels, estimator, belief = world.wheel_streams.size, None, None
         if estimates:

@@ -35,7 +35,7 @@ Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *Estimator._fields))
 class Simulation(Vehicles):
     """`wheels` wheels under one scenario with one observation variant.
 
-    `estimates`: identify the soil; None: if the observation or the reward asks for it. `warnings`: identify, and keep
+    The soil is identified if the observation or the reward asks for it. `warnings`: identify in any case, and keep
     `worlds.recent` for `identification.online.immobilisation`.
     """
 
@@ -49,15 +49,13 @@ class Simulation(Vehicles):
         threads: int | None = None,
         model: WheelSoilModel | None = None,
         warnings: bool = False,
-        estimates: bool | None = None,
     ) -> None:
         super().__init__(wheels, scenario, threads, LEAST)
         task = task_numbers(scenario, variant, model)
         drawn = course_numbers(scenario, model).drawn
         self.numbers: WheelNumbers = WheelNumbers(world_numbers(scenario, model), drawn, task)
-        estimates = asks_for_estimates(scenario, variant) if estimates is None else estimates
         estimator = belief = None
-        if estimates or warnings:
+        if warnings or asks_for_estimates(scenario, variant):
             estimator, belief = new_estimator(wheels, scenario, warnings), estimator_numbers(scenario, task)
         world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
         self.worlds = Worlds._make((*world, *(estimator or (None,) * 4)))

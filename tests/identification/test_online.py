@@ -161,7 +161,7 @@ def test_without_identification_a_wheel_drives_as_with_it():
     runs = []
     for method in ("filter", "none"):
         scenario = load_scenario("mixed", {"belief": {"method": method}})
-        simulation = Simulation(1, scenario, "blind", 1, estimates=True)
+        simulation = Simulation(1, scenario, "blind", 1, warnings=True)
         simulation.seed(0, np.random.default_rng(3))
         simulation.restart(0)
         for action in np.repeat([0.3, 0.6, 0.2], 10):

@@ -14,13 +14,7 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
 from soil_env.readings import SensorReading
-from soil_env.simulation.rover.body import (
-    AxleState,
-    BodyCounts,
-    BodyState,
-    Suspension,
-    suspension_of,
-)
+from soil_env.simulation.rover.body import AxleState, BodyCounts, BodyState, Suspension, suspension_of
 from soil_env.simulation.rover.dynamics import Rovers, advance, take_pitch
 from soil_env.simulation.rover.ruts import Ruts, clear_ruts, new_ruts
 from soil_env.simulation.rover.task import BodyReading, rover_task_numbers, write_axle, write_body, write_true_soils
@@ -49,14 +43,7 @@ from soil_env.simulation.world.courses import (
 )
 from soil_env.simulation.world.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.world.terrain import Courses, new_courses
-from soil_env.simulation.world.wheel import (
-    WheelCounts,
-    WheelState,
-    WorldNumbers,
-    settle_at,
-    wheel_of,
-    world_numbers,
-)
+from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle_at, wheel_of, world_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 

@@ -34,13 +34,7 @@ from soil_env.simulation.world.stage import (
     set_up,
 )
 from soil_env.simulation.world.terrain import COMPACTION, cell_after, leave_rut
-from soil_env.simulation.world.wheel import (
-    SHALLOWEST,
-    bearing_sinkage,
-    commanded,
-    finish,
-    relax_sinkage,
-)
+from soil_env.simulation.world.wheel import SHALLOWEST, bearing_sinkage, commanded, finish, relax_sinkage
 from soil_env.terramechanics.effects import digging_ratio, onto_fresh
 from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.steady import DEEPEST

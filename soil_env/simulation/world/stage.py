@@ -16,22 +16,10 @@ from soil_env._numba.rows import Rows, rows, scratch_rows
 from soil_env.parameters import SoilState
 from soil_env.simulation.world.terrain import between_cells, ground_at
 from soil_env.simulation.world.wheel import axle_of, course_of
-from soil_env.terramechanics.arc_integrals import (
-    NODE_COLUMNS,
-    ArcFrame,
-    Nodes,
-    shear_integrals,
-    store_nodes,
-)
+from soil_env.terramechanics.arc_integrals import NODE_COLUMNS, ArcFrame, Nodes, shear_integrals, store_nodes
 from soil_env.terramechanics.contact import motion_from_speeds
 from soil_env.terramechanics.motor import motor
-from soil_env.terramechanics.reaction import (
-    REST_SPEED,
-    Reaction,
-    at_the_axle,
-    ground_under,
-    reaction_from,
-)
+from soil_env.terramechanics.reaction import REST_SPEED, Reaction, at_the_axle, ground_under, reaction_from
 
 MANY = 16 * COUNT  # wheels that `advance` takes at most
 GAMMA = 1.0 - math.sqrt(0.5)  # duration of a stage over that of the step
