@@ -1,15 +1,18 @@
-"""The task: observation, its scales, reward, and the numbers that the agent may not see; tables: test_pages.py."""
+"""The task: observation, its documented layout and scales, reward, and the numbers that the agent may not see."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from soil_env.driving.estimator import Results, knowledge, show_estimate
-from soil_env.env import SoilWheelVectorEnv, observation_space
+from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.parameters import Belief, load_scenario, soils
+from soil_env.rover_env import SoilRoverEnv
+from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.observation import write_observation
 from soil_env.simulation.task.scaling import Scaling
@@ -217,9 +220,45 @@ def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
     assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
 
 
-# --- scales -----------------------------------------------------------------------------------------------------------
+# --- the documented tables and the scales -----------------------------------------------------------------------------
 
+ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
+ENTRY = re.compile(r"^\s*\| (n\+)?(\d+) \| (\w+) \| .+? \| (\S+) \| (\S+) \|$", re.MULTILINE)
 COURSE = load_scenario("two_lines").course
+
+
+def test_centres_and_scales_are_the_documented_ones():
+    rows = [(float(c), float(s), names.split(", ")) for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
+            if re.fullmatch(r"-?[\d.]+", c)]  # fmt: skip
+    shown = {name: (c, s) for c, s, names in rows for name in names}
+    entries = {e.name.removeprefix("ahead_").removeprefix("beside_"): (e.centre, e.scale)
+               for variant in VARIANTS for e in layout(variant, COURSE)}  # fmt: skip
+    assert shown == {name: pair for name, pair in entries.items() if pair != (0.0, 1.0)}
+
+
+def documented(env):
+    """Rows (number, name, low, high) of the tables in the docstring of an environment."""
+    return [(n + number, name, float(low), float(high)) for n, number, name, low, high in ENTRY.findall(env.__doc__)]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_entries_are_the_documented_ones(variant):
+    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers without a camera."""
+    rows = documented(SoilWheelEnv)
+    bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
+    named = {name for name, *_ in bounds}
+    for e in (*layout(variant, COURSE), *rover_layout(variant, 3)):
+        shown = e.name.replace("beside", "ahead")
+        shown = shown if shown in named else re.sub("^(ahead|front|middle|rear)_", "", shown)
+        assert (shown, e.low, e.high) in bounds or e.name == f"{e.name.partition('_')[0]}_met", e
+    assert {(e.name, e.low, e.high) for e in rover_layout("blind", 2)[:14]} == {
+        row[1:] for row in documented(SoilRoverEnv)
+    }
+    assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
+    env = SoilWheelEnv("mixed", observation=variant, scaled=False)
+    assert env.observation_names == tuple(e.name for e in layout(variant))
+    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in layout(variant)]))
+    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in layout(variant)]))
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
