@@ -4,22 +4,7 @@ from functools import partial
 
 from soil_env.parameters import scenario_names, soils
 from soil_env.vehicle import rover_names
-from tests.oracle_runs import (
-    LOOSE,
-    ROOT,
-    SETUP,
-    SLIPS,
-    SOFT,
-    SOIL,
-    discrepancy,
-    drive,
-    drive_many,
-    drive_rover,
-    identify,
-    predict,
-    soil_content,
-    world,
-)
+from tests.oracle_runs import ROOT, SOFT, SOIL, drive, drive_many, drive_rover, identify, predict, soil_content, world
 
 EFFECTS = {  # one or more parameters of every effect of the catalogue, as worlds and predictions take them
     "slip_sinkage": {"slip_sinkage": {"gain": 1.2, "recovery": 0.6}},
@@ -107,29 +92,3 @@ CASES["prediction/residual_law"] = lambda: predict({"law": world({}, LAW, **SOIL
 
 CASES["identification/rig"] = partial(identify, "examples/data/rig.csv", "examples/data/rig.setup.yaml")
 CASES["identification/single_wheel"] = partial(identify, "examples/data/single_wheel.csv", "examples/data/setup.yaml")
-CASES["identification/priors"] = partial(identify, effects={})
-CASES["identification/noise_unknown"] = partial(identify, effects=EFFECTS["slip_sinkage"], setup=LOOSE)
-
-for _name, _design in {
-    "none": {"effects": {}},
-    "slip_sinkage": {"effects": {"slip_sinkage": {"gain": 1.5}}},
-    "rear_contact": {"effects": {"rear_contact": {"ratio": 0.4}}},
-    "grousers": {"effects": {"grousers": {"shear_share": 1.0}}},
-    "bulldozing": {"effects": {"bulldozing": {"rankine": 1.5}}},
-    "multipass": {"effects": {"multipass": {"hardening": 0.4}}, "loads": (150,), "pass": (1, 2, 3)},
-    "penetration_rate": {"effects": {"penetration_rate": {"exponent": 0.15}}, "loads": (150,), "speed": (0.02, 0.1)},
-    "grade": {"effects": {"grade": {"share": 1.0}}, "loads": (150,), "grade_deg": (0, 8, 15)},
-    "two": {"effects": {"slip_sinkage": {"gain": 1.5}, "drivetrain_friction": {"constant": 1.5}}},
-    "ambiguous": {"effects": {}, "loads": (100, 200), "law": [
-        {"channel": "torque", "coefficient": 0.9, "powers": {"slip": 2, "sinkage": 1}},
-    ]},
-    "unlisted_pull": {"effects": {}, "law": [{"channel": "drawbar_pull", "coefficient": 0.25, "powers": {"slip": 2}}]},
-    "unlisted_two_channels": {"effects": {}, "law": [
-        {"channel": "sinkage", "coefficient": 0.1, "powers": {"slip": 0.5, "load": -0.5}},
-        {"channel": "torque", "coefficient": -0.3, "powers": {"grip": 2}},
-    ]},
-    "poor": {"effects": EFFECTS["slip_sinkage"], "channels": ("sinkage", "drawbar_pull"), "slips": SLIPS[::2],
-             "setup": SETUP},
-    "rig": {"csv": "examples/data/rig.csv", "setup": "examples/data/rig.setup.yaml"},
-}.items():  # fmt: skip
-    CASES[f"discrepancy/{_name}"] = partial(discrepancy, **_design)
