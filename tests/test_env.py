@@ -287,24 +287,6 @@ def test_yaml_file_as_scenario(tmp_path):
 # --- ends -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("changes", "expected"), [
-    ({}, (True, False, "FINISHED", 0.0)),
-    ({"control": {"time_limit": 1.0}}, (True, False, "TIME_LIMIT", -10.0)),
-    ({"max_episode_steps": 10}, (False, True, "RUNNING", 0.0)),
-])  # fmt: skip
-def test_only_a_wrapper_truncates(changes, expected):
-    """A late finish counts as a loss and costs; an episode cut off by a wrapper is neither."""
-    env = gymnasium.make("SoilWheel-v0", course={"length": 2.0, "grade_deg": [-2, 0]}, repeat=1, **changes)
-    env.reset(seed=0)
-    terminated = truncated = False
-    steps = 0
-    while not (terminated or truncated):
-        _, _, terminated, truncated, info = env.step(np.float32([0.4]))
-        steps += 1
-    assert (terminated, truncated, info["cause"], info["reward_terms"]["immobilisation"]) == expected
-    assert not info["immobilised"] and (info["cause"] == "FINISHED" or steps == 10)
-
-
 def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
     """One axle locked is dragged downhill by the others; all of them locked are stalled."""
     downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}

@@ -1,13 +1,9 @@
 """Controllers of a user, and observations of wheels that drive."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 
 from soil_env.driving.wheels import Simulation
 from soil_env.simulation.task import Cause
-from tests.agents.tasks import kill_once
 
 
 def observations(scenario, variant, n=6, seed=5):
@@ -52,16 +48,6 @@ class LateNaN(Half):
         if self.calls > 3:
             action[-1] = np.nan
         return action, state
-
-
-class Killer(Half):
-    """Kills its process, once, in step 40: SOIL_ENV_TEST_KILL names a file that says it has."""
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        mark = Path(os.environ["SOIL_ENV_TEST_KILL"])
-        if state == 40:
-            kill_once(mark)
-        return np.full((len(obs), 1), 0.5), (state or 0) + 1
 
 
 class NoPredict:
