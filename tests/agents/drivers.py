@@ -2,18 +2,15 @@
 
 import numpy as np
 
-from soil_env.driving.wheels import Simulation
 from soil_env.simulation.task import Cause
+from tests.simulation.wheels import started
 
 
 def observations(scenario, variant, n=6, seed=5):
     """Raw observations [n, D] of wheels four actions into their courses."""
-    sim = Simulation(n, scenario, variant, threads=1)
-    for k in range(n):
-        sim.seed(k, np.random.default_rng([seed, k]))
-        sim.restart(k)
-        for _ in range(4):
-            sim.step(k, 0.3)
+    sim = started(scenario, variant, [[seed, k] for k in range(n)])
+    for _ in range(4):
+        sim.step_all(np.full(n, 0.3), np.zeros(n, dtype=np.int8))
     assert (sim.worlds.cause == Cause.RUNNING.value).all()
     return sim.worlds.observation.copy()
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.identifier import observe_values
+from tests.simulation import wheels
 
 
 def observe(ids, wheel, reading, numbers):
@@ -23,11 +23,7 @@ def numbers_of(ids):
 
 def started(scenario, *seeds):
     """Simulation of identified wheels, one for each seed of `default_rng`, each at the start of its course."""
-    simulation = Simulation(len(seeds), scenario, "identified", threads=1)
-    for k, seed in enumerate(seeds):
-        simulation.seed(k, np.random.default_rng(seed))
-        simulation.restart(k)
-    return simulation
+    return wheels.started(scenario, "identified", seeds)
 
 
 def symmetric(triangle):
