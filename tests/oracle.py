@@ -21,16 +21,10 @@ FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
 SEARCHED = 1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
-#: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws
-#: are written once, and so ends within its tolerance elsewhere.
-ADDED = 1e-6
-ADDED_FORCES = ("effect/grousers_blades", "effect/bulldozing_rankine", "world/lugs_of_two_kinds", "world/two_effects")
 
 
 def tolerance(case: str, values: np.ndarray) -> float:
     """Largest difference from the recorded `values` of a quantity, over their scale."""
-    if case in ADDED_FORCES:
-        return ADDED
     if case.startswith("identification/"):
         return SEARCHED
     return SINGLE if values.dtype == np.float32 else TOLERANCE

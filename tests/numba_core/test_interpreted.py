@@ -8,20 +8,15 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import load_scenario
-from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.terramechanics.residual import ResidualTerm
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import load_rover
 from tests.conftest import ROOT
 from tests.simulation.test_cloning import memory
 from tests.simulation.wheels import started
+from tests.terramechanics.cases import RESIDUAL, TOGETHER, WHEEL
 
-EFFECTS = {
-    "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
-    "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3}, "shear_rate": {"slope": 0.08},
-    "shear_softening": {"sharpness": 4.0}, "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2},
-}  # fmt: skip
-LAW = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0.05, {"speed": 1}))
-MODELS = {"no effects": None, "effects": WheelSoilModel(ModelWheel(0.15, 0.15, 0.012), None, EFFECTS, LAW)}
+EFFECTS = TOGETHER | {"shear_rate": {"slope": 0.08}, "shear_softening": {"sharpness": 4.0}}
+MODELS = {"no effects": None, "effects": WheelSoilModel(WHEEL, None, EFFECTS, RESIDUAL)}
 
 
 def drive(scenario, commands, model=None):
