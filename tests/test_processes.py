@@ -12,7 +12,10 @@ from soil_env.vector_env import SoilWheelVectorEnv
 
 SHORT = {"course": {"length": 2.0}}
 ACTION = np.array([0.45], dtype=np.float32)
-METHODS = [m for m in multiprocessing.get_all_start_methods() if m != "forkserver"]  # which does what "spawn" does
+METHODS = [  # "forkserver" does what "spawn" does
+    m if m == "fork" else pytest.param(m, marks=pytest.mark.slow)
+    for m in multiprocessing.get_all_start_methods() if m != "forkserver"
+]  # fmt: skip
 
 
 def make_env():
