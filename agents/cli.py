@@ -1,13 +1,13 @@
 """Options that several commands share: config keys as --KEY VALUE, YAML files, engines, optional packages."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import click
 import yaml
 
-from soil_env._io.loading import FieldError, ParameterError, config_dir, merge, parse_yaml, read_yaml
+from soil_env._io.loading import FieldError, ParameterError, config_dir, merge, nearest, parse_yaml, read_yaml
 from soil_env.cli.running import WholeNumber
 
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
@@ -66,6 +66,13 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
     return out
 
 
+def unknown_option(key: str, known: Iterable[str]) -> ParameterError:
+    """The error for an option that does not exist, with the nearest of the known ones."""
+    names = {f"--{name.replace('_', '-')}" for name in known}
+    option = f"--{key.replace('_', '-')}"
+    return ParameterError(f"unknown option {option}{nearest(option, names)} (known: {', '.join(sorted(names))})")
+
+
 @contextmanager
 def as_options() -> Iterator[None]:
     """Inside the block a wrong field of a dataclass is an error of the option of that name."""
@@ -73,6 +80,17 @@ def as_options() -> Iterator[None]:
         yield
     except FieldError as error:
         raise ParameterError(f"--{error.name.replace('_', '-')}{error.problem}") from None
+
+
+@contextmanager
+def controllers_as(option: str) -> Iterator[None]:
+    """Inside the block an error of the controllers is one of this option."""
+    try:
+        yield
+    except ParameterError as error:
+        text = str(error)
+        own = text.removeprefix("controllers: ")
+        raise ParameterError(text if own == text else f"{option}: {own}") from None
 
 
 @contextmanager

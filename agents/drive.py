@@ -1,8 +1,6 @@
 """`soil-env drive`: one course under a controller or an agent, as numbers, a picture or a video."""
 
 import importlib.util
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +18,7 @@ from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.rendering.side_view import SCENE
 from soil_env.vehicle import load_rover
 
+from .cli import controllers_as
 from .controllers.rover import controllers_of
 from .evaluate.contestants import parse
 from .evaluate.loading import load
@@ -44,6 +43,7 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 @click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
 @click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")
 @click.option("--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy).")
+@controllers_as("--controller")
 def command(
     controller: str, scenario: str, rover: str | None, seed: int, frame: int | None, every: int, out: Path | None
 ) -> None:
@@ -67,9 +67,8 @@ def command(
     if rover is not None and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT:
         raise ParameterError(f"--scenario {scenario}: expected none beside --rover, whose file has its own")
     task = load_scenario(scenario) if rover is None else load_rover(rover)
-    with _as_option():
-        contestants = parse(controller, known=controllers_of(task)[0]).values()
-        drivers = {c.name: load(c, task) for c in contestants}
+    contestants = parse(controller, known=controllers_of(task)[0]).values()
+    drivers = {c.name: load(c, task) for c in contestants}
     make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
     if rover is not None:
         make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full")
@@ -78,8 +77,7 @@ def command(
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
         held = replace(task.control, **control).held
-        with _as_option():
-            frames, info, steps = _drive(env, name, driver, held, seed, frame, every if video else 0)
+        frames, info, steps = _drive(env, name, driver, held, seed, frame, every if video else 0)
         films[name] = frames or ([env.render()] if out else [])
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""
@@ -87,17 +85,6 @@ def command(
     if out is not None:
         _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
         print(f"written: {out}")
-
-
-@contextmanager
-def _as_option() -> Iterator[None]:
-    """Inside the block an error of the controllers is one of --controller."""
-    try:
-        yield
-    except ParameterError as error:
-        text = str(error)
-        own = text.removeprefix("controllers: ")
-        raise ParameterError(text if own == text else f"--controller: {own}") from None
 
 
 def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:

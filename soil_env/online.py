@@ -9,6 +9,7 @@
 
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from numbers import Real
@@ -38,6 +39,8 @@ from soil_env.terramechanics.steady import steady_state
 __all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "largest_readings", "slips"]
 
 _NAN = math.nan
+#: [s] between two sets of readings, for which the filter is made; a warning outside.
+SHORTEST_STEP, LONGEST_STEP = 1e-3, 10.0
 _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
 
 
@@ -214,7 +217,8 @@ class OnlineIdentifier:
 
         Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that is not later than the
         last, and for a reading that is infinite or larger than `largest_readings`. An error changes nothing. Readings
-        that lead to no soil at all start the identifier anew.
+        that lead to no soil at all start the identifier anew. Warns of a time less than `SHORTEST_STEP` or more than
+        `LONGEST_STEP` after the last.
         """
         if not isinstance(readings, Readings):
             raise TypeError(f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)")
@@ -266,6 +270,12 @@ class OnlineIdentifier:
             raise ValueError(f"time = {time!r} s: expected a finite number, or NaN for one period after the last")
         passed = time - self._time
         if 0.0 < passed < math.inf:
+            if not SHORTEST_STEP <= passed <= LONGEST_STEP:
+                warnings.warn(
+                    f"time = {time!r} s: {passed:.3g} s after the last readings: expected {SHORTEST_STEP:g} to "
+                    f"{LONGEST_STEP:g} s; average faster readings, call reset() after a longer gap",
+                    stacklevel=3,
+                )
             return passed
         if passed != passed:
             return self._numbers.filter.period

@@ -20,31 +20,20 @@ from tests import oracle_cases
 FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
-#: The same for results of optimisers, which stop near the optimum, elsewhere on another processor or BLAS. They are
-#: compared to what they mean: texts such as a verdict exactly, a probability to 0.01, a parameter to a small share of
-#: its interval.
-SEARCHED = {"identification": 1e-4, "discrepancy": 1e-2}
-#: Worlds with added forces: Newton's method has their derivatives in closed form, not by differences, since the laws
-#: are written once, and so ends within its tolerance elsewhere.
-ADDED = 1e-6
-ADDED_FORCES = ("effect/grousers_blades", "effect/bulldozing_rankine", "world/lugs_of_two_kinds", "world/two_effects")
-#: Quantities whose scale is at least 1: log-likelihoods, what is exp() of them, whitened residuals.
-UNIT = ("probability", "p_value", "share", "chance", "score", "residual")
+SEARCHED = 1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
 
 
-def tolerance(case: str, name: str, values: np.ndarray) -> float:
+def tolerance(case: str, values: np.ndarray) -> float:
     """Largest difference from the recorded `values` of a quantity, over their scale."""
-    if case in ADDED_FORCES:
-        return ADDED
-    return SEARCHED.get(case.split("/")[0], SINGLE if values.dtype == np.float32 else TOLERANCE)
+    if case.startswith("identification/"):
+        return SEARCHED
+    return SINGLE if values.dtype == np.float32 else TOLERANCE
 
 
-def differences(name: str, want: np.ndarray, got: np.ndarray) -> np.ndarray:
+def differences(want: np.ndarray, got: np.ndarray) -> np.ndarray:
     """|got - want| over the scale of the quantity: the largest |want| along the first axis; inf where one is nan."""
     want, got = np.asarray(want, float), np.asarray(got, float)
     scale = np.max(np.abs(np.where(np.isfinite(want), want, 0.0)), axis=0)
-    if name.split(".")[-1] in UNIT:
-        scale = np.maximum(scale, 1.0)
     with np.errstate(invalid="ignore"):
         off = np.abs(got - want) / np.where(scale > 0.0, scale, 1.0)
     off = np.where(got == want, 0.0, np.where(np.isnan(got) & np.isnan(want), 0.0, off))
@@ -66,7 +55,7 @@ def first_difference(case: str, want: dict, got: dict) -> str | None:
             text = f"{new.dtype}{list(new.shape)} instead of {old.dtype}{list(old.shape)}"
             found.append((-1, 0.0, f"{case}: {name}: {text}"))
         else:
-            off, limit = differences(name, old, new), tolerance(case, name, old)
+            off, limit = differences(old, new), tolerance(case, old)
             wrong = np.argwhere(off > limit)
             if len(wrong):
                 rows = wrong[wrong[:, 0] == wrong[0, 0]]  # of the first time, the worst

@@ -4,65 +4,21 @@ from functools import partial
 
 from soil_env.parameters import scenario_names, soils
 from soil_env.vehicle import rover_names
-from tests.oracle_runs import (
-    LOOSE,
-    ROOT,
-    SETUP,
-    SLIPS,
-    SOFT,
-    SOIL,
-    discrepancy,
-    drive,
-    drive_many,
-    drive_rover,
-    identify,
-    predict,
-    soil_content,
-    world,
-)
+from tests.oracle_runs import ROOT, SOFT, SOIL, drive, drive_many, drive_rover, identify, predict, soil_content, world
+from tests.terramechanics.cases import ACTING, CASES as EFFECTS
 
-EFFECTS = {  # one or more parameters of every effect of the catalogue, as worlds and predictions take them
-    "slip_sinkage": {"slip_sinkage": {"gain": 1.2, "recovery": 0.6}},
-    "slip_sinkage_exponent": {"slip_sinkage": {"exponent_slope": 0.2}},
-    "slip_sinkage_excavation": {"slip_sinkage": {"length": 0.004}},
-    "slip_sinkage_apparent": {"slip_sinkage": {"gain": 0.8, "recovery": 0.5, "apparent": 1.0}},
-    "rear_contact": {"rear_contact": {"ratio": 0.35}},
-    "rear_contact_peak_kept": {"rear_contact": {"ratio": 0.3, "peak_follows": 0.0}},
-    "stress_peak_shift": {"stress_peak_shift": {"offset": -0.06, "slope": 0.2}},
-    "grousers_shear": {"grousers": {"shear_share": 0.7, "slip_at_rim": 1.0}},
-    "grousers_radius": {"grousers": {"radius_share": 0.6}},
-    "grousers_blades": {"grousers": {"blades": 3.0}},
-    "bulldozing_rankine": {"bulldozing": {"rankine": 0.8}},
-    "bulldozing_hegedus": {"bulldozing": {"hegedus": 0.7}},
-    "multipass_power": {"multipass": {"hardening": 0.3, "stiffening": 0.1, "strength": 0.03}},
-    "multipass_saturating": {"multipass": {"gain": 0.6, "passes": 1.4, "cohesion": 0.1}},
-    "multipass_slip": {"multipass": {"slip_gain": 0.4, "slip_scale": 0.25, "per_pass": 0.1}},
-    "penetration_rate": {"penetration_rate": {"exponent": 0.1}},
-    "penetration_rate_log": {"penetration_rate": {"slope": 0.08}},
-    "shear_rate": {"shear_rate": {"exponent": 0.05}},
-    "shear_rate_log": {"shear_rate": {"slope": 0.04}},
-    "shear_rate_cohesion": {"shear_rate": {"cohesion": 0.2}},
-    "shear_softening_hump": {"shear_softening": {"sharpness": 4.0}},
-    "shear_softening_slope_kept": {"shear_softening": {"sharpness": 5.0, "slope_kept": 1.0}},
-    "shear_softening_decaying": {"shear_softening": {"drop": 0.3, "onset": 0.01, "length": 0.03}},
-    "grade": {"grade": {"share": 1.0, "weakening": 0.5}},
-    "drivetrain_friction": {"drivetrain_friction": {"constant": 0.6, "share": 0.05, "viscous": 0.1}},
-    "slip_bias": {"slip_bias": {"offset": 0.02, "radius_error": 0.01}},
-    "sinkage_offset": {"sinkage_offset": {"offset": 0.003}},
-}
 PAIRS = {
-    "grousers_and_multipass": EFFECTS["grousers_shear"] | EFFECTS["multipass_power"],
-    "slip_sinkage_and_shear_softening": EFFECTS["slip_sinkage"] | EFFECTS["shear_softening_decaying"],
-    "rear_contact_and_shear_rate": EFFECTS["rear_contact"] | EFFECTS["shear_rate"],
+    "grousers_and_multipass": EFFECTS["grousers-shear_radius"] | EFFECTS["multipass-power"],
+    "slip_sinkage_and_shear_softening": EFFECTS["slip_sinkage-ratio"] | EFFECTS["shear_softening-decaying"],
+    "rear_contact_and_shear_rate": EFFECTS["rear_contact-midway"] | EFFECTS["shear_rate-power"],
 }
 LAW = [
     {"channel": "drawbar_pull", "coefficient": -0.05, "powers": {"slip": 1.5, "sinkage": 0.5}},
     {"channel": "torque", "coefficient": 0.08, "powers": {"slip": 1, "grade": 1}, "ranges": {"grade": [-0.2, 0.2]}},
 ]
-SAME = ("slip_sinkage_apparent", "slip_bias", "sinkage_offset")  # worlds cannot tell these from none
 
 CASES = {}
-_WORLDS = {name: e for name, e in (EFFECTS | PAIRS).items() if name not in SAME}
+_WORLDS = {name: EFFECTS[name] for name in ACTING} | PAIRS
 _SHORT = {"course": {"length": 2.5}, "reward": {"information": 1.0}, "observation": "true_soil"}
 _MOON = {"gravity": 1.62, "course": {"halt_time": 0.0}, "observation": "blind", "action": "wheel_speed"}
 
@@ -78,11 +34,13 @@ for _i, (_name, _effects) in enumerate(_WORLDS.items()):
     CASES[f"effect/{_name}"] = partial(drive, 0.4, model=world(_effects), **_more)
 for _name in sorted(p.stem for p in (ROOT / "configs" / "worlds").glob("*.yaml")):
     CASES[f"world/{_name}"] = partial(drive, 0.4, model=ROOT / "configs" / "worlds" / f"{_name}.yaml")
-CASES["world/sensors_only"] = partial(drive, 0.4, model=world({k: v for n in SAME for k, v in EFFECTS[n].items()}))
+CASES["world/sensors_only"] = partial(
+    drive, 0.4, model=world(EFFECTS["slip_bias-offset"] | EFFECTS["sinkage_offset-offset"])
+)
 CASES["world/residual_law"] = partial(drive, 0.4, model=world({}, LAW))
 CASES["world/residual_law_and_effect_on_one_soil"] = partial(
-    drive, 0.45, model=world(EFFECTS["rear_contact"], LAW, **SOFT), action="wheel_speed", observation="true_soil",
-    course={"margin": [0.02, 0.04]},
+    drive, 0.45, model=world(EFFECTS["rear_contact-midway"], LAW, **SOFT), action="wheel_speed",
+    observation="true_soil", course={"margin": [0.02, 0.04]},
 )  # fmt: skip
 _LUGS = world(PAIRS["grousers_and_multipass"])
 CASES["vector/next_step"] = partial(drive_many, 11, max_episode_steps=70)
@@ -107,29 +65,3 @@ CASES["prediction/residual_law"] = lambda: predict({"law": world({}, LAW, **SOIL
 
 CASES["identification/rig"] = partial(identify, "examples/data/rig.csv", "examples/data/rig.setup.yaml")
 CASES["identification/single_wheel"] = partial(identify, "examples/data/single_wheel.csv", "examples/data/setup.yaml")
-CASES["identification/priors"] = partial(identify, effects={})
-CASES["identification/noise_unknown"] = partial(identify, effects=EFFECTS["slip_sinkage"], setup=LOOSE)
-
-for _name, _design in {
-    "none": {"effects": {}},
-    "slip_sinkage": {"effects": {"slip_sinkage": {"gain": 1.5}}},
-    "rear_contact": {"effects": {"rear_contact": {"ratio": 0.4}}},
-    "grousers": {"effects": {"grousers": {"shear_share": 1.0}}},
-    "bulldozing": {"effects": {"bulldozing": {"rankine": 1.5}}},
-    "multipass": {"effects": {"multipass": {"hardening": 0.4}}, "loads": (150,), "pass": (1, 2, 3)},
-    "penetration_rate": {"effects": {"penetration_rate": {"exponent": 0.15}}, "loads": (150,), "speed": (0.02, 0.1)},
-    "grade": {"effects": {"grade": {"share": 1.0}}, "loads": (150,), "grade_deg": (0, 8, 15)},
-    "two": {"effects": {"slip_sinkage": {"gain": 1.5}, "drivetrain_friction": {"constant": 1.5}}},
-    "ambiguous": {"effects": {}, "loads": (100, 200), "law": [
-        {"channel": "torque", "coefficient": 0.9, "powers": {"slip": 2, "sinkage": 1}},
-    ]},
-    "unlisted_pull": {"effects": {}, "law": [{"channel": "drawbar_pull", "coefficient": 0.25, "powers": {"slip": 2}}]},
-    "unlisted_two_channels": {"effects": {}, "law": [
-        {"channel": "sinkage", "coefficient": 0.1, "powers": {"slip": 0.5, "load": -0.5}},
-        {"channel": "torque", "coefficient": -0.3, "powers": {"grip": 2}},
-    ]},
-    "poor": {"effects": EFFECTS["slip_sinkage"], "channels": ("sinkage", "drawbar_pull"), "slips": SLIPS[::2],
-             "setup": SETUP},
-    "rig": {"csv": "examples/data/rig.csv", "setup": "examples/data/rig.setup.yaml"},
-}.items():  # fmt: skip
-    CASES[f"discrepancy/{_name}"] = partial(discrepancy, **_design)

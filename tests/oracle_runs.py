@@ -1,8 +1,6 @@
 """Runs of the cases of the oracle (tests/oracle_cases.py), through the public interface: {quantity: array or text}."""
 
-import itertools
 import math
-import tempfile
 from pathlib import Path
 
 import gymnasium
@@ -115,85 +113,19 @@ SOIL = {"friction_angle_deg": 31, "cohesion": 3500, "shear_modulus": 0.028, "sin
         "sinkage_exponent": 0.64, "dig_gain": 0, "density": 1600}  # fmt: skip
 SOFT = {"friction_angle_deg": 36, "cohesion": 200, "shear_modulus": 0.012, "sinkage_coefficient": 1300000,
         "sinkage_exponent": 1.05, "dig_gain": 1.5}  # fmt: skip
-SETUP = """wheel: {radius: 0.15, width: 0.12, grouser_height: 0.01}
-soil:
-  friction_angle_deg: {value: 30, sd: 1.5}
-  cohesion: {value: 3700, sd: 700}
-  shear_modulus: {value: 0.03, sd: 0.006}
-  sinkage_coefficient: {value: 770000, sd: 88000}
-  sinkage_exponent: {value: 0.63, sd: 0.025}
-  density: 1600
-"""
-NOISE = {"sinkage": 0.0006, "drawbar_pull": 0.8, "torque": 0.1}
-LOOSE = "wheel: {radius: 0.15, width: 0.12}\nsoil: {cohesion: 3500}\n"  # a setup that leaves all to be found
-SLIPS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55)
 
 
-def table(
-    folder: str, effects: dict, law=(), loads=(100, 150, 220), slips=SLIPS, channels=tuple(NOISE), setup=None, **at
-):
-    """(csv, setup) of a world with seeded noise at all combinations of the conditions."""
-    names = ("load", *at, "slip")
-    at = np.array(list(itertools.product(loads, *at.values(), slips)), dtype=float)
-    values = np.stack(world(effects, law, **SOIL).predict(dict(zip(names, at.T, strict=True)))[:3], axis=1)
-    values += np.random.default_rng(1).normal(size=values.shape) * list(NOISE.values())
-    lines = [",".join((*names, *channels))]
-    for conditions, row in zip(at, values, strict=True):
-        read = [float(f"{v:.6g}") for v in row[[list(NOISE).index(c) for c in channels]]]
-        lines.append(",".join(repr(float(v)) for v in (*conditions, *read)))
-    csv, yaml = Path(folder, "data.csv"), Path(folder, "setup.yaml")
-    csv.write_text("\n".join(lines) + "\n")
-    yaml.write_text(setup or SETUP + f"noise: {NOISE}\n".replace("'", ""))
-    return csv, yaml
-
-
-def identify(csv=None, setup=None, **design) -> dict:
+def identify(csv: str, setup: str) -> dict:
     """The soil of a table: values with intervals, covariance, fits."""
     from soil_env.identification.table import identify_table
     from soil_env.measurement import read_setup, read_table
 
-    with tempfile.TemporaryDirectory() as folder:
-        csv, setup = (ROOT / csv, ROOT / setup) if csv else table(folder, setup=setup, **design)
-        read = read_setup(setup)
-        found = identify_table(read_table(csv, read.wheel), read)
+    read = read_setup(ROOT / setup)
+    found = identify_table(read_table(ROOT / csv, read.wheel), read)
     out = {name: np.array([p.value, p.low, p.high, p.sd_over_prior]) for name, p in found.parameters.items()}
     out |= {f"fitted.{name}": np.array([*f.fitted, f.noise]) for name, f in found.fits.items()}
     out |= {"covariance": found.covariance, "condition": np.array([found.condition])}
     return out | {"free": ", ".join(found.free), "converged": str(found.converged)}
-
-
-WORDS = ("summary", "words", "settings", "versions", "check_first", "cautions", "symbols", "terms", "row", "rows")
-KEPT = ("name", "form", "alternatives", "channel", "region", "verdict", "origin")  # texts that have to be the same
-
-
-def flat(x, path: str = "") -> dict:
-    """{path: array of one number, or text} of nested report content; lists of what has a name go by that name."""
-    if isinstance(x, dict):
-        parts = [flat(v, f"{path}.{k}".lstrip(".")) for k, v in x.items() if k not in WORDS]
-        return {k: v for part in parts for k, v in part.items()}
-    if isinstance(x, list):
-        named = [(str(v.get("name", i)) if isinstance(v, dict) else str(i), v) for i, v in enumerate(x)]
-        if all(isinstance(v, dict) and "name" in v for v in x):
-            named.sort(key=lambda pair: pair[0])
-        out = {f"{path}.count": np.array([float(len(x))])}
-        for name, v in named:
-            out |= flat(v, f"{path}.{name}")
-        return out
-    if isinstance(x, str):
-        return {path: x} if any(part in KEPT for part in path.split(".")[-2:]) else {}
-    return {path: np.array([math.nan if x is None else float(x)])}
-
-
-def discrepancy(csv=None, setup=None, **design) -> dict:
-    """The numbers of the report of a table, its verdict and the names in it."""
-    from soil_env.discrepancy import run
-    from soil_env.discrepancy.report import content
-
-    with tempfile.TemporaryDirectory() as folder:
-        files = (ROOT / csv, ROOT / setup) if csv else table(folder, setup=setup, **design)
-        out = flat(content(run(*files, seed=2)))
-    # in the large table of a file a rival that loses ends in one optimum or another as sums are rounded
-    return {name: value for name, value in out.items() if not (csv and name.endswith(".score"))}
 
 
 def soil_content(soil: Soil) -> dict:

@@ -175,6 +175,9 @@ def test_time_stamps_count_as_time():
         identifier = OnlineIdentifier(WHEEL)
         renewed.append(sum(identifier.update(STEADY._replace(time=dt * k)).renewed for k in range(1, 11)))
     assert renewed[0] > renewed[1]
+    for dt in (1e-6, 100.0):
+        with pytest.warns(UserWarning, match=f"time = .* {dt:g} s after .*: expected 0.001 to 10 s"):
+            identifier.update(STEADY._replace(time=identifier._time + dt))
 
 
 def test_reset_and_copy():

@@ -11,10 +11,7 @@ def test_every_case_is_recorded():
     assert list(WANT) == list(oracle_cases.CASES)
 
 
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(c, marks=pytest.mark.slow) if c.startswith("discrepancy") else c for c in oracle_cases.CASES],
-)
+@pytest.mark.parametrize("case", oracle_cases.CASES)
 def test_the_numbers_are_the_recorded_ones(case):
     got = oracle_cases.CASES[case]()
     wrong = oracle.first_difference(case, WANT[case], got)

@@ -1,9 +1,6 @@
 """Processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
 
 import multiprocessing
-import os
-import subprocess
-import sys
 import threading
 
 import numpy as np
@@ -11,13 +8,13 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv
 
 from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
-from tests.conftest import ROOT
 
 SHORT = {"course": {"length": 2.0}}
 ACTION = np.array([0.45], dtype=np.float32)
-METHODS = [
-    m if m == "fork" else pytest.param(m, marks=pytest.mark.slow) for m in multiprocessing.get_all_start_methods()
-]
+METHODS = [  # "forkserver" does what "spawn" does
+    m if m == "fork" else pytest.param(m, marks=pytest.mark.slow)
+    for m in multiprocessing.get_all_start_methods() if m != "forkserver"
+]  # fmt: skip
 
 
 def make_env():
@@ -71,25 +68,3 @@ def test_two_vector_envs_in_two_threads_at_once():
     for k in range(3):
         drive("alone", k)
         np.testing.assert_array_equal(results["alone"], results[k])
-
-
-CODE = """
-import numpy as np
-env = SoilWheelVectorEnv(40, course={"length": 2.0})
-env.reset(seed=3)
-for _ in range(5):
-    out = env.step(np.full((40, 1), 0.45))
-print(out[0].tobytes().hex()[:64])
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="sets the processors of a child")
-def test_one_processor_and_no_home(tmp_path, capsys):
-    """In a process that has one processor, no home and no cache it could write."""
-    env = {**os.environ, "HOME": "/proc/nowhere", "NUMBA_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-c", CODE], cwd=tmp_path, env=env, capture_output=True, text=True,
-        preexec_fn=lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}),
-    )  # fmt: skip
-    exec(CODE, {})
-    assert done.stdout == capsys.readouterr().out and done.stderr == ""

@@ -8,13 +8,22 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from soil_env._io.loading import ParameterError, unknown_key
+from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from .. import cells
-from ..cli import WITH_KEYS, as_options, continued_by, engine_options, keys_argument, overrides
+from ..cli import (
+    WITH_KEYS,
+    as_options,
+    continued_by,
+    controllers_as,
+    engine_options,
+    keys_argument,
+    overrides,
+    unknown_option,
+)  # fmt: skip
 from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
@@ -39,6 +48,7 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.option("--resamples", type=WholeNumber(), default=2000, metavar="N", help="Bootstrap redraws (default 2000).")
 @engine_options
 @keys_argument
+@controllers_as("--controllers")
 def command(
     resume: Path | None, engine: str, workers: int | None, address: str | None, keys: tuple, **given: Any
 ) -> None:
@@ -88,8 +98,8 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
     extra = overrides(keys)
     for key, value in extra.items():
         if key not in ("changes", "settings"):
-            known = [str(p.name).replace("_", "-") for p in command.params if p.name != "keys"]
-            raise unknown_key(key.replace("_", "-"), [*known, "changes", "settings"], "command line")
+            known = [str(p.name) for p in command.params if p.name != "keys"]
+            raise unknown_option(key, [*known, "changes", "settings"])
         entries = {key: value} | ({f"settings.{name}": v for name, v in value.items()} if key == "settings" else {})
         for name, entry in entries.items():
             if not isinstance(entry, dict):

@@ -18,6 +18,7 @@ from ..cli import (
     keys_argument,
     needing_training,
     overrides,
+    unknown_option,
 )  # fmt: skip
 from ..progress import show
 from . import config, results, work
@@ -46,13 +47,17 @@ def command(
     trial; a larger --seeds adds to the finished cells. OUT gets study.json, study.md and study.png. Keys of the file:
     docs/guide/study.md.
     """
-    chosen = cells.choose(engine, workers, address)
+    chosen, changes = cells.choose(engine, workers, address), overrides(keys, "--config")
+    known = [str(p.name) for p in command.params if p.name not in ("file", "keys")]
+    for key in changes:
+        if key not in config.KEYS:
+            raise unknown_option(key, ["config", *known, *config.KEYS])
     if file is None:
         if keys:
             raise ParameterError(f"{keys[0]}: only with --config")
         asked = cells.load_study(config.Study, out)
     else:
-        asked = config.read_config(config_file(file), overrides(keys, "--config"))
+        asked = config.read_config(config_file(file), changes)
     if seeds is not None:
         with as_options():
             asked = dataclasses.replace(asked, seeds=seeds)

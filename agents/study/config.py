@@ -134,6 +134,11 @@ class Study(Checked):
         return load(TrainConfig, {**self.arms[cell.arm].train, **task, **own}, f"arms.{cell.arm}.train")
 
 
+#: Keys of the file.
+KEYS = ("scenarios", "controllers", "train", "changes",
+        *(f.name for f in dataclasses.fields(Study) if f.name not in ("targets", "version")))  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Cell:
     """One arm with one training seed, made on the scenario `source`."""
@@ -157,11 +162,9 @@ def _seed_of(cell: Cell) -> int:
 def read_config(path: Path, changes: dict | None = None) -> Study:
     """The study of a YAML file with `changes` merged over it."""
     content = merge(config_mapping(path), changes or {})
-    own = {f.name for f in dataclasses.fields(Study)} - {"targets", "version"}
-    known = {"scenarios", "controllers", "train", "changes", *own}
     for key in content:
-        if key not in known:
-            raise unknown_key(key, known, str(path))
+        if key not in KEYS:
+            raise unknown_key(key, KEYS, str(path))
     for key in ("scenarios", "arms", "worlds", "train", "changes"):
         if not isinstance(content.get(key) or {}, dict):
             raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")

@@ -171,7 +171,7 @@ def _tell(line: str) -> None:
 
 def _announcement() -> str:
     wanted = os.environ.get("NUMBA_CACHE_DIR")
-    line = "compiling, at the first use only: about half a minute for each kind of environment"
+    line = "compiling, at the first use only: some 20 s for each kind of environment, minutes on a loaded machine"
     if _FOLDER is None or (wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents):
         line += f" (NUMBA_CACHE_DIR={wanted} cannot be written; {place()})"
     return line

@@ -14,7 +14,7 @@ from soil_env.discrepancy import doubts, judgement, symbolic
 from soil_env.discrepancy.calibrate import EXACT, GRAVITY, PRIOR_WIDTH, Fit, Problem, calibrate
 from soil_env.discrepancy.data import prepare
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice
+from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact
 from soil_env.discrepancy.judgement import Interval, held_out_predictions
 from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
@@ -54,6 +54,7 @@ def run(
         check_folder(Path(out))
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
+    exact(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
     settings = Settings(
         rows.source,

@@ -125,7 +125,7 @@ class NoiseLevels(Checked):
 
 @dataclass(frozen=True)
 class Rig(Checked):
-    """Conditions that a rig can make, for the next runs; an empty list is not known. `cost` by `COSTS`.
+    """Conditions that a rig can make, for the next runs; a list that is left out is not known. `cost` by `COSTS`.
 
     A run costs `run` and what it changes from the run before. `pass` is the cost of each earlier pass on its soil.
     """
@@ -227,7 +227,11 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
         mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
     if "tilt_deg" in mapping:
         mapping["tilt_deg"] = _prior(mapping["tilt_deg"], f"{where}: tilt_deg")
-    if "wheel" not in mapping:
+    if isinstance(rig := mapping.get("rig"), dict):
+        for key, value in rig.items():
+            if isinstance(value, list) and not value:
+                raise ParameterError(f"{where}: rig.{key} = []: expected at least one value, or leave it out")
+    if "wheel" not in mapping and mapping.keys() <= {f.name for f in dataclasses.fields(Setup)}:
         raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
     setup: Setup = load(Setup, mapping, where)
     object.__setattr__(setup, "source", where)

@@ -1,23 +1,16 @@
 """Controllers of a user, and observations of wheels that drive."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 
-from soil_env.driving.wheels import Simulation
 from soil_env.simulation.task import Cause
-from tests.agents.tasks import kill_once
+from tests.simulation.wheels import started
 
 
 def observations(scenario, variant, n=6, seed=5):
     """Raw observations [n, D] of wheels four actions into their courses."""
-    sim = Simulation(n, scenario, variant, threads=1)
-    for k in range(n):
-        sim.seed(k, np.random.default_rng([seed, k]))
-        sim.restart(k)
-        for _ in range(4):
-            sim.step(k, 0.3)
+    sim = started(scenario, variant, [[seed, k] for k in range(n)])
+    for _ in range(4):
+        sim.step_all(np.full(n, 0.3), np.zeros(n, dtype=np.int8))
     assert (sim.worlds.cause == Cause.RUNNING.value).all()
     return sim.worlds.observation.copy()
 
@@ -52,16 +45,6 @@ class LateNaN(Half):
         if self.calls > 3:
             action[-1] = np.nan
         return action, state
-
-
-class Killer(Half):
-    """Kills its process, once, in step 40: SOIL_ENV_TEST_KILL names a file that says it has."""
-
-    def predict(self, obs, state=None, episode_start=None, deterministic=True):
-        mark = Path(os.environ["SOIL_ENV_TEST_KILL"])
-        if state == 40:
-            kill_once(mark)
-        return np.full((len(obs), 1), 0.5), (state or 0) + 1
 
 
 class NoPredict:

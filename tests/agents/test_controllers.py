@@ -23,12 +23,12 @@ from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 from tests.agents.drivers import observations
 from tests.simulation.test_cloning import memory
+from tests.simulation.wheels import EVEN, started
 
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
 QUIET = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch"), 0.0)
-EVEN = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
 SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
 BLIND = [entry.name for entry in layout("blind")]
@@ -49,9 +49,7 @@ def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12
 
 def drive(controller, scenario, steps, seed=0):
     """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the last state."""
-    sim = Simulation(1, scenario, controller.variant, threads=1)
-    sim.seed(0, np.random.default_rng(seed))
-    sim.restart(0)
+    sim = started(scenario, controller.variant, [seed])
     rows, state, fresh = [], None, np.array([True])
     for _ in range(steps):
         action, state = controller.predict(sim.worlds.observation, state, fresh)

@@ -178,6 +178,7 @@ def test_a_study_killed_at_its_files_gives_what_a_calm_one_gives(tmp_path, monke
 def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
     assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied)
     assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100")
+    assert "option --sedes; did you mean '--seeds'?" in refused(capsys, "--out", copied, "--sedes", "3")
     assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
     assert "holds no study" in refused(capsys, "--config", config(tmp_path), "--out", copied / "cells")
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")

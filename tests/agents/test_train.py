@@ -2,10 +2,6 @@
 
 import json
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -22,7 +18,6 @@ from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = {
     "config.yaml", "scenario.yaml", "model.zip", "tensorboard",
     "comparison.json", "comparison.csv", "comparison.png",
@@ -149,52 +144,38 @@ def test_an_existing_run_is_not_overwritten(capsys, tmp_path):
     assert [p.name for p in (tmp_path / "n").iterdir()] == ["precious"]
 
 
-@pytest.mark.usefixtures("unrendered")
-def test_interrupt_saves_a_checkpoint_and_resume_completes(capsys, tmp_path, monkeypatch):
-    """Ctrl-C in the middle of the third of four rollouts."""
-    step, calls = SoilWheelVecEnv.step_wait, []
+class Killed(BaseException):
+    """Ends a training at once, as kill -9 does."""
 
-    def interrupted(self):
+
+@pytest.mark.usefixtures("unrendered")
+@pytest.mark.parametrize("end", [KeyboardInterrupt, Killed])
+def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
+    """In the third of four rollouts: Ctrl-C writes a checkpoint there, after a kill the last one counts."""
+    step, calls, folder = SoilWheelVecEnv.step_wait, [], tmp_path / "n"
+    asked = [*TINY[1:], "--timesteps=512", f"--checkpoint_every={ROLLOUT}", "--runs", tmp_path, "--name", "n"]
+
+    def stopped(self):
         calls.append(1)
         if len(calls) == 40:
-            raise KeyboardInterrupt
+            raise end
         return step(self)
 
-    folder = tmp_path / "n"
     with monkeypatch.context() as patch:
-        patch.setattr(SoilWheelVecEnv, "step_wait", interrupted)
-        code, _, err = run(capsys, *TINY[1:], "--timesteps=512", "--runs", tmp_path, "--name", "n")
-    assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
+        patch.setattr(SoilWheelVecEnv, "step_wait", stopped)
+        if end is Killed:
+            with pytest.raises(Killed):
+                run(capsys, *asked)
+        else:
+            code, _, err = run(capsys, *asked)
+            assert code == 130 and f"--resume {folder}" in err and "Traceback" not in err
     reached = read_info(folder / "checkpoint.zip").timesteps
-    assert 2 * ROLLOUT < reached < 3 * ROLLOUT
+    assert not (folder / "model.zip").exists()
+    assert reached == 2 * ROLLOUT if end is Killed else 2 * ROLLOUT < reached < 3 * ROLLOUT
     code, out, err = run(capsys, "--resume", folder)
     assert code == 0, err
     assert f"Resuming at {reached} of 512 steps" in out and load_agent(folder).timesteps >= 512
     assert {p.name for p in folder.iterdir()} == FILES  # no checkpoint left
-
-
-@pytest.mark.usefixtures("unrendered")
-def test_kill_after_a_checkpoint(capsys, tmp_path):
-    """kill -9 in a run that writes checkpoints all the time: it can always be resumed."""
-    folder = tmp_path / "n"
-    long = [*TINY[1:], "--timesteps=100000000", f"--checkpoint_every={ROLLOUT}"]
-    command = [sys.executable, "train.py", *long, "--runs", str(tmp_path), "--name", "n"]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    while not (folder / "checkpoint.zip").exists() and process.poll() is None:
-        time.sleep(0.01)
-    time.sleep(0.3)
-    process.kill()
-    _, err = process.communicate()
-    assert process.returncode == -signal.SIGKILL and not (folder / "model.zip").exists(), err
-    reached = read_info(folder / "checkpoint.zip").timesteps
-    mapping = yaml.safe_load((folder / "config.yaml").read_text()) | {"timesteps": reached + 2 * ROLLOUT}
-    (folder / "config.yaml").write_text(yaml.safe_dump(mapping))  # let it end soon after its checkpoint
-    assert reached % ROLLOUT == 0 and reached > 0
-    code, out, err = run(capsys, "--resume", folder)
-    assert code == 0, err
-    assert f"Resuming at {reached:,}" in out
-    assert load_agent(folder).timesteps == reached + 2 * ROLLOUT
-    assert not list(folder.glob("checkpoint*"))
     first, *rest = steps_logged(folder)
     assert [p.name for p in (folder / "tensorboard").iterdir()] == ["PPO_0"]
     assert len(rest) == 1 and rest[0] and all(step > reached for step in rest[0])

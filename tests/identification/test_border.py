@@ -16,6 +16,7 @@ from soil_env.identification.online.filter_bank import filter_numbers, new_banks
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.ground import share_of_next
 from tests.identification.observing import started
+from tests.simulation.wheels import EVEN
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
@@ -125,9 +126,8 @@ def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
 
 
 WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
-NO_SPREAD = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
 ONE_SOIL = {
-    "soils": {"dry_sand": 1}, "spread": NO_SPREAD, "course": {"margin": [0.0, 0.15]},
+    "soils": {"dry_sand": 1}, "spread": EVEN, "course": {"margin": [0.0, 0.15]},
     "belief": {"soils": load_scenario("mixed").belief.soils, "spread": {}},
 }  # fmt: skip
 

@@ -12,6 +12,7 @@ from soil_env.identification.online import curve, identifier
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
 from soil_env.parameters import Belief, load_scenario
 from tests.identification.observing import numbers_of, observe, started
+from tests.simulation.wheels import EVEN
 
 SCENARIO = load_scenario("mixed")
 PLAIN = replace(SCENARIO, belief=Belief())
@@ -125,8 +126,7 @@ def test_readings_that_contradict_each_other_give_no_current_estimate():
 def test_steady_readings_of_one_soil_contradict_nothing():
     """100 s at slips that vary on ground of one soil: neither a misfit nor a border."""
     course = {"length": 60.0, "patch_length": [60.0, 60.0], "halt_interval": [1e5, 1e6], "margin": [0.1, 0.1]}
-    still = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
-    changes = {"course": course, "soils": {"dry_sand": 1}, "spread": still, "control": {"action": "wheel_speed"}}
+    changes = {"course": course, "soils": {"dry_sand": 1}, "spread": EVEN, "control": {"action": "wheel_speed"}}
     sim, misfits = started(load_scenario("mixed", changes), *([9, k] for k in range(8))), []
     for step in range(300):
         sim.step_all(np.full(8, 0.4 + 0.2 * math.sin(0.07 * step)), np.zeros(8, np.int8))

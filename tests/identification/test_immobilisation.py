@@ -115,16 +115,3 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}
-
-
-def test_held_actions_miss_no_reading():
-    """An action of five periods leaves the same averages as five of one."""
-    one, five = (SoilWheelEnv(repeat=n, action="torque", course={"length": 3.0}) for n in (1, 5))
-    one.reset(seed=4), five.reset(seed=4)
-    for _ in range(6):
-        for _ in range(5):
-            *_, first = one.step([0.4])
-        *_, second = five.step([0.4])
-    np.testing.assert_array_equal(one.simulation.worlds.recent, five.simulation.worlds.recent)
-    for horizon in ("immobilised_within_3_s", "immobilised_within_5_s"):
-        assert first["traversability"][horizon] == second["traversability"][horizon]

@@ -8,7 +8,6 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_root
-from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
@@ -18,11 +17,12 @@ from soil_env.parameters import Belief, SoilSpread, load_scenario, soils, wheels
 from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
 from tests.identification.observing import numbers_of, observe, started
+from tests.simulation import wheels as bench
+from tests.simulation.wheels import EVEN
 
 SAND = soils()["lunar_nominal"].state(0.15)
 UNIFORM = {"length": 60.0, "patch_length": [100.0, 100.0], "halt_interval": [1e5, 1e5], "margin": [0.1, 0.1]}
 PLAIN = Belief()  # no library of soils
-NO_SPREAD = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
 
 
 def unknowns(soil):
@@ -51,7 +51,7 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
         np.testing.assert_array_equal(x, y)
 
 
-def simulate(changes=None, wheels=1, mode="wheel_speed", spread=NO_SPREAD, grade=(-1.0, 0.0), belief=PLAIN):
+def simulate(changes=None, wheels=1, mode="wheel_speed", spread=EVEN, grade=(-1.0, 0.0), belief=PLAIN):
     """(simulation, true unknowns [wheels, 3]) of wheels after a reset, each on a long course of one soil."""
     base = {"wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
             "soils": {"lunar_nominal": 1}, "spread": spread, "control": {"action": mode},
@@ -161,9 +161,7 @@ def test_without_identification_a_wheel_drives_as_with_it():
     runs = []
     for method in ("filter", "none"):
         scenario = load_scenario("mixed", {"belief": {"method": method}})
-        simulation = Simulation(1, scenario, "blind", 1, warnings=True)
-        simulation.seed(0, np.random.default_rng(3))
-        simulation.restart(0)
+        simulation = bench.started(scenario, "blind", [3], warnings=True)
         for action in np.repeat([0.3, 0.6, 0.2], 10):
             simulation.step(0, action)
         runs.append(simulation.worlds)

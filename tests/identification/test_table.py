@@ -92,7 +92,7 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
 
 
 @pytest.mark.parametrize(("known", "noise", "draws", "least"), [
-    (THREE, SD, 60, 51), (("cohesion",), SD, 60, 51), ((), SD, 60, 51), ((), None, 30, 24),
+    (THREE, SD, 60, 51), ((), SD, 60, 51), ((), None, 30, 24),
 ])  # fmt: skip
 def test_intervals_cover_the_truth(tmp_path, known, noise, draws, least):
     """95 % intervals: fewer than `least` hits has a probability below 1e-3 a parameter if they are calibrated.

@@ -125,7 +125,8 @@ def test_reads_a_setup(tmp_path):
 
 
 @pytest.mark.parametrize("text, words", [
-    (SETUP + "nois: {}", ["unknown key 'nois'", "'noise'"]),
+    ("nois: {}", ["unknown key 'nois'", "'noise'"]),  # before the wheel, which is missing too
+    (SETUP + "rig: {loads: []}", ["rig.loads = []: expected at least one value"]),
     ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
     (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
     (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),

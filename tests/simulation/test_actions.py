@@ -14,7 +14,7 @@ FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "nois
 def simulation(action, repeat=1, seeds=(0,), **changes):
     """Identified wheels after a reset."""
     scenario = load_scenario("mixed", {**changes, "control": {"action": action, "repeat": repeat}})
-    return started(scenario, "identified", seeds)
+    return started(scenario, "identified", seeds, warnings=True)
 
 
 def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
@@ -49,7 +49,7 @@ def test_halts_take_the_commanded_speed_back_to_zero():
 
 @pytest.mark.parametrize("mode", HELD)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
-    """Equal to the bit: world, sensors, identifier; rewards are summed, the step ends with the episode."""
+    """Equal to the bit: world, sensors, identifier, warning; rewards are summed, the step ends with the episode."""
     changes = {"course": {"length": 2.0}, "reward": {"information": 1.5, "information_discount": 0.9}}
     ends, halves, wheels, repeat = set(), 0, 6, 5
     held, single = (simulation(mode, n, range(4, 10), **changes) for n in (repeat, 1))
@@ -70,7 +70,7 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
             going[single.worlds.cause != Cause.RUNNING] = 2
         driven = what == 0
         np.testing.assert_array_equal(held.worlds.state.data, single.worlds.state.data)
-        for name in ("observation", "cause", "streams"):
+        for name in ("observation", "cause", "streams", "recent"):
             np.testing.assert_array_equal(getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name)
         np.testing.assert_array_equal(held.worlds.changed[driven], solved[driven])
         np.testing.assert_allclose(held.worlds.terms[driven, :3], sums[driven, :3], rtol=1e-12, atol=1e-14)

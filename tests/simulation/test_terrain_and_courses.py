@@ -10,7 +10,7 @@ from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
-from tests.simulation.wheels import course, margin
+from tests.simulation.wheels import EVEN, course, margin
 
 SEEDS = range(25)
 
@@ -168,9 +168,7 @@ def test_soils_scatter_as_stated():
 
 
 def test_presets_are_drawn_by_weight():
-    changes = {"soils": {"dry_sand": 3, "snow": 1, "lete_sand": 0}, "spread": dict.fromkeys(
-        ("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0)}  # fmt: skip
-    scenario = load_scenario("mixed", changes)
+    scenario = load_scenario("mixed", {"soils": {"dry_sand": 3, "snow": 1, "lete_sand": 0}, "spread": EVEN})
     cohesions = sample(drawing.course_numbers(scenario), 4000)[:, 1]
     assert set(np.round(cohesions)) == {1040.0, 1030.0}
     assert np.mean(np.round(cohesions) == 1040.0) == pytest.approx(0.75, abs=0.03)

@@ -197,9 +197,8 @@ def test_a_residual_law_counts_on_the_grades():
 def test_patches_are_drawn_from_the_soil_of_the_model():
     soil = Soil(friction_angle_deg=31.0, cohesion=900.0, shear_modulus=0.02, sinkage_coefficient=8e5,
                 sinkage_exponent=0.9, dig_gain=1.5, dig_recovery=0.5)  # fmt: skip
-    exact = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "dig_gain", "exponent"), 0.0)
     model = model_of({}, soil=soil)
-    courses = bench.course(0, load_scenario("mixed", {"spread": exact}), model)[0]
+    courses = bench.course(0, load_scenario("mixed", {"spread": bench.EVEN}), model)[0]
     patches = courses.soils[0, : courses.patches[0]]
     np.testing.assert_allclose(patches, np.broadcast_to(soil.state(0.15), patches.shape), rtol=1e-9)
     friction = bench.course(0, load_scenario("mixed"), model)[0].soils[0, :3, 0]

@@ -16,6 +16,8 @@ from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
+#: `spread` of a scenario whose soils do not scatter.
+EVEN = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from soil_env.parameters import SoilState, soils
-from soil_env.simulation.world import dynamics
+from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics import contact, effects, reaction
+from soil_env.terramechanics import contact, effects
 from soil_env.terramechanics.effects import NO_EFFECTS, grade, pack_effects, shear_softening
 from soil_env.terramechanics.effects.entry import CHANNELS, PULL, SINKAGE, TORQUE
-from soil_env.terramechanics.steady import Conditions, Rim, steady_state, steady_with
+from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from tests.terramechanics.cases import of_every_form
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
@@ -90,20 +89,6 @@ def test_steady_state_of_the_digging_rate_is_the_ratio(slip, gain, recovery):
     a, b = effects.excavation_rate(travel, abs(rim - travel), gain, recovery, LENGTH)
     assert b / a == pytest.approx(effects.slip_sinkage_ratio(slip, gain, recovery), rel=1e-9)
     assert slip != 0.0 or a == b  # no digging without slip
-
-
-@pytest.mark.parametrize("name", ["dry_sand", "lunar_nominal", "rubicon_sandy_loam"])
-def test_spinning_on_the_spot_excavates_and_resting_does_not(name):
-    soil = soils()[name].state(B)
-    rest = sinkage = steady_state(0.0, LOAD, soil, R, B).sinkage
-    for _ in range(20):
-        mobilised = reaction.reaction(0.0, 0.4, sinkage, LOAD, soil, R, B).sinkage_coefficient
-        bearing = dynamics.bearing_sinkage(sinkage, mobilised, soil)
-        deeper = dynamics.relax_sinkage(sinkage, bearing, bearing, 0.0, 0.4, soil, LENGTH, 0.05)
-        assert deeper > sinkage
-        sinkage = deeper
-    assert sinkage > 1.5 * rest
-    assert dynamics.relax_sinkage(rest, 0.5 * rest, rest, 0.0, 0.0, soil, LENGTH, 10.0) == rest
 
 
 def test_bearing_on_a_slope_is_even_and_stays_above_0():

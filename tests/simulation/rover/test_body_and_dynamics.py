@@ -13,9 +13,7 @@ from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.steady import steady_state
 from soil_env.vehicle import RoverScenario, load_rover, rover_names
-from tests.simulation.wheels import started
-
-_STILL = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+from tests.simulation.wheels import EVEN, started
 
 
 def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **changes) -> RoverScenario:
@@ -23,7 +21,7 @@ def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **change
     base = to_dict(load_rover(rover))["course"]
     course = {"grade_deg": [grade_deg, grade_deg], "margin": [0.0, 0.0], "payload": [0.0, 0.0], "halt_time": 0.0}
     course |= {"halt_interval": [1e5, 1e6], "patch_length": [1e3, 1e4], "length": base["length"]}
-    given = {"soils": {soil: 1.0}, "spread": _STILL, "course": course | changes.pop("course", {})}
+    given = {"soils": {soil: 1.0}, "spread": EVEN, "course": course | changes.pop("course", {})}
     control = {"action": "wheel_speed"} | changes.pop("control", {})
     return load_rover(rover, given | {"control": control} | changes)
 
