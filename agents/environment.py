@@ -63,7 +63,7 @@ class CommonVecEnv(SoilWheelVecEnv):
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
         self.teacher = teacher
-        self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
+        self.env.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
         self.observation_space = self.scaling.space
 
 
