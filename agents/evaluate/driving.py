@@ -17,7 +17,7 @@ from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from .warning import Alarm, Foresight, Warnings
+from .warning import Foresight
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
@@ -46,14 +46,10 @@ METRICS = {
 }
 #: Further metrics of a detailed drive of a wheel, NaN on courses on which they are not defined.
 DETAILED = {
-    "warned": ("share of immobilised courses", "a warning was on at complete immobilisation"),
-    "warning_distance": ("m", "from the warning to complete immobilisation, where warned"),
-    "warning_time": ("s", "from the warning to complete immobilisation, where warned"),
-    "false_warning": ("share of driving time", "under warning on courses without immobilisation"),
-    "foreseen": ("share of immobilised courses", "the probability of immobilisation gave warning then"),
-    "foreseen_distance": ("m", "from that warning to complete immobilisation, where foreseen"),
-    "foreseen_time": ("s", "from that warning to complete immobilisation, where foreseen"),
-    "false_foresight": ("share of driving time", "under that warning on courses without immobilisation"),
+    "foreseen": ("share of immobilised courses", "an alarm by the probability was on at complete immobilisation"),
+    "foreseen_distance": ("m", "from the alarm to complete immobilisation, where foreseen"),
+    "foreseen_time": ("s", "from the alarm to complete immobilisation, where foreseen"),
+    "false_foresight": ("share of driving time", "under alarm on courses without immobilisation"),
     "tractive_efficiency": ("-", "drawbar work over motor work while driving with a drawbar pull > 0"),
     "slip_p50": ("-", "median slip over time, halts left out"),
     "slip_p95": ("-", "95th percentile of slip over time, halts left out"),
@@ -66,7 +62,7 @@ OF_ROVERS = {
     "wheel_force": ("% of share", "largest |torque|/radius of a wheel over its share of the weight, mean over time"),
 }
 MEANINGS = METRICS | DETAILED | OF_ROVERS
-RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "warned", "foreseen")
+RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "foreseen")
 
 
 @dataclass(frozen=True)
@@ -312,10 +308,7 @@ class _Detailed(_Totals):
 
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
-        self.alarms: list[tuple[Alarm, str, str, str]] = [  # and its metrics
-            (Warnings(scenario, count), "warned", "warning", "false_warning"),
-            (Foresight(scenario, count), "foreseen", "foreseen", "false_foresight"),
-        ]
+        self.foresight = Foresight(scenario, count)
         self.drawbar_work, self.drive_work = np.zeros((2, count))
         self.slips, self.depths, self.drove = [], [], []
 
@@ -327,18 +320,16 @@ class _Detailed(_Totals):
         self.slips.append(s["slip"].copy())
         self.depths.append(1000.0 * s["sinkage"])
         self.drove.append(on)
-        for alarm, *_ in self.alarms:
-            alarm.step(self.worlds, alive)
+        self.foresight.step(self.worlds, alive)
         return on
 
     def more(self) -> dict[str, np.ndarray]:
         stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
-        out = {}
-        for alarm, name, ahead, false in self.alarms:
-            lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
-            out[name] = np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)
-            out[f"{ahead}_distance"], out[f"{ahead}_time"] = lead.T
-            out[false] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
+        alarm = self.foresight
+        lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
+        out = {"foreseen": np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)}
+        out["foreseen_distance"], out["foreseen_time"] = lead.T
+        out["false_foresight"] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
         out["tractive_efficiency"] = _ratio(self.drawbar_work, self.drive_work)
         drove = np.array(self.drove)
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):

@@ -29,10 +29,10 @@ def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
     show(*comparing.table(result), *settings(result), *comparing.limit_lines(result))
-    warned = (f"{name} {cell(rows[name]['warned'], 100.0, 0, bounds=False)} % "
-              f"{cell(rows[name]['warning_distance'], bounds=False)} m "
-              f"{cell(rows[name]['warning_time'], digits=1, bounds=False)} s" for name in rows)  # fmt: skip
-    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}")
+    foreseen = (f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
+                f"{cell(row['foreseen_distance'], bounds=False)} m "
+                f"{cell(row['foreseen_time'], digits=1, bounds=False)} s" for name, row in rows.items())  # fmt: skip
+    show(f"Immobilisations foreseen, distance and time ahead: {'; '.join(foreseen)}")
 
 
 def settings(result: Mapping) -> list[str]:
