@@ -1,7 +1,6 @@
 """The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np

@@ -1,17 +1,15 @@
 """Comparison of controllers on the same courses: rates and means with 95 % intervals, paired differences."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
 
 from . import statistics as st
 from .driving import MEANINGS, RATES, Runs
-from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
+from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
 RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
@@ -98,16 +96,6 @@ def table(result: Mapping) -> tuple[Table, str]:
     seeds = {name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()}
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(result)
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
-
-
-def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
-    """Write NAME.json and NAME.csv into `folder`; the row of the oracle, where there is one, is the last."""
-    write_json(Path(folder) / f"{name}.json", result)
-    rows = [["controller", *(m + part for m in result["metrics"] for part in ("", "_low", "_high"))]]
-    for key, row in (result["controllers"] | limit_rows(result)).items():
-        values = [row[m][part] for m in result["metrics"] for part in ("value", "low", "high")]
-        rows.append([key, *("" if v is None else f"{v:.6g}" for v in values)])
-    save_csv(Path(folder) / f"{name}.csv", rows)
 
 
 # --- limit of the task ------------------------------------------------------------------------------------------------

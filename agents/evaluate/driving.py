@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -134,14 +134,13 @@ def course_rng(seed: int, course: int) -> np.random.Generator:
 
 def run_courses(
     controller, scenario: Scenario, seed: int, courses: int, first: int = 0,
-    progress: Callable[[int], None] | None = None, batch: int = 500, model: WheelSoilModel | None = None,
-    threads: int | None = None, detailed: bool = False,
+    batch: int = 500, model: WheelSoilModel | None = None, threads: int | None = None, detailed: bool = False,
 ) -> Runs:  # fmt: skip
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
-    the scenario's. Course k of a set is the same for every controller. `progress` receives the number of courses done
-    since its last call. `model` has the effects of the world. `detailed`: with the metrics `DETAILED` of a wheel.
+    the scenario's. Course k of a set is the same for every controller. `model` has the effects of the world.
+    `detailed`: with the metrics `DETAILED` of a wheel.
 
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
     bits may depend on how many courses are driven side by side.
@@ -153,8 +152,6 @@ def run_courses(
             totals = totals or kind(sim, scenario, count)
             totals.add(alive)
         parts.append(totals.runs())
-        if progress is not None:
-            progress(count)
     return Runs.join(parts)
 
 

@@ -125,7 +125,7 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    action, _ = _checked(answer, (3, 1), contestant.label)
+    action, _ = _checked(answer, (3, getattr(scenario, "axles", 1)), contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
         given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"

@@ -93,9 +93,7 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def draw_metrics(
-    rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str], colour=lambda name: "#0072b2"
-) -> Figure:
+def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> Figure:
     """Figure of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each
     metric, points with their intervals from the bottom; those not defined are left out."""
     metrics, most = list(metrics), max(map(len, rows.values()))
@@ -109,7 +107,7 @@ def draw_metrics(
                 if (m := entries[name][metric])["value"] is not None:
                     value, low, high = (factor * m[key] for key in ("value", "low", "high"))
                     bars = [[value - low], [high - value]]
-                    axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color=colour(name), capsize=2)
+                    axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color="#0072b2", capsize=2)
             axis.set_ylim(-0.6, len(names) - 0.4)
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.grid(alpha=0.3)

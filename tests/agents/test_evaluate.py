@@ -59,7 +59,7 @@ def same(a, b):
     """Assert that two folders hold the same results, to the byte."""
     done = sorted(f"cells/{p.name}" for p in (a / "cells").iterdir())
     assert done == sorted(f"cells/{p.name}" for p in (b / "cells").iterdir())
-    for name in ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png", *done):
+    for name in ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png", *done):
         assert (a / name).read_bytes() == (b / name).read_bytes(), name
 
 
@@ -131,9 +131,6 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
             assert metrics[metric]["value"] == expected
         for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
             assert metrics[cause.lower()]["value"] == pytest.approx(np.mean([row["cause"] == cause for row in own]))
-    table = list(csv.DictReader((done / "evaluation.csv").read_text().splitlines()))
-    assert [row["controller"] for row in table] == list(result["controllers"])
-    assert float(table[0]["return_low"]) == pytest.approx(result["controllers"]["half"]["return"]["low"], rel=1e-4)
 
 
 def test_settings_are_tuned_once_and_drive_the_held_out_courses_of_train(tmp_path, capsys):

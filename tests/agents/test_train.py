@@ -24,8 +24,7 @@ from soil_env.parameters import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 FILES = {
-    "config.yaml", "scenario.yaml", "model.zip", "tensorboard",
-    "comparison.json", "comparison.csv", "comparison.png",
+    "config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison",
 }  # fmt: skip
 TINY = (
     "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "
@@ -77,7 +76,7 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
     assert scenario.control.time_limit == 5.0 and agent.info.task == scenario
     assert agent.timesteps == 256 and agent.name == "agent_identified"
-    result = json.loads((folder / "comparison.json").read_text())
+    result = json.loads((folder / comparison.DONE).read_text())
     assert result["scenario"] == "two_lines" and result["courses"] == 4 and result["limit"]["courses"] == 2
     assert set(result["controllers"]) == {*CONTROLLERS, "default_policy", "agent_identified"}
     assert all(set(METRICS) <= set(row) for row in result["controllers"].values())
@@ -86,9 +85,9 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(comparison, "compare", None)  # would be a TypeError
         assert run(capsys, "--resume", folder)[0] == 0
-    (folder / "comparison.json").unlink()
+    (folder / comparison.DONE).unlink()
     assert run(capsys, "--resume", folder)[0] == 0
-    assert json.loads((folder / "comparison.json").read_text()) == result
+    assert json.loads((folder / comparison.DONE).read_text()) == result
     assert (folder / "model.zip").read_bytes() == model
 
 
