@@ -12,13 +12,13 @@ import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
-from soil_env.rendering import canvas
+from soil_env.rendering import canvas, wheels as drawing
 from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
-from soil_env.rendering.ground import Profile, Scene, depth_of_ruts
-from soil_env.rendering.wheels import ShownWheel, Stresses, contact_stresses, draw_cause, draw_scene, hub_of
+from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_flag, draw_ground, draw_scale_bar
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
+from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import sinkage_coefficient_at
 from soil_env.vehicle import Vehicle
 
@@ -68,17 +68,19 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
     return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
 
 
-def stresses_under(simulation: Any, w: dict[str, Any]) -> Stresses:
+def stresses_under(simulation: Any, w: dict[str, Any]) -> drawing.Stresses:
     """`Stresses` under one of the `shown_wheels` as it moves now, under its load."""
     wheel = simulation.numbers.world.wheel
     rim_speed = w["wheel_speed"] * wheel.radius
-    return contact_stresses(w["soil"], w["load"], w["speed"], rim_speed, w["sinkage"], wheel.radius, wheel.width)
+    return drawing.contact_stresses(
+        w["soil"], w["load"], w["speed"], rim_speed, w["sinkage"], wheel.radius, wheel.width
+    )
 
 
 def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = simulation.numbers.world.wheel.radius
-    return np.array([hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"]) for w in wheels])
+    return np.array([drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"]) for w in wheels])
 
 
 class Posture(NamedTuple):
@@ -129,17 +131,27 @@ def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile,
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
     rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
-    hubs, r = hubs_of(simulation, wheels, profile), simulation.numbers.world.wheel.radius
-    shown = []
-    for w, hub, angle in zip(wheels, hubs, angles, strict=True):
-        colour = COLOURS[w["name"]][0] if is_rover else canvas.RIM
-        shown.append(ShownWheel(hub, w["grade"], angle, w["speed"], stresses_under(simulation, w), colour))
-    behind = front = None
+    hubs, world, task = hubs_of(simulation, wheels, profile), simulation.numbers.world.wheel, simulation.numbers.task
+    r, size, stresses = world.radius, world.radius * scene.scale, [stresses_under(simulation, w) for w in wheels]
+    per_pascal = 0.45 * size * 0.5 * r * world.width / task.weight  # drawn length of a stress
+    c.clip(scene.box)
+    c.box(scene.box, canvas.SKY)
+    draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
+    draw_flag(c, scene, scene.at(*profile.at(task.length)))
+    posture = posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
     if is_rover:
-        vehicle = simulation.scenario.vehicle
-        p = posture_of(vehicle, hubs, float(body["pitch"]))
-        behind, front = lambda: _draw_body(c, scene, vehicle, p, r), lambda: _draw_suspension(c, scene, vehicle, p, r)
-    draw_scene(c, scene, x, profile, rut, bounds, simulation, shown, behind, front)
+        _draw_body(c, scene, simulation.scenario.vehicle, posture, r)
+    for w, hub, angle in zip(wheels, hubs, angles, strict=True):
+        drawing.draw_wheel(c, scene.at(*hub), size, float(angle), COLOURS[w["name"]][0] if is_rover else canvas.RIM)
+    for w, hub, own in zip(wheels, hubs, stresses, strict=True):
+        side = -1.0 if w["speed"] < -REST_SPEED else 1.0
+        drawing.draw_stresses(c, scene.at(*hub), size, float(w["grade"]), side, own, per_pascal)
+    if is_rover:
+        _draw_suspension(c, scene, simulation.scenario.vehicle, posture, r)
+    drawing.draw_stress_key(c, scene.box, stresses)
+    c.clip(None)
+    c.box(scene.box, None, canvas.GRID)
+    draw_scale_bar(c, scene)
     _draw_readings(c, simulation, body, Cause(int(worlds.cause[j])))
     _draw_table(c, wheels, bounds, identified)
 
@@ -182,7 +194,7 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     for x, (name, value) in zip((14, 190, 280), cells, strict=True):
         c.text(x, 14, name, 15, GREY)
         c.text(x, 32, value, 20)
-    draw_cause(c, cause, body["halt_left"] > 0.0)
+    drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
 
 
 def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:

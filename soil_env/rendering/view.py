@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +18,6 @@ _POINTS = 600  # of the history, at most
 
 class CourseView:
     """Draws one course of a simulation of wheels or rovers: `record` after each reset and step, `draw` a frame."""
-
-    _windows: ClassVar[set[int]] = set()  # ids of the open windows of all views, which share one event queue
 
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
@@ -64,17 +62,13 @@ class CourseView:
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
-        if self.mode == "human" and not self._poll():
-            return None
         self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
         simulation.complete(k)
         self._paint(self._canvas, simulation, k)
         surface = self._canvas.finish()
         if self.mode == "human":
-            self._window.get_surface().blit(surface, (0, 0))
-            self._window.flip()
-            self._clock.tick(1.0 / self._step)
+            self._show(surface)
             return None
         import pygame
 
@@ -82,8 +76,7 @@ class CourseView:
 
     def close(self) -> None:
         """Close the window, if there is one, and free the surfaces."""
-        if self._window is not None and self._id in self._windows:
-            self._windows.discard(self._id)
+        if self._window is not None:
             self._window.destroy()
         self._window = self._canvas = self._clock = None
 
@@ -96,17 +89,14 @@ class CourseView:
             self._course_key = key
         return self._profile
 
-    def _poll(self) -> bool:
-        """Open the window at the first call and handle its events; False once the user has closed it."""
+    def _show(self, surface: Any) -> None:
+        """Put a picture into the window, which is opened at the first call, and wait until it is due."""
         import pygame
 
         if self._window is None:
             pygame.display.init()
             self._window, self._clock = pygame.Window(f"soil_env: {self.scenario.name}", self.size), pygame.time.Clock()
-            self._id = self._window.id
-            self._windows.add(self._id)
-        for event in pygame.event.get():
-            if event.type == pygame.WINDOWCLOSE and event.window is not None and event.window.id in self._windows:
-                self._windows.discard(event.window.id)
-                event.window.destroy()
-        return self._id in self._windows
+        pygame.event.pump()
+        self._window.get_surface().blit(surface, (0, 0))
+        self._window.flip()
+        self._clock.tick(1.0 / self._step)
