@@ -12,11 +12,10 @@ from .agent import Agent
 from .config import TrainConfig
 from .controllers.rover import controllers_of
 from .default_policy import NAME, DefaultPolicy
-from .evaluate import comparing
 from .evaluate.command import carry_out
 from .evaluate.contestants import SHIPPED_CLASS, Contestant, digest
 from .evaluate.evaluation import Evaluation
-from .evaluate.tables import percent, points
+from .evaluate.tables import points
 from .progress import show
 
 FOLDER = "comparison"  # in a run folder, with the files of `soil-env evaluate`
@@ -58,21 +57,11 @@ def _is_driven_by_default(scenario: Scenario | RoverScenario) -> bool:
 
 
 def verdict(result: dict, name: str) -> str:
-    """Courses finished by the agent `name`, against the best controller that does not know the true soil.
-
-    Gives the difference on the same courses, both rates alone, and the references that know the true soil. It says
-    "more" or "fewer" only where the intervals of the two do not overlap.
-    """
+    """Courses finished by the agent `name`, against the best controller that does not know the true soil."""
     rows = result["controllers"]
     best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
-    agent, other = rows[name]["finished"], rows[best]["finished"]
-    known = {n: rows[n]["finished"] for n in ("best_slip_true",) if n in rows and n != name}
-    known |= {n: metrics["finished"] for n, metrics in comparing.limit_rows(result).items()}
     difference = points(result["paired"][name][best]["finished"])
-    apart = "more" if agent["low"] > other["high"] else "fewer" if agent["high"] < other["low"] else ""
-    text = f"{name} {f'finishes {apart} courses than' if apart else 'against'} {best}, the best of the others without "
-    text += f"the true soil: {difference} percentage points of courses finished, on the same courses; each alone "
-    text += f"{percent(agent)} and {percent(other)}" + ("" if apart else ", intervals that overlap")
-    references = ", ".join(f"{n} {percent(m)}" for n, m in known.items())
-    text += f". With the true soil: {references}" if references else ""
-    return f"{text}. One training seed; the intervals are over courses."
+    return (
+        f"{name} against {best}, the best of the others without the true soil: {difference} percentage points of courses "
+        "finished, on the same courses. One training seed; the interval is over courses."
+    )

@@ -19,7 +19,7 @@ from ..controllers.oracle import Oracle
 from ..controllers.rover import controllers_of
 from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
-from .contestants import Contestant, digest, model_files
+from .contestants import Contestant, digest, model_bytes
 from .driving import HELD_OUT_SET, Runs, run_courses
 
 
@@ -85,7 +85,7 @@ class Job:
 
     def __init__(self, asked: Evaluation, threads: int | None = 1, ship: bool = False):
         self.asked, self.threads, self.controllers = asked, threads, asked.contestants()
-        self.files = {key: model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
+        self.files = {key: model_bytes(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):

@@ -14,7 +14,7 @@ from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import cell, difference, draw_metrics, png, save_csv
+from .tables import cell, difference, draw_metrics, save_csv
 
 _FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
 _PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "fighting", "return")
@@ -58,7 +58,7 @@ def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list
     write_json(folder / "evaluation.json", result)
     save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
     panels = [m for m in _PANELS if m in result["metrics"]]
-    replace_file(folder / "metrics.png", png(draw_metrics({"": result["controllers"]}, panels)))
+    replace_file(folder / "metrics.png", draw_metrics({"": result["controllers"]}, panels))
     replace_file(folder / "evaluation.md", page(result))
     return list(_FILES)
 

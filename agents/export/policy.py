@@ -59,15 +59,10 @@ def _states(agent) -> dict[str, int]:
 
 
 def _normalised(x: Traced, agent) -> Traced:
-    """Input of the network, float32, as `Agent._normalised` and `VecNormalize.normalize_obs` compute it."""
-    if hasattr(agent, "mean"):
-        mean, sd, clip = agent.mean, agent.sd, agent.clip
-    elif agent.normalisation is not None and agent.normalisation.norm_obs:
-        of = agent.normalisation
-        mean, sd, clip = of.obs_rms.mean, np.sqrt(of.obs_rms.var + of.epsilon), of.clip_obs
-    else:
+    """Input of the network, float32, as `Agent._normalised` computes it; other models have no normalisation."""
+    if not hasattr(agent, "mean"):
         return x
-    return np.clip((x.astype(np.float64) - mean) / sd, -clip, clip).astype(np.float32)
+    return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(np.float32)
 
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
