@@ -62,6 +62,6 @@ def verdict(result: dict, name: str) -> str:
     best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
     difference = points(result["paired"][name][best]["finished"])
     return (
-        f"{name} against {best}, the best of the others without the true soil: {difference} percentage points of courses "
-        "finished, on the same courses. One training seed; the interval is over courses."
+        f"{name} against {best}, the best of the others without the true soil: {difference} percentage points of "
+        "courses finished, on the same courses. One training seed; the interval is over courses."
     )

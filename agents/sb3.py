@@ -4,18 +4,8 @@ import time
 from typing import Any
 
 import numpy as np
-
-from .cli import lacks_training
-
-try:
-    from stable_baselines3.common.vec_env import VecEnv
-except ModuleNotFoundError as error:
-    if not lacks_training(error):
-        raise
-    said = f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'"
-    raise ModuleNotFoundError(said, name=error.name) from None
-
 from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.course_env import CourseVectorEnv
 from soil_env.parameters import DEFAULT_SCENARIO

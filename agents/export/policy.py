@@ -37,11 +37,11 @@ def onnx_model(agent, description: dict):
     graph, entries = Graph(), len(description["inputs"])
     seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
     raw, inputs, results = agent.scaling(seen) if agent.scaling.scaled else seen, [graph.info(seen, ["n", entries])], []
-    for name, size in _states(agent).items():
-        memory = graph.input(name, "float32")
-        raw, kept = agent.history.observe(raw, memory, fresh)
-        inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", size])]
-        results = [(kept, f"next_{name}", size)]
+    if history := getattr(agent, "history", None):
+        memory = graph.input("history", "float32")
+        raw, kept = history.observe(raw, memory, fresh)
+        inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", history.kept])]
+        results = [(kept, "next_history", history.kept)]
     x = _normalised(raw, agent)
     action = agent.action(x) if shipped else action_of(graph, agent.policy, x)
     if choice is not None:
@@ -50,12 +50,6 @@ def onnx_model(agent, description: dict):
     outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
                for x, name, size in results]  # fmt: skip
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
-
-
-def _states(agent) -> dict[str, int]:
-    """{name: numbers} of what an agent keeps from step to step: its readings, if it has a history."""
-    history = getattr(agent, "history", None)
-    return {} if history is None else {"history": history.kept}
 
 
 def _normalised(x: Traced, agent) -> Traced:
@@ -68,6 +62,7 @@ def _normalised(x: Traced, agent) -> Traced:
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """Content of policy.yaml before the comparison, as plain values."""
     wheel, control, history = scenario.wheel, scenario.control, getattr(agent, "history", None)
+    kept = {"name": "history", "size": history.kept if history else 0, "first": 0.0, "output": "next_history"}
     return {
         "format": FORMAT,
         "name": name,
@@ -84,9 +79,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "top rim speed": {"value": wheel.radius * wheel.no_load_speed, "unit": "m/s"},
             "course length": {"value": scenario.course.length, "unit": "m"},
         },
-        "states": [
-            {"name": key, "size": size, "first": 0.0, "output": f"next_{key}"} for key, size in _states(agent).items()
-        ],
+        "states": [] if history is None else [kept],
         "output": {"name": "action", "low": -1.0, "high": 1.0, **_output(wheel, control)},
         "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),

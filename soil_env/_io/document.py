@@ -113,11 +113,11 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["hanging"] = _hanging
+    made.filters["hanging"] = hanging
     return made
 
 
-def _hanging(text: str) -> str:
+def hanging(text: str) -> str:
     """Text in lines of at most `WIDTH` characters; all but the first are indented by two more."""
     first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(

@@ -157,10 +157,11 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
     model = algorithm("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0)
     model.save(tmp_path / "model.zip")
     assert export(tmp_path / "model.zip", tmp_path / "out") == 0
-    space = observation_space("identified", load_scenario().course, scaled=False)
-    x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
+    count, scaling = len(env.observation_names), env.scaling
+    x = (scaling.centre + scaling.scale * np.random.default_rng(0).normal(size=(40, count))).astype(np.float32)
+    x = np.clip(x, scaling.physical(env.observation_space.low), scaling.physical(env.observation_space.high))
     x[::3, env.observation_names.index("ahead_log10_sinkage_coefficient")] = 0.0  # out of sight
-    expected, _ = model.predict(env.scaling(x), deterministic=True)
+    expected, _ = model.predict(scaling(x), deterministic=True)
     found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert memory is None and len(np.unique(found)) > 5
