@@ -47,12 +47,10 @@ def _tune(out: Path, name: str, actions: list[str], courses: int) -> None:
     settings, lines = {}, []
     for action in actions:
         scenario = load_scenario(name, {"control": {"action": action}})
-        chosen, tried = tuned_settings(scenario, courses, log=out / f"trials-{action}.log", anew=True)
+        chosen = tuned_settings(scenario, courses, log=out / f"trials-{action}.log", anew=True)
         settings[action] = {n: {key: float(f"{v:.4g}") for key, v in values.items()} for n, values in chosen.items()}
         for n, values in settings[action].items():
-            best = max(tried[n], key=lambda trial: (trial["finished"], trial["return"]))
-            said = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            lines.append(f"{action}, {n}: {100 * best['finished']:.1f} % of the tuning courses finished with {said}")
+            lines.append(f"{action}, {n}: {', '.join(f'{key} {value:g}' for key, value in values.items())}")
     content = {"courses": courses, "seed": TUNING_SET, "trials": trials_of(courses),
                "version": code_version(), "settings": settings}  # fmt: skip
     file = out / f"{name}.yaml"

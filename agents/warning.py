@@ -155,7 +155,8 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
     task = load_scenario(scenario, {"control": {"action": "torque"}})
     warning, rows, kept = ImmobilisationWarning(task), np.arange(count), []
     driver = make_driver(family, task, [seed, first], count)
-    for worlds, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+    for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+        worlds = sim.worlds
         inputs = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd).astype(np.float32)
         driving = alive & (worlds.state["halt_left"] == 0.0)
         kept.append((inputs, alive.copy(), driving, worlds.state["best_x"].copy()))

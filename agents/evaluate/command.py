@@ -123,5 +123,5 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed
     names, log = [c.name for c in own], folder / _TUNING
-    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
+    tuned = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
     return dataclasses.replace(asked, tuned=tuned)

@@ -10,7 +10,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP, Simulation, Worlds
+from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
@@ -22,11 +22,6 @@ from .warning import Foresight
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
 _RUNNING, _STUCK = Cause.RUNNING.value, [cause.value for cause in IMMOBILISED]
-
-
-class ControllerError(ParameterError):
-    """A controller returned an action of the wrong shape, or one that is not finite."""
-
 
 #: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
@@ -148,28 +143,11 @@ def run_courses(
     parts, kind = [], _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
         count, totals = min(batch, first + courses - start), None
-        for sim, alive in _driven(controller, scenario, seed, start, count, threads, model, detailed):
+        for sim, alive in drive(controller, scenario, seed, start, count, threads, model, detailed):
             totals = totals or kind(sim, scenario, count)
             totals.add(alive)
         parts.append(totals.runs())
     return Runs.join(parts)
-
-
-def drive(
-    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
-    model: WheelSoilModel | None = None, warnings: bool = False,
-) -> Iterator[tuple[Worlds, np.ndarray]]:  # fmt: skip
-    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
-
-    Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and the courses
-    still under way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`);
-    between, its action is held. Rows of ended courses stay as they ended. Raises `ControllerError` for an action of
-    another shape than [count, 1], or [count, axles], and for one that is not finite. The reward has no term
-    `information`: it helps to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
-    `worlds.recent`.
-    """
-    for sim, alive in _driven(controller, scenario, seed, first, count, threads, model, warnings):
-        yield sim.worlds, alive
 
 
 def simulate(
@@ -181,8 +159,18 @@ def simulate(
     return Simulation(count, scenario, variant, threads, model, warnings)
 
 
-def _driven(controller, scenario, seed: int, first: int, count: int, threads, model, warnings: bool) -> Iterator[tuple]:
-    """Drive to the end of all courses; (simulation, courses under way [count] bool) after each control period."""
+def drive(
+    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
+    model: WheelSoilModel | None = None, warnings: bool = False,
+) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:  # fmt: skip
+    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
+
+    Yields (simulation, alive) after every control period: one row a course in its arrays, and the courses still under
+    way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`); between, its
+    action is held. Rows of ended courses stay as they ended. Raises `ParameterError` for an action of another shape
+    than [count, 1], or [count, axles], and for one that is not finite. The reward has no term `information`: it helps
+    to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
+    """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
     stepped = replace(scenario, reward=replace(scenario.reward, information=0.0), control=replace(control, repeat=1))
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
@@ -209,16 +197,16 @@ def _driven(controller, scenario, seed: int, first: int, count: int, threads, mo
 
 
 def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: int) -> np.ndarray:
-    """The `action` of a controller as commands [count] or [count, axles]; ControllerError for an unsuitable one."""
+    """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an unsuitable one."""
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
     if action.shape != (len(alive), axles):
-        raise ControllerError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
+        raise ParameterError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
     bad = np.flatnonzero(alive & ~np.isfinite(action).all(axis=1))
     if bad.size:
         value = action[bad[0]].tolist()
         said = value[0] if axles == 1 else value
-        raise ControllerError(f"action {said} {when} {first + bad[0]}: expected a finite number")
+        raise ParameterError(f"action {said} {when} {first + bad[0]}: expected a finite number")
     commands = np.clip(np.nan_to_num(action), -1.0, 1.0)
     return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
 

@@ -20,7 +20,7 @@ from ..cli import config_mapping
 from ..config import OfTask, OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
-from ..evaluate import HELD_OUT_SET
+from ..evaluate.driving import HELD_OUT_SET
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "courses", "tuning_courses",

@@ -14,10 +14,10 @@ from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
 from .. import cells
-from ..evaluate import run_courses, tuned_settings
 from ..evaluate.contestants import Contestant
-from ..evaluate.driving import Runs
+from ..evaluate.driving import Runs, run_courses
 from ..evaluate.loading import load
+from ..evaluate.tuning import tuned_settings
 from ..progress import show
 from .config import Cell, Study
 
@@ -95,7 +95,7 @@ class Work:
         name, log = self.study.arms[cell.arm].controller, folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         anew = bool(self.study.worlds)  # as many trials in every world
-        chosen, _ = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
+        chosen = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
         return chosen.get(name, {})
 
 

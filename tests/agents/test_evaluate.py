@@ -14,8 +14,8 @@ from scipy import stats
 
 from agents import cells, ppo
 from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, Runs, comparing, course_rng, run_courses
-from agents.evaluate.driving import METRICS, RATES
+from agents.evaluate import comparing
+from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
 from soil_env.driving.wheels import Simulation
@@ -101,7 +101,7 @@ def test_a_comparison_of_known_runs():
     """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
     rng, scenario = np.random.default_rng(0), load_scenario("mixed")
     returns, ends = rng.normal(5.0, 2.0, (2, 40)), np.arange(40) >= 10
-    runs = {"a": [runs_of(row, ends) for row in returns], "b": runs_of(returns.mean(axis=0) - 1.0)}
+    runs = {"a": [runs_of(row, ends) for row in returns], "b": [runs_of(returns.mean(axis=0) - 1.0)]}
     found = comparing.comparison(scenario, 3, runs, resamples=400)
     assert found["members"] == {"a": 2, "b": 1} and found["courses"] == 40 and found["scenario"] == "mixed"
     a, b = found["controllers"]["a"], found["controllers"]["b"]

@@ -15,8 +15,8 @@ from stable_baselines3 import A2C, SAC
 from agents import ppo
 from agents.agent import Agent
 from agents.config import PPOConfig
-from agents.evaluate import run_courses
 from agents.evaluate.contestants import parse
+from agents.evaluate.driving import run_courses
 from agents.evaluate.models import load_model
 from agents.exported import ExportedAgent
 from agents.sb3 import SoilWheelVecEnv

@@ -8,8 +8,7 @@ import pytest
 from agents import comparison, training
 from agents.config import TrainConfig
 from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
-from agents.evaluate import run_courses
-from agents.evaluate.driving import METRICS, OF_ROVERS
+from agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
 from soil_env import ParameterError
 from soil_env.cli import main
 from soil_env.simulation.rover.task import rover_layout

@@ -12,7 +12,7 @@ from agents import cells
 from agents.agent import load_agent
 from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.rover import ROVER_CONTROLLERS
-from agents.evaluate import run_courses
+from agents.evaluate.driving import run_courses
 from agents.evaluate.models import load_model
 from agents.study import work
 from agents.study.config import Study, read_config

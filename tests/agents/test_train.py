@@ -16,7 +16,7 @@ from agents import cli, comparison, training
 from agents.agent import load_agent, read_info
 from agents.config import load_config
 from agents.controllers import CONTROLLERS
-from agents.evaluate import METRICS
+from agents.evaluate.driving import METRICS
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
