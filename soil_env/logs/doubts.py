@@ -17,7 +17,6 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-_SINKAGE = (1e-3, 0.7)  # [radii] largest sinkage of a plausible log
 _SLIPS = (0.05, 0.3)  # difference between the slip measured and that of the speeds: least of another sign, most
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
 _AGAINST, _ALIKE = -0.5, 0.5  # slope of the gravity felt by that of the pitch; size of their correlation
@@ -42,6 +41,7 @@ _RIM = Range(0.65, 6.0)  # rim speed over travel speed: slips of -0.35 to 0.83; 
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD, _PULL, _TORQUE = Range(0.2, 5.0), Range(1e-3, 2.0), Range(5e-3, 3.0)  # of weight, or of weight times radius
 _PITCH, _FELT = Range(0.0, 0.8), Range(0.0, 0.7)  # [rad]; [of gravity], more with an axis that points down
+_SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -71,9 +71,7 @@ class _Doubts:
         self.rim, self.speed = log.readings["wheel_speed"] * log_map.wheel.radius, log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius
         self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(np.nan_to_num(self.speed)) > self.slowest)
-        sound_speeds = self._speeds()
-        self._acceleration()
-        self._forces()
+        sound_speeds, sound_sizes = self._speeds(), self._sizes()
         for name in ("load", "sinkage"):
             if _median(log.get(name)) < 0.0:
                 self._doubt(name, "negative", "positive", "another sign or offset")
@@ -81,8 +79,8 @@ class _Doubts:
             if sound_speeds and _median((np.sign(self.rim) * log.get(name))[self.drives]) < 0.0:
                 self._doubt(name, "against the wheel speed", "with it", "another sign")
         self._stuck_sensors()
-        self._sinkage()
-        self._pitch()
+        if sound_sizes:
+            self._pitch()
 
     def _driven(self, values: np.ndarray) -> np.ndarray:
         """Known values [n] of the steps that drive."""
@@ -141,44 +139,40 @@ class _Doubts:
             return False
         return True
 
-    def _forces(self) -> None:
-        """Compare load, pull and torques with the weight."""
-        weight, twist = self.map.weight, self.map.weight * self.map.wheel.radius
-        scales = {"load": (weight, _LOAD), "drawbar_pull": (weight, _PULL)}
-        scales |= {name: (twist, _TORQUE) for name in ("torque", "motor_torque")}
-        for name, (scale, plausible) in scales.items():
+    def _sizes(self) -> bool:
+        """Compare readings with sizes of the wheel; True if nothing is doubtful. Forces wait for a doubtful load."""
+        weight, radius, gravity = self.map.weight, self.map.wheel.radius, self.map.gravity
+        of_weight, of_twist = (weight, "N", "the weight on the wheel"), (weight * radius, "N m", "weight times radius")
+        sizes = {  # its size, with unit and words, the quantile that is compared, plausible ratios
+            "acceleration": ((gravity, "m/s2", "gravity"), 0.5, _FELT),
+            "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
+            "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
+            "load": (of_weight, 0.5, _LOAD),
+            "drawbar_pull": (of_weight, 0.75, _PULL),  # may be small for a while, as the torque of a wheel that rolls
+            "torque": (of_twist, 0.75, _TORQUE),
+            "motor_torque": (of_twist, 0.75, _TORQUE),
+        }
+        before = len(self.lines)
+        for name, ((scale, unit, words), quantile, plausible) in sizes.items():
             values = self._driven(np.abs(self.log.get(name)))
-            # a pull, and the torque of a wheel that rolls, may be small for a while
-            size = _median(values if name == "load" else np.sort(values)[values.size // 2 :])
+            size = float(np.quantile(values, quantile)) if values.size >= _LEAST else math.nan
             ratio = size / scale
-            if values.size < _LEAST or plausible.has(ratio):
+            if math.isnan(ratio) or plausible.has(ratio) or (ratio == 0.0 and name == "sinkage"):
                 continue
-            reason = "another unit or field"
-            if ratio > 0.0:
-                reason = self._unit(name, plausible.low / ratio, plausible.high / ratio)
-            of, unit = ("weight times radius", "N m") if "torque" in name else ("the weight on the wheel", "N")
+            reason = self._unit(name, plausible.low / ratio, plausible.high / ratio) if ratio else "a dead sensor"
             if name == "load":
-                reason += f", or wheel.body_mass {size / self.map.gravity:.3g} kg"
-            self._doubt(name, f"{ratio:.3g} times {of} ({scale:.3g} {unit})", plausible, reason)
+                reason += f", or wheel.body_mass {size / gravity:.3g} kg"
+            if name == "acceleration":
+                reason += ", or an axis that points down"
+            self._doubt(name, f"{ratio:.3g} times {words} ({scale:.3g} {unit})", plausible, reason)
             if name == "load":
-                return
-
-    def _acceleration(self) -> None:
-        """Compare the acceleration with gravity."""
-        felt = _median(np.abs(self.log.get("acceleration"))) / self.map.gravity
-        if felt > _FELT.high:
-            said, reason = f"{felt:.3g} times gravity in the middle", "another unit, or an axis that points down"
-            self._doubt("acceleration", said, f"at most {_FELT.high:g}", reason)
+                break
+        return len(self.lines) == before
 
     def _pitch(self) -> None:
-        """Compare size and sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
+        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
         log, gravity = self.log, self.map.gravity
         if "pitch" not in log.readings:
-            return
-        middle = _median(np.abs(log.readings["pitch"]))
-        if middle > _PITCH.high:
-            reason = self._unit("pitch", 0.0, 0.5)
-            self._doubt("pitch", f"{middle:.2g} rad in the middle", f"at most {_PITCH.high:g}", reason)
             return
         name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
         if name not in log.readings or len(log) < _LEAST:
@@ -202,14 +196,6 @@ class _Doubts:
             if values.size >= _LEAST and np.ptp(values) == 0.0:
                 said, reason = f"{values[0]:.3g} in all {values.size} steps that drive", "a stuck sensor, or a command"
                 self._doubt(name, said, "values with the noise of a sensor", reason)
-
-    def _sinkage(self) -> None:
-        """Doubt a sinkage that never reaches a thousandth of the radius."""
-        radius = self.map.wheel.radius
-        deepest = float(np.nanmax(np.abs(self.log.readings.get("sinkage", np.zeros(1))), initial=0.0))
-        if 0.0 < deepest < _SINKAGE[0] * radius:
-            reason = self._unit("sinkage", *(share * radius / deepest for share in _SINKAGE))
-            self._doubt("sinkage", f"at most {deepest:.3g} m", f"more than {_SINKAGE[0] * radius:.3g} m", reason)
 
 
 def _median(values: np.ndarray) -> float:

@@ -68,15 +68,6 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
     return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
 
 
-def stresses_under(simulation: Any, w: dict[str, Any]) -> drawing.Stresses:
-    """`Stresses` under one of the `shown_wheels` as it moves now, under its load."""
-    wheel = simulation.numbers.world.wheel
-    rim_speed = w["wheel_speed"] * wheel.radius
-    return drawing.contact_stresses(
-        w["soil"], w["load"], w["speed"], rim_speed, w["sinkage"], wheel.radius, wheel.width
-    )
-
-
 def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = simulation.numbers.world.wheel.radius
@@ -132,7 +123,8 @@ def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile,
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
     rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
     hubs, world, task = hubs_of(simulation, wheels, profile), simulation.numbers.world.wheel, simulation.numbers.task
-    r, size, stresses = world.radius, world.radius * scene.scale, [stresses_under(simulation, w) for w in wheels]
+    r, size = world.radius, world.radius * scene.scale
+    stresses = [drawing.stresses_under(w, r, world.width) for w in wheels]
     per_pascal = 0.45 * size * 0.5 * r * world.width / task.weight  # drawn length of a stress
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)

@@ -9,7 +9,7 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import DESIGN, Canvas
 from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
-from soil_env.rendering.ground import Profile, draw_course, friction_range, profile_of
+from soil_env.rendering.ground import draw_course, friction_range, profile_of
 from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
 
 MODES = ("rgb_array", "human")
@@ -26,7 +26,6 @@ class CourseView:
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
         self._canvas = self._window = self._clock = None
-        self._course_key = self._profile = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -51,7 +50,8 @@ class CourseView:
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
         """Draw number k as it is now on a cleared canvas; its course is complete."""
         wheels, width, length = shown_wheels(simulation, k), width_of(simulation), simulation.numbers.task.length
-        profile = self._ground(simulation, k, width, length + 2.0 * width)
+        border = simulation.numbers.world.border
+        profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
         bounds = friction_range(self.scenario, simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
         draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles, self._identified)
@@ -79,15 +79,6 @@ class CourseView:
         if self._window is not None:
             self._window.destroy()
         self._window = self._canvas = self._clock = None
-
-    def _ground(self, simulation: Any, k: int, before: float, beyond: float) -> Profile:
-        """`profile_of` course k, computed anew where the course is another one."""
-        courses = simulation.worlds.courses
-        key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
-        if key != self._course_key:
-            self._profile = profile_of(courses, k, simulation.numbers.world.border, before, beyond)
-            self._course_key = key
-        return self._profile
 
     def _show(self, surface: Any) -> None:
         """Put a picture into the window, which is opened at the first call, and wait until it is due."""

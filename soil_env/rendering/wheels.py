@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.parameters import SoilState
 from soil_env.rendering import canvas
 from soil_env.rendering.canvas import Box, Canvas, Colour
 from soil_env.simulation.task import Cause
@@ -23,15 +22,14 @@ class Stresses(NamedTuple):
     shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
 
 
-def contact_stresses(
-    soil: SoilState, load: float, speed: float, rim_speed: float, sinkage: float, r: float, b: float
-) -> Stresses:
-    """`Stresses` under a wheel of radius r and width b [m] at the sinkage coefficient that its load [N] mobilises.
+def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
+    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now under its load.
 
-    Speeds of travel and of the rim [m/s]; sinkage [m] below the ground that the wheel meets. The soil's own sinkage
-    coefficient does not matter: so the same holds in a rut.
+    They are those at the sinkage coefficient that the load mobilises. The soil's own one does not matter: so the same
+    holds in a rut.
     """
-    coefficient = reaction(speed, rim_speed, sinkage, load, soil, r, b).sinkage_coefficient
+    soil, speed, rim_speed, sinkage = w["soil"], w["speed"], w["wheel_speed"] * r, w["sinkage"]
+    coefficient = reaction(speed, rim_speed, sinkage, w["load"], soil, r, b).sinkage_coefficient
     rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
     theta1 = contact.entry_angle(sinkage, r)
     angle = np.linspace(0.0, theta1, ARC_POINTS)

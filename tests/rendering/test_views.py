@@ -11,8 +11,10 @@ import pytest
 
 from soil_env.parameters import load_scenario
 from soil_env.rendering import canvas
-from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, stresses_under, width_of
+from soil_env.rendering.ground import profile_of
+from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, width_of
 from soil_env.rendering.view import CourseView
+from soil_env.rendering.wheels import stresses_under
 from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
 from tests.conftest import ROOT
@@ -45,11 +47,18 @@ def near(picture, colour, tolerance=12):
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=-1)
 
 
-def hubs(simulation, view):
+def ground(simulation):
+    """`Profile` of the course."""
+    return profile_of(simulation.worlds.courses, 0, simulation.numbers.world.border, 1.0, 60.0)
+
+
+def hubs(simulation):
     """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
     left, top, width, height = SCENE
     scale, wheels = width / width_of(simulation), shown_wheels(simulation, 0)
-    up = hubs_of(simulation, wheels, view._profile) - view._profile.at(0.5 * (wheels[0]["x"] + wheels[-1]["x"]))
+    up = hubs_of(simulation, wheels, ground(simulation)) - ground(simulation).at(
+        0.5 * (wheels[0]["x"] + wheels[-1]["x"])
+    )
     return np.array([left + AT[0] * width, top + AT[1] * height]) + up * scale * (1.0, -1.0), scale
 
 
@@ -65,7 +74,7 @@ def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
     simulation, view = start(rover)
     drive(simulation, view, 40)
     picture = view.draw(simulation, 0)
-    places, scale = hubs(simulation, view)
+    places, scale = hubs(simulation)
     radius = simulation.numbers.world.wheel.radius * scale
     for x, y in places:
         assert ring(picture, x, y, radius) > 0.6  # arrow heads and beams lie on the rest
@@ -88,7 +97,7 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     world = simulation.numbers.world.wheel
     r, area = world.radius, world.radius * world.width
     for w in shown_wheels(simulation, 0):
-        angle, normal, shear = stresses_under(simulation, w)
+        angle, normal, shear = stresses_under(w, r, world.width)
         side = math.copysign(1.0, w["speed"])
         load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
         pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
@@ -103,13 +112,13 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
     with_rut, worlds = view.draw(simulation, 0), simulation.worlds
-    places, scale = hubs(simulation, view)
+    places, scale = hubs(simulation)
     last, row, left = shown_wheels(simulation, 0)[-1], 0, [worlds.courses.rut]
     if rover is not None:  # behind the rear wheel: its own rut in that of the front wheel
         row, left = int(simulation.wheels[0][-1]), [worlds.ruts.rut, worlds.ruts.floor]
-    x, ground = last["x"], view._profile.at(last["x"])
+    x, place = last["x"], ground(simulation).at(last["x"])
     deep = simulation.numbers.world.wheel.radius - last["sinkage"] - last["rut"]
-    assert math.dist(hubs_of(simulation, [last], view._profile)[0], ground) == pytest.approx(deep, rel=1e-9)
+    assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(deep, rel=1e-9)
     depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
     for array in left:
         array[:] = 0.0
