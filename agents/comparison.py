@@ -1,6 +1,7 @@
 """Comparison at the end of a training: the agent and the classical controllers on the same held-out courses."""
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError, to_dict
@@ -28,7 +29,8 @@ def compare(run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, 
     """Evaluate every controller and the agent on the held-out courses, in a folder of the run folder."""
     folder, model = Path(run) / FOLDER, str(Path(run) / "model.zip")
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
-    if _is_driven_by_default(scenario):
+    with suppress(ParameterError):  # of a scenario that the policy of the package cannot drive
+        DefaultPolicy(scenario)
         controllers.append(Contestant(NAME, 0, "class", SHIPPED_CLASS))
     controllers.append(Contestant(agent.name, 0, "model", model, digest(model)))
     asked = Evaluation(
@@ -45,15 +47,6 @@ def compare(run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, 
         folder.mkdir()
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))
-
-
-def _is_driven_by_default(scenario: Scenario | RoverScenario) -> bool:
-    """True if the policy that comes with the package can drive this scenario."""
-    try:
-        DefaultPolicy(scenario)
-    except ParameterError:
-        return False
-    return True
 
 
 def verdict(result: dict, name: str) -> str:

@@ -11,11 +11,9 @@ from soil_env.course_env import CourseVectorEnv
 from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.rover_vector_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause, layout, truth
-from soil_env.terramechanics.model import WheelSoilModel, load_model
+from soil_env.terramechanics.model import load_model
 from soil_env.vector_env import SoilWheelVectorEnv
 from soil_env.vehicle import DEFAULT_ROVER
-
-_PLAIN: dict[str, Any] = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none"}
 
 
 class NativeVecEnv(VecEnv):
@@ -58,9 +56,11 @@ class CourseVecEnv(NativeVecEnv):
     not be written to.
     """
 
-    def __init__(self, env: CourseVectorEnv, observation: str, model: WheelSoilModel | None):
+    def __init__(self, kind: type[CourseVectorEnv], num_envs: int, task, observation: str, model, options: dict):
+        self.model, self.observation_variant = load_model(model), observation
+        own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
+        self.env = env = kind(num_envs, task, observation, **own, **options)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self.env, self.observation_variant, self.model = env, observation, model
         self.scenario, self.simulation, self.observation_names = env.scenario, env.simulation, env.observation_names
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
@@ -107,9 +107,7 @@ class SoilWheelVecEnv(CourseVecEnv):
     """`num_envs` wheels; keyword arguments as in `SoilWheelVectorEnv`."""
 
     def __init__(self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", model=None, **options):
-        world = load_model(model)
-        env = SoilWheelVectorEnv(num_envs, scenario, observation, model=world, **_PLAIN, **options)
-        super().__init__(env, observation, world)
+        super().__init__(SoilWheelVectorEnv, num_envs, scenario, observation, model, options)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
@@ -123,9 +121,7 @@ class SoilRoverVecEnv(CourseVecEnv):
     """`num_envs` rovers; keyword arguments as in `SoilRoverVectorEnv`."""
 
     def __init__(self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options):
-        world = load_model(model)
-        env = SoilRoverVectorEnv(num_envs, rover, observation, model=world, **_PLAIN, **options)
-        super().__init__(env, observation, world)
+        super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""

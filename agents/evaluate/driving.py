@@ -108,13 +108,11 @@ class Runs:
         return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
 
     @classmethod
-    def from_columns(cls, columns: dict[str, list], courses: int | None = None) -> Runs:
-        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`, by default of the first."""
+    def from_columns(cls, columns: dict[str, list], courses: int) -> Runs:
+        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`."""
         arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
-        for name, array in arrays.items():
-            expected = len(arrays["cause"]) if courses is None else courses
-            if len(array) != expected:
-                raise ValueError(f"{name}: {len(array)} values, expected {expected}")
+        if {len(array) for array in arrays.values()} != {courses}:
+            raise ValueError(f"expected {courses} values in each column")
         own = [arrays.pop(name) for name in _FIELDS]
         return cls(own[0].astype(np.int64), *own[1:], arrays)
 

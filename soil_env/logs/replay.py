@@ -214,17 +214,6 @@ _NO_FORCE = (
     "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is identified, if the "
     "load is measured; friction angle, cohesion and K follow from it by the correlations of the belief."
 )
-_WITHOUT = {  # readings of which none was measured; what follows
-    ("sinkage",): "No sinkage: the filter follows it by the law of slip-sinkage. S has wider intervals.",
-    ("torque", "motor_torque"): "No torque: friction angle and K follow from the drawbar pull alone.",
-    ("drawbar_pull", "acceleration"): "No drawbar pull: friction angle and K follow from the torque alone.",
-    ("load",): "No load: the weight on the wheel stands for it, doubted by 5 %.",
-    ("slip",): "No slip: it follows from wheel and travel speed; an error of the wheel radius is an offset of it.",
-}
-_INSTEAD = {  # measured in place of: what follows
-    ("acceleration", "drawbar_pull"): "The drawbar pull is the acceleration times the mass on the wheel.",
-    ("motor_torque", "torque"): "The torque is that of the motor less what accelerates the wheel, friction included.",
-}
 _MISFIT = (
     "In {:.0%} of the steps the readings were further from what the model predicts than their errors explain: a wrong "
     "unit, sign or wheel in the map, a belief without this soil, or laws that do not hold here."
@@ -239,10 +228,6 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
-    for readings, text in _WITHOUT.items():
-        if measured.isdisjoint(readings) and (forces or readings[0] in ("load", "slip")):
-            lines.append(text)
-    lines += [text for (one, other), text in _INSTEAD.items() if one in measured and other not in measured]
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
     shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():
