@@ -3,13 +3,18 @@
 from collections.abc import Sequence
 
 
+def _command():
+    """The click command."""
+    from agents.train import command
+
+    return command
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run with these arguments, by default those of the process; return the exit status."""
-    from soil_env.cli.running import ending_at_once, run
+    from soil_env.cli.running import run
 
-    with ending_at_once("train.py"):
-        from agents.train import command
-    return run(command, arguments, "train.py")
+    return run(_command, arguments, "train.py")
 
 
 if __name__ == "__main__":

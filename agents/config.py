@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 from soil_env._io.loading import Checked, FieldError, load, quantity
-from soil_env.parameters import DEFAULT_SCENARIO
+from soil_env.parameters import DEFAULT_SCENARIO, Scenario
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.vehicle import RoverScenario
 
 #: Name of the agent of each observation variant in tables and files.
 NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": "agent_true"}
@@ -67,6 +69,17 @@ class OfWorld(Checked):
         return WheelSoilModel.from_content(self.model, "model") if self.model else None
 
 
+class OfTask(OfWorld):
+    """Base of a configuration with `task`, the content of a scenario or of a rover's."""
+
+    task: dict
+
+    @cached_property
+    def scenario(self) -> Scenario | RoverScenario:
+        """The scenario, of a wheel or of a rover."""
+        return load(RoverScenario if "vehicle" in self.task else Scenario, self.task, "scenario")
+
+
 @dataclass(frozen=True)
 class TrainConfig(OfWorld):
     """A training run: the keys of its YAML file and of the command line."""
@@ -83,7 +96,7 @@ class TrainConfig(OfWorld):
     timesteps: int = quantity("", 1, 10**12, default=910_000, doc="environment steps of the training")
     student: float = quantity("", 0.0, 1.0, default=1.0, doc="share of them as a student of best_slip_true, then PPO")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
-    courses: int = quantity("", 1, 10**7, default=1000, doc="held-out courses of the comparison")
+    courses: int = quantity("", 1, 100_000, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
     oracle_courses: int | None = quantity(
         "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, no rover"

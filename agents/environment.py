@@ -35,7 +35,11 @@ def normalised(
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
-    parts = [_courses(share, scenario, observation, config, one) for share, one in zip(shares, worlds, strict=True)]
+    kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
+    parts = [
+        kind(share, scenario, observation, threads=config.threads, model=one)
+        for share, one in zip(shares, worlds, strict=True)
+    ]
     return side_by_side(parts, config, seed)
 
 
@@ -50,20 +54,13 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
     return env
 
 
-def _courses(count: int, scenario, observation: str, config: PPOConfig, world) -> CourseVecEnv:
-    """The vector environment of `count` wheels or rovers."""
-    if isinstance(scenario, RoverScenario):
-        return SoilRoverVecEnv(count, scenario, observation, threads=config.threads, model=world)
-    return SoilWheelVecEnv(count, scenario, observation, threads=config.threads, model=world)
-
-
 class CommonVecEnv(SoilWheelVecEnv):
     """Wheels whose observation `identified` has the common layout; `teacher`: settings of theirs (`teachers`)."""
 
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
         self.teacher = teacher
-        self.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
+        self.env.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
         self.observation_space = self.scaling.space
 
 

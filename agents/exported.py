@@ -50,22 +50,14 @@ class ExportedAgent:
         return inputs.Layout(own, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the hidden
-        states for the next call; ParameterError as `agents.agent.Agent.predict`."""
+        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the memory
+        for the next call; ParameterError as `agents.agent.Agent.predict`."""
         inputs.switch(deterministic)  # an exported agent has no other
         batch = np.atleast_2d(self._layout.observed(observation))
-        fresh = None
-        if self.policy.states:
+        if not self.policy.kept:
+            action, memory = self.policy.act(batch)
+        else:
             fresh = inputs.starts(episode_start, len(batch), state is None)
-            if state is not None:
-                self._check_memory(state, len(batch))
-        action, memory = self.policy.act(batch, state if self.policy.states else None, fresh)
+            kept = None if state is None else inputs.memory(state, (len(batch), self.policy.kept))
+            action, memory = self.policy.act(batch, kept, fresh)
         return (action[0] if np.ndim(observation) == 1 else action), memory
-
-    def _check_memory(self, state, count: int) -> None:
-        """ParameterError for anything but the hidden states that a call for `count` courses returned."""
-        expected = self.policy.zeros(count)
-        if not isinstance(state, dict) or set(state) != set(expected):
-            raise ParameterError(f"state = {state!r:.60}: expected what the last predict returned: {sorted(expected)}")
-        for name, zeros in expected.items():
-            inputs.memory(state[name], zeros.shape)

@@ -55,7 +55,7 @@ class History:
     def of_lines(self) -> list[list[int]]:
         """Columns of each line in what `observe` returns."""
         size, start = len(self.columns) + 1, self.entries + self.past
-        return [_range(start + k * size, start + (k + 1) * size) for k in range(len(self.lines))]
+        return [[*range(start + k * size, start + (k + 1) * size)] for k in range(len(self.lines))]
 
     @property
     def kept(self) -> int:
@@ -70,24 +70,24 @@ class History:
         arrays, or values of an ONNX graph (`agents.export`).
         """
         m = len(self.columns)
-        moved = np.concatenate([seen[:, self.columns], kept[:, _range(0, self.past)]], axis=1)
+        moved = np.concatenate([seen[:, self.columns], kept[:, [*range(0, self.past)]]], axis=1)
         now = [np.where(fresh[:, None], seen[:, self.columns * (self.steps + 1)], moved)]
         driving = 1.0 - seen[:, [self.halted]]
         first = m + self.past
         for column, averaged, share in self.averages:
             size = len(averaged) + 1
-            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * size], kept[:, _range(first, first + size)])
+            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * size], kept[:, [*range(first, first + size)]])
             rate = share * driving * seen[:, [column]]
             sums = np.concatenate([seen[:, averaged], 0.0 * driving + 1.0], axis=1)
             now.append(known + rate * (sums - known))
             first += size
         kept = np.concatenate(now, axis=1) if self.averages else now[0]
-        history = [kept[:, _range(m, m + self.past)]]
+        history = [kept[:, [*range(m, m + self.past)]]]
         of_classes, of_bands = now[1 : 1 + len(self.classes)], now[1 + len(self.classes) :]
         lines = [sum(seen[:, [c]] * sums for c, sums in zip(line, of_classes, strict=True)) for line in self.lines]
         for felt, size in [(x, m) for x in lines] + [(x, 1) for x in of_bands]:
             share = felt[:, [size]]
-            history += [felt[:, _range(0, size)] / np.maximum(share, 1e-6), share]
+            history += [felt[:, [*range(0, size)]] / np.maximum(share, 1e-6), share]
         return np.concatenate([seen, *history], axis=1), kept
 
     def space(self, box: spaces.Box) -> spaces.Box:
@@ -107,8 +107,3 @@ def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
         return [[], []]
     own = [[k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n] for line in LINES]
     return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
-
-
-def _range(start: int, stop: int) -> list[int]:
-    """Columns as a list, which an ONNX graph can gather."""
-    return list(range(start, stop))

@@ -1,14 +1,11 @@
 """Output of the commands: tables and lines, a progress bar on a terminal, progress lines elsewhere."""
 
-import textwrap
-
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from soil_env._io.document import Table
+from soil_env._io.document import Table, hanging
 
-WIDTH = 100  # columns of printed text
 console = Console()  # output of all commands of this package
 
 
@@ -54,8 +51,7 @@ class Bar:
 
 
 def show(*parts: object) -> None:
-    """Print tables, and lines broken at `WIDTH`."""
-    wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    """Print tables, and broken lines."""
     for part in parts:
-        text = part.text() if isinstance(part, Table) else wrap.fill(str(part))
+        text = part.text() if isinstance(part, Table) else hanging(str(part))
         console.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -25,24 +25,20 @@ class Policy:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3  # errors
         self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        self.states = {x.name: x for x in self.session.get_inputs() if x.name not in ("observation", "new_course")}
-        self.outputs = ["action", *(f"next_{name}" for name in self.states)]
-
-    def zeros(self, count):
-        """Hidden states {name: [count, size]} before the first step."""
-        return {name: np.zeros((count, *x.shape[1:]), np.float32) for name, x in self.states.items()}
+        own = {x.name: x for x in self.session.get_inputs()}
+        self.kept = own["history"].shape[1] if "history" in own else 0  # numbers kept from step to step
 
     def act(self, observation, memory=None, new_course=None):
-        """(actions [n, 1] in [-1, 1], hidden states) for float32 observations [n, D]; `memory`: the last hidden states.
+        """(actions [n, 1] in [-1, 1], memory [n, kept]) for float32 observations [n, D] and the last memory.
 
         `new_course` [n] bool: rows where a course begins; all of them where there is no memory.
         """
-        feeds = {"observation": observation}
-        if self.states:
-            fresh = np.full(len(observation), memory is None) if new_course is None else new_course
-            feeds |= {"new_course": fresh, **(self.zeros(len(observation)) if memory is None else memory)}
-        action, *states = self.session.run(self.outputs, feeds)
-        return action, dict(zip(self.states, states, strict=True)) or None
+        count, feeds = len(observation), {"observation": observation}
+        if self.kept:
+            feeds["new_course"] = np.full(count, memory is None) if new_course is None else new_course
+            feeds["history"] = np.zeros((count, self.kept), np.float32) if memory is None else memory
+        action, *kept = self.session.run(None, feeds)
+        return action, kept[0] if kept else None
 
 
 def serve(policy):

@@ -1,37 +1,19 @@
 """The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
 
-from .cli import lacks_training
-
-try:
-    from stable_baselines3.common.vec_env import VecEnv
-except ModuleNotFoundError as error:
-    if not lacks_training(error):
-        raise
-    said = f"{__name__} needs Stable-Baselines3: pip install 'soil_env[train]'"
-    raise ModuleNotFoundError(said, name=error.name) from None
-
-from soil_env.course_env import actions_of, check_count
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import STEP, Simulation
-from soil_env.env import action_space, build_scenario
+from soil_env.course_env import CourseVectorEnv
+from soil_env.env import SoilWheelVectorEnv
 from soil_env.parameters import DEFAULT_SCENARIO
-from soil_env.rover_env import build_rover, rover_action_space
-from soil_env.simulation.rover.task import rover_layout
+from soil_env.rover_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause, layout, truth
-from soil_env.simulation.task.scaling import Scaling
 from soil_env.terramechanics.model import load_model
 from soil_env.vehicle import DEFAULT_ROVER
-
-#: Keywords that are no part of a scenario.
-_OWN = ("num_envs", "scenario", "observation", "action", "repeat", "threads", "model", "scaled")
-_OWN_OF_ROVER = ("num_envs", "rover", "observation", "action", "repeat", "threads", "model", "scaled")
-_RUNNING = Cause.RUNNING.value
 
 
 class NativeVecEnv(VecEnv):
@@ -67,94 +49,65 @@ class NativeVecEnv(VecEnv):
 
 
 class CourseVecEnv(NativeVecEnv):
-    """Base: many courses for SB3, a finished one reset within the same step, as SB3 expects.
+    """Base: a vector environment of many courses for SB3, a finished one reset within the same step, as SB3 expects.
 
     Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
     ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
-    not be written to. A subclass makes `simulation`.
+    not be written to.
     """
 
-    def __init__(self, num_envs, threads, scenario, observation, scaling, actions, model):
-        check_count("num_envs", num_envs)
-        if threads is not None:
-            check_count("threads", threads)
-        num_envs = int(num_envs)
-        self.scenario, self.scaling = scenario, scaling
-        super().__init__(num_envs, scaling.space, actions)
-        self.observation_variant = observation
-        self.observation_names = tuple(e.name for e in scaling.entries)
-        self.model = load_model(model)
-        self._commands = np.zeros((num_envs, *actions.shape))
-        self._drive = np.full(num_envs, STEP)
-        self._all = np.ones(num_envs, dtype=np.bool_)
-        self._returns = np.zeros(num_envs)
-        self._lengths = np.zeros(num_envs, dtype=np.int64)
+    def __init__(self, kind: type[CourseVectorEnv], num_envs: int, task, observation: str, model, options: dict):
+        self.model, self.observation_variant = load_model(model), observation
+        own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
+        self.env = env = kind(num_envs, task, observation, **own, **options)
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.scenario, self.simulation, self.observation_names = env.scenario, env.simulation, env.observation_names
+        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
-        self._unseeded = True
+
+    @property
+    def scaling(self):
+        """Scaling of the observations."""
+        return self.env.scaling
 
     def reset(self) -> np.ndarray:
-        """New courses; follows the seeds set by `seed`, else fresh entropy."""
-        if self._unseeded:
-            seeds = self._seeds if self._seeds[0] is not None else [None] * self.num_envs
-            for k in range(self.num_envs):
-                self.simulation.seed(k, np.random.default_rng(seeds[k]))
-            self._unseeded = False
+        """New courses; follows the seeds set by `seed`, else goes on."""
+        seen, _ = self.env.reset(seed=self._seeds)
         self._reset_seeds()
-        self.simulation.restart_where(self._all)
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return self._seen()
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed course k with seed + k, from the next reset on."""
-        self._unseeded = True
-        return super().seed(seed)
+        return seen
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions [num_envs, ...]; NaN raises ValueError."""
-        self._commands[:] = actions_of(actions, self._commands.shape)
+        """Take the actions [num_envs, ...]."""
+        self._actions = actions
 
     def step_wait(self):
-        """One action; (observations, rewards, dones, infos)."""
-        worlds = self.simulation.worlds
-        self._step(self._commands)
-        self._returns += worlds.reward
+        """One action; (observations, rewards, dones, infos). An action that is not finite raises ValueError."""
+        seen, rewards, done, _, _ = self.env.step(self._actions)
+        self._returns += rewards
         self._lengths += 1
-        rewards, done = worlds.reward.astype(np.float32), worlds.cause != _RUNNING
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         if done.any():
-            now, last = round(time.time() - self._start, 6), self._seen()
+            now, last = round(time.time() - self._start, 6), seen
             for k in np.flatnonzero(done):
                 infos[k] = {
                     "terminal_observation": last[k],
                     "TimeLimit.truncated": False,
                     "episode": {"r": float(self._returns[k]), "l": int(self._lengths[k]), "t": now},
-                    "cause": Cause(worlds.cause[k]).name,
+                    "cause": Cause(self.simulation.worlds.cause[k]).name,
                 }
-            self.simulation.restart_where(done)
+            seen, _ = self.env.reset(options={"reset_mask": done})
             self._returns[done] = 0.0
             self._lengths[done] = 0
-        return self._seen(), rewards, done, infos
-
-    def _seen(self) -> np.ndarray:
-        """Observations."""
-        return self.scaling(self.simulation.worlds.observation)
+        return seen, rewards.astype(np.float32), done, infos
 
 
 class SoilWheelVecEnv(CourseVecEnv):
-    """`num_envs` wheels; keyword arguments as in `SoilWheelEnv`."""
+    """`num_envs` wheels; keyword arguments as in `SoilWheelVectorEnv`."""
 
-    def __init__(
-        self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", action=None, repeat=None,
-        threads=None, model=None, scaled=True, **changes,
-    ):  # fmt: skip
-        scenario = build_scenario(scenario, action, repeat, changes, _OWN)
-        scaling = Scaling(layout(observation, scenario.course), scaled)
-        super().__init__(num_envs, threads, scenario, observation, scaling, action_space(), model)
-        self.simulation = Simulation(self.num_envs, scenario, observation, threads=threads, model=self.model)
-
-    def _step(self, commands: np.ndarray) -> None:
-        self.simulation.step_all(commands[:, 0], self._drive)
+    def __init__(self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", model=None, **options):
+        super().__init__(SoilWheelVectorEnv, num_envs, scenario, observation, model, options)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
@@ -165,20 +118,10 @@ class SoilWheelVecEnv(CourseVecEnv):
 
 
 class SoilRoverVecEnv(CourseVecEnv):
-    """`num_envs` rovers; keyword arguments as in `SoilRoverEnv`."""
+    """`num_envs` rovers; keyword arguments as in `SoilRoverVectorEnv`."""
 
-    def __init__(
-        self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", action=None, repeat=None, threads=None,
-        model=None, scaled=True, **changes,
-    ):  # fmt: skip
-        scenario = build_rover(rover, action, repeat, changes, _OWN_OF_ROVER)
-        scaling = Scaling(rover_layout(observation, scenario.axles), scaled)
-        actions = rover_action_space(scenario.axles)
-        super().__init__(num_envs, threads, scenario, observation, scaling, actions, model)
-        self.simulation = RoverSimulation(self.num_envs, scenario, observation, threads, self.model)
-
-    def _step(self, commands: np.ndarray) -> None:
-        self.simulation.step_all(commands, self._drive)
+    def __init__(self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options):
+        super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""

@@ -40,7 +40,7 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     soil-env train --observation blind --timesteps 5e6
     soil-env train --resume runs/NAME                    # continue after an interrupt or a kill
 
-    The run folder gets config.yaml, scenario.yaml, model.zip, tensorboard/ and comparison.*; checkpoint.zip
+    The run folder gets config.yaml, scenario.yaml, model.zip, tensorboard/ and comparison/; checkpoint.zip
     is there until the training is done.
     """
     with needing_training():
@@ -61,12 +61,11 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         folder = training.make_run_folder(settings, scenario)
     with continued_by(f"soil-env train --resume {folder}"):
         show(f"Run folder: {folder}")
-        if all((folder / name).is_file() for name in (training.MODEL, *comparison.FILES)):
-            show("Already finished. Delete its comparison.json to compare again.")
+        if all((folder / name).is_file() for name in (training.MODEL, comparison.DONE)):
+            show(f"Already finished. Delete its {comparison.DONE} to compare again.")
             return
         try:
             agent = training.train(folder, settings, scenario)
         except MemoryError as error:
             raise MemoryError(f"{error}; expected a smaller ppo.num_envs or ppo.n_steps") from None
         comparison.compare(folder, settings, scenario, agent)
-        show(f"Written to {folder}: {', '.join(comparison.FILES)}")

@@ -37,26 +37,16 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     for action in actions.split(","):
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
-    with continued_by("the same command"):
-        _tune(out, scenario, actions.split(","), courses)
-
-
-def _tune(out: Path, name: str, actions: list[str], courses: int) -> None:
-    """Tune for each action and write the settings."""
     make_folder(out)
-    settings, lines = {}, []
-    for action in actions:
-        scenario = load_scenario(name, {"control": {"action": action}})
-        chosen, tried = tuned_settings(scenario, courses, log=out / f"trials-{action}.log", anew=True)
-        settings[action] = {n: {key: float(f"{v:.4g}") for key, v in values.items()} for n, values in chosen.items()}
-        for n, values in settings[action].items():
-            best = max(tried[n], key=lambda trial: (trial["finished"], trial["return"]))
-            said = ", ".join(f"{key} {value:g}" for key, value in values.items())
-            lines.append(f"{action}, {n}: {100 * best['finished']:.1f} % of the tuning courses finished with {said}")
+    settings = {}
+    with continued_by("the same command"):
+        for action in actions.split(","):
+            task = load_scenario(scenario, {"control": {"action": action}})
+            chosen = tuned_settings(task, courses, log=out / f"trials-{action}.log", anew=True)
+            settings[action] = {n: {key: float(f"{v:.4g}") for key, v in own.items()} for n, own in chosen.items()}
     content = {"courses": courses, "seed": TUNING_SET, "trials": trials_of(courses),
                "version": code_version(), "settings": settings}  # fmt: skip
-    file = out / f"{name}.yaml"
-    typed = f"soil-env tune --scenario {name} --courses {courses} --actions {','.join(actions)}"
+    typed = f"soil-env tune --scenario {scenario} --courses {courses} --actions {actions}"
     made = f"# Settings of the classical controllers, found by {typed}\n"
-    replace_file(file, made + yaml.safe_dump(content, sort_keys=False))
-    show(*lines, f"Written: {file}")
+    replace_file(out / f"{scenario}.yaml", made + yaml.safe_dump(content, sort_keys=False))
+    show(f"Written: {out / scenario}.yaml")

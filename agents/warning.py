@@ -32,7 +32,7 @@ from soil_env.simulation.task import Cause
 from .cli import needing_training
 from .controllers import CONTROLLERS, Controller
 from .evaluate.driving import drive
-from .evaluate.warning import KEPT, RELEASE
+from .evaluate.warning import Alarm
 from .progress import show
 
 #: Course sets, disjoint from each other and from those of `agents.evaluate`.
@@ -143,12 +143,10 @@ class Drives:
     def false(self, probability: np.ndarray, threshold: float) -> tuple[float, float]:
         """(time under alarm [s], time driven [s]) on finished courses, at a threshold of the probability."""
         passed = self.cause == Cause.FINISHED.value
-        on, quiet, under = np.zeros(len(passed), dtype=bool), np.zeros(len(passed)), 0
+        alarm, under = Alarm(len(passed), self.period, threshold), 0
         for p, driving in zip(probability, self.driving, strict=True):
-            on |= driving & (p >= threshold)
-            quiet = np.where(driving, np.where(p >= KEPT * threshold, 0.0, quiet + self.period), quiet)
-            on &= quiet < RELEASE - 1e-9
-            under += int((on & driving & passed).sum())
+            alarm.step(p, driving)
+            under += int((alarm.on & driving & passed).sum())
         return under * self.period, float(self.driving[:, passed].sum()) * self.period
 
 
@@ -157,7 +155,8 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
     task = load_scenario(scenario, {"control": {"action": "torque"}})
     warning, rows, kept = ImmobilisationWarning(task), np.arange(count), []
     driver = make_driver(family, task, [seed, first], count)
-    for worlds, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+    for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+        worlds = sim.worlds
         inputs = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd).astype(np.float32)
         driving = alive & (worlds.state["halt_left"] == 0.0)
         kept.append((inputs, alive.copy(), driving, worlds.state["best_x"].copy()))

@@ -7,7 +7,7 @@ import numpy as np
 
 from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.wheel import ConstantSpeed, SoftStart
-from agents.evaluate import drive
+from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
 from soil_env.driving.rovers import RoverSimulation
@@ -76,7 +76,8 @@ def record(
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
     true, halts, readings, known, running, ground = [], [], [], [], [], np.empty((courses, 9))
-    for w, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
+    for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
+        w = sim.worlds
         x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
         load = np.array(w.state["mass"]) * scenario.gravity

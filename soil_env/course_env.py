@@ -2,7 +2,6 @@
 
 import copy
 import dataclasses
-from abc import abstractmethod
 from collections.abc import Sequence
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
@@ -113,10 +112,6 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self._over = True
         self._spec: EnvSpec | None = None
 
-    @abstractmethod
-    def _new_view(self, mode: str) -> "CourseView":
-        """A view in this mode."""
-
     @property
     def spec(self) -> EnvSpec | None:
         """Spec of `gymnasium.make` with the length of an episode, which wrappers ask for."""
@@ -192,8 +187,10 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
     def _view(self) -> "CourseView":
         if self._renderer is None:
+            from soil_env.rendering.view import CourseView  # takes a while
+
             assert self.render_mode is not None
-            self._renderer = self._new_view(self.render_mode)
+            self._renderer = CourseView(self.scenario, self.render_mode)
         return self._renderer
 
 

@@ -1,7 +1,7 @@
 """The Gymnasium environments of one driven wheel and of many."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -17,9 +17,6 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
-
-if TYPE_CHECKING:
-    from soil_env.rendering.view import CourseView
 
 __all__ = ["IMMOBILISED", "SoilWheelEnv", "SoilWheelVectorEnv", "action_space", "build_scenario", "observation_space"]
 #: Keywords that are no part of a scenario.
@@ -277,11 +274,6 @@ class SoilWheelEnv(CourseEnv):
         info = checked(info, observation)
         self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
         self.infos: Infos = Infos(self.simulation, info)
-
-    def _new_view(self, mode: str) -> "CourseView":
-        from soil_env.rendering.side_view import Renderer
-
-        return Renderer(self.scenario, mode)
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""

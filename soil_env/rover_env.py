@@ -1,7 +1,7 @@
 """The Gymnasium environments of a rover on two or three axles and of many."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,9 +18,6 @@ from soil_env.terramechanics.model import WheelSoilModel, load_model
 from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
-
-if TYPE_CHECKING:
-    from soil_env.rendering.view import CourseView
 
 _OWN = ("rover", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 _OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
@@ -177,11 +174,6 @@ class SoilRoverEnv(CourseEnv):
         info = checked(info, observation)
         self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, asks(info))
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
-
-    def _new_view(self, mode: str) -> "CourseView":
-        from soil_env.rendering.rover_view import RoverRenderer
-
-        return RoverRenderer(self.scenario, mode)
 
     def true_soils(self) -> tuple[SoilState, ...]:
         """The undisturbed soil under each axle: for analysis and references, never part of a fair observation."""

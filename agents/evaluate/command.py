@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -79,16 +79,25 @@ def command(
     with continued_by(f"soil-env evaluate --resume {folder}"):
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
             asked = cells.load_study(Evaluation, folder)
-        asked = _tuned(asked, folder)
-        cells.save_study(asked, folder)
-        (folder / _TUNING).unlink(missing_ok=True)
-        job = evaluation.Job(asked, None if chosen is cells.in_process else 1, ship=engine == "ray")
-        with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
-            runs = evaluation.run(asked, folder, chosen, job, lambda count: bar.update(advance=count))
-        result = evaluation.result(asked, runs)
-        written = report.write(result, runs, folder)
+        carry_out(asked, folder, chosen, ship=engine == "ray")
+
+
+def carry_out(asked: Evaluation, folder: Path, engine: cells.Engine = cells.in_process, ship: bool = False) -> dict:
+    """Tune, drive what is missing in `folder`, write and print the results; returns the content of evaluation.json.
+
+    `ship`: the engine's machines do not have the files of the models.
+    """
+    asked = _tuned(asked, folder)
+    cells.save_study(asked, folder)
+    (folder / _TUNING).unlink(missing_ok=True)
+    job = evaluation.Job(asked, None if engine is cells.in_process else 1, ship)
+    with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
+        runs = evaluation.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
+    result = evaluation.result(asked, runs)
+    written = report.write(result, runs, folder)
     report.print_table(result)
     show(f"Written to {folder}: {', '.join(written)}")
+    return result
 
 
 def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
@@ -114,7 +123,7 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
     controllers = contestants.parse(options.controllers, extra.get("settings", {}))
     model = WheelSoilModel.load(options.model).content() if options.model else {}
     with as_options():
-        return Evaluation(scenario, controllers, tuning_courses=tuning, model=model, **same)
+        return Evaluation(to_dict(scenario), controllers, tuning_courses=tuning, model=model, **same)
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
@@ -124,5 +133,5 @@ def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed
     names, log = [c.name for c in own], folder / _TUNING
-    tuned, _ = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
+    tuned = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
     return dataclasses.replace(asked, tuned=tuned)

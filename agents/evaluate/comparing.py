@@ -1,17 +1,15 @@
 """Comparison of controllers on the same courses: rates and means with 95 % intervals, paired differences."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import write_json
 from soil_env.parameters import Scenario
 
 from . import statistics as st
 from .driving import MEANINGS, RATES, Runs
-from .tables import COLUMNS, OF_ROVERS, legend, metric_table, save_csv
+from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
 RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
@@ -23,25 +21,24 @@ BY_SEED = ("immobilised", "finished", "return")
 
 
 def comparison(
-    scenario: Scenario, seed: int, runs: Mapping[str, Runs | Sequence[Runs]], settings: Mapping | None = None,
+    scenario: Scenario, seed: int, runs: Mapping[str, Sequence[Runs]], settings: Mapping | None = None,
     oracle: Runs | None = None, resamples: int = RESAMPLES,
 ) -> dict:  # fmt: skip
-    """The content of comparison.json; `runs`: for each controller its runs, or those of each training seed.
+    """The comparison of controllers; `runs`: for each the runs of each training seed.
 
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
     "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
     training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
-    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (see `limit`) where the
+    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (see `_limit`) where the
     `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
-    rows = {name: [own] if isinstance(own, Runs) else list(own) for name, own in runs.items()}
-    first = next(iter(rows.values()))[0]
+    first = next(iter(runs.values()))[0]
     names, courses = first.names, first.cause.size
     drawn = st.draws(seed, courses, resamples)
-    members = {name: drawn.members(name, len(own)) for name, own in rows.items()}
-    scores = {name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in rows.items()}
+    members = {name: drawn.members(name, len(own)) for name, own in runs.items()}
+    scores = {name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in runs.items()}
     paired = [m for m in PAIRED if m in names]
-    samples = {n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names} for n in rows}
+    samples = {n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names} for n in runs}
 
     def difference(a: str, b: str, m: str) -> dict:
         return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
@@ -55,20 +52,20 @@ def comparison(
         drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
         return st.bounds(st.probability_of_improvement(x, y), drawn_ones)
 
-    others = {a: [b for b in rows if b != a] for a in rows}
+    others = {a: [b for b in runs if b != a] for a in runs}
     return {
         "scenario": scenario.name,
         "courses": int(courses),
         "seed": seed,
         "settings": dict(settings or {}),
-        "members": {name: len(own) for name, own in rows.items()},
+        "members": {name: len(own) for name, own in runs.items()},
         "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
-        "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in rows},
-        "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in rows},
-        "iqm": {n: iqm(n) for n in rows},
-        "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in rows},
-        "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in rows},
-        **({"limit": limit(oracle, rows, _alone(oracle, names, seed, resamples))} if oracle else {}),
+        "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in runs},
+        "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in runs},
+        "iqm": {n: iqm(n) for n in runs},
+        "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs},
+        "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in runs},
+        **({"limit": _limit(oracle, runs, names, seed, resamples)} if oracle else {}),
     }
 
 
@@ -81,14 +78,15 @@ def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
     return st.bounds(st.mean(scores), samples)
 
 
-def _alone(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:
-    """The metrics `names` of the oracle over its own courses; its drives are not detailed."""
+def _limit(oracle: Runs, rows: Mapping[str, Sequence[Runs]], names: Sequence[str], seed: int, resamples: int) -> dict:
+    """{"courses", "metrics", "avoidable": {controller: `avoidable`}}; the drives of the oracle are not detailed."""
     drawn = st.draws(seed, oracle.cause.size, resamples)
-    members, out = drawn.members(ORACLE, 1), dict.fromkeys(names, _UNDEFINED)
+    members, metrics = drawn.members(ORACLE, 1), dict.fromkeys(names, _UNDEFINED)
     for m in oracle.names:
         scores = oracle.metric(m)[None]
-        out[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
-    return out
+        metrics[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
+    failures = {name: avoidable(oracle, own) for name, own in rows.items()}
+    return {"courses": int(oracle.cause.size), "metrics": metrics, "avoidable": failures}
 
 
 def table(result: Mapping) -> tuple[Table, str]:
@@ -98,16 +96,6 @@ def table(result: Mapping) -> tuple[Table, str]:
     seeds = {name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()}
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(result)
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
-
-
-def save(result: Mapping, folder: Path, name: str = "comparison") -> None:
-    """Write NAME.json and NAME.csv into `folder`; the row of the oracle, where there is one, is the last."""
-    write_json(Path(folder) / f"{name}.json", result)
-    rows = [["controller", *(m + part for m in result["metrics"] for part in ("", "_low", "_high"))]]
-    for key, row in (result["controllers"] | limit_rows(result)).items():
-        values = [row[m][part] for m in result["metrics"] for part in ("value", "low", "high")]
-        rows.append([key, *("" if v is None else f"{v:.6g}" for v in values)])
-    save_csv(Path(folder) / f"{name}.csv", rows)
 
 
 # --- limit of the task ------------------------------------------------------------------------------------------------
@@ -126,15 +114,6 @@ def avoidable(oracle: Runs, runs: Sequence[Runs]) -> dict:
     count = int(sum((f & passed).sum() for f in failed))
     low, high = st.wilson(count, failures)
     return {"failures": failures, "value": count / failures, "low": low, "high": high}
-
-
-def limit(oracle: Runs, runs: Mapping[str, Sequence[Runs]], metrics: Mapping) -> dict:
-    """The entry "limit" of a comparison: {"courses", "metrics", "avoidable": {controller: `avoidable`}}."""
-    return {
-        "courses": int(oracle.cause.size),
-        "metrics": dict(metrics),
-        "avoidable": {name: avoidable(oracle, members) for name, members in runs.items()},
-    }
 
 
 def limit_rows(result: Mapping) -> dict[str, Mapping]:

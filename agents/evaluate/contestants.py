@@ -40,7 +40,6 @@ class Contestant:
         return f"{self.name} ({self.source})" if self.source != self.name else self.name
 
 
-VECNORMALIZE = "vecnormalize.pkl"  # that rl-baselines3-zoo writes beside a model
 _NAME = re.compile(r"[\w.+-]+")
 #: Policy that comes with the package: its names in a list, and its class.
 SHIPPED, SHIPPED_CLASS = ("default_policy", "default"), f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
@@ -132,19 +131,15 @@ def _default_name(kind: str, source: str) -> str:
     return (path.resolve().parent.name or path.stem) if of_folder else path.stem
 
 
-def model_files(path: str) -> dict[str, bytes]:
-    """{name: content} of a model and of its normalisation beside it; ParameterError if it cannot be read."""
-    beside, exported = Path(path).with_name(VECNORMALIZE), Path(path).suffix == ".onnx"
+def model_bytes(path: str) -> bytes:
+    """Content of the file of a model; ParameterError if it cannot be read."""
     try:
-        files = {POLICY if exported else "model.zip": Path(path).read_bytes()}
-        if beside.is_file() and not exported:
-            files[VECNORMALIZE] = beside.read_bytes()
+        return Path(path).read_bytes()
     except OSError as error:
         expected = "expected a model, .zip, or a run folder"
         raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); {expected}") from None
-    return files
 
 
 def digest(path: str) -> str:
-    """SHA-256 of the files of a model."""
-    return hashlib.sha256(b"".join(model_files(path).values())).hexdigest()
+    """SHA-256 of the file of a model."""
+    return hashlib.sha256(model_bytes(path)).hexdigest()

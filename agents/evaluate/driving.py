@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP, Simulation, Worlds
+from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.env import IMMOBILISED
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
-from .warning import Alarm, Foresight, Warnings
+from .warning import Foresight
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
 TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
 _RUNNING, _STUCK = Cause.RUNNING.value, [cause.value for cause in IMMOBILISED]
-
-
-class ControllerError(ParameterError):
-    """A controller returned an action of the wrong shape, or one that is not finite."""
-
 
 #: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
@@ -46,14 +41,10 @@ METRICS = {
 }
 #: Further metrics of a detailed drive of a wheel, NaN on courses on which they are not defined.
 DETAILED = {
-    "warned": ("share of immobilised courses", "a warning was on at complete immobilisation"),
-    "warning_distance": ("m", "from the warning to complete immobilisation, where warned"),
-    "warning_time": ("s", "from the warning to complete immobilisation, where warned"),
-    "false_warning": ("share of driving time", "under warning on courses without immobilisation"),
-    "foreseen": ("share of immobilised courses", "the probability of immobilisation gave warning then"),
-    "foreseen_distance": ("m", "from that warning to complete immobilisation, where foreseen"),
-    "foreseen_time": ("s", "from that warning to complete immobilisation, where foreseen"),
-    "false_foresight": ("share of driving time", "under that warning on courses without immobilisation"),
+    "foreseen": ("share of immobilised courses", "an alarm by the probability was on at complete immobilisation"),
+    "foreseen_distance": ("m", "from the alarm to complete immobilisation, where foreseen"),
+    "foreseen_time": ("s", "from the alarm to complete immobilisation, where foreseen"),
+    "false_foresight": ("share of driving time", "under alarm on courses without immobilisation"),
     "tractive_efficiency": ("-", "drawbar work over motor work while driving with a drawbar pull > 0"),
     "slip_p50": ("-", "median slip over time, halts left out"),
     "slip_p95": ("-", "95th percentile of slip over time, halts left out"),
@@ -66,7 +57,7 @@ OF_ROVERS = {
     "wheel_force": ("% of share", "largest |torque|/radius of a wheel over its share of the weight, mean over time"),
 }
 MEANINGS = METRICS | DETAILED | OF_ROVERS
-RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "warned", "foreseen")
+RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "foreseen")
 
 
 @dataclass(frozen=True)
@@ -117,13 +108,11 @@ class Runs:
         return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
 
     @classmethod
-    def from_columns(cls, columns: dict[str, list], courses: int | None = None) -> Runs:
-        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`, by default of the first."""
+    def from_columns(cls, columns: dict[str, list], courses: int) -> Runs:
+        """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`."""
         arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
-        for name, array in arrays.items():
-            expected = len(arrays["cause"]) if courses is None else courses
-            if len(array) != expected:
-                raise ValueError(f"{name}: {len(array)} values, expected {expected}")
+        if {len(array) for array in arrays.values()} != {courses}:
+            raise ValueError(f"expected {courses} values in each column")
         own = [arrays.pop(name) for name in _FIELDS]
         return cls(own[0].astype(np.int64), *own[1:], arrays)
 
@@ -138,14 +127,13 @@ def course_rng(seed: int, course: int) -> np.random.Generator:
 
 def run_courses(
     controller, scenario: Scenario, seed: int, courses: int, first: int = 0,
-    progress: Callable[[int], None] | None = None, batch: int = 500, model: WheelSoilModel | None = None,
-    threads: int | None = None, detailed: bool = False,
+    batch: int = 500, model: WheelSoilModel | None = None, threads: int | None = None, detailed: bool = False,
 ) -> Runs:  # fmt: skip
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
-    the scenario's. Course k of a set is the same for every controller. `progress` receives the number of courses done
-    since its last call. `model` has the effects of the world. `detailed`: with the metrics `DETAILED` of a wheel.
+    the scenario's. Course k of a set is the same for every controller. `model` has the effects of the world.
+    `detailed`: with the metrics `DETAILED` of a wheel.
 
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
     bits may depend on how many courses are driven side by side.
@@ -153,30 +141,11 @@ def run_courses(
     parts, kind = [], _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
         count, totals = min(batch, first + courses - start), None
-        for sim, alive in _driven(controller, scenario, seed, start, count, threads, model, detailed):
+        for sim, alive in drive(controller, scenario, seed, start, count, threads, model, detailed):
             totals = totals or kind(sim, scenario, count)
             totals.add(alive)
         parts.append(totals.runs())
-        if progress is not None:
-            progress(count)
     return Runs.join(parts)
-
-
-def drive(
-    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
-    model: WheelSoilModel | None = None, warnings: bool = False,
-) -> Iterator[tuple[Worlds, np.ndarray]]:  # fmt: skip
-    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
-
-    Yields (worlds, alive) after every control period: the arrays of the simulation, one row a course, and the courses
-    still under way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`);
-    between, its action is held. Rows of ended courses stay as they ended. Raises `ControllerError` for an action of
-    another shape than [count, 1], or [count, axles], and for one that is not finite. The reward has no term
-    `information`: it helps to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in
-    `worlds.recent`.
-    """
-    for sim, alive in _driven(controller, scenario, seed, first, count, threads, model, warnings):
-        yield sim.worlds, alive
 
 
 def simulate(
@@ -188,8 +157,18 @@ def simulate(
     return Simulation(count, scenario, variant, threads, model, warnings)
 
 
-def _driven(controller, scenario, seed: int, first: int, count: int, threads, model, warnings: bool) -> Iterator[tuple]:
-    """Drive to the end of all courses; (simulation, courses under way [count] bool) after each control period."""
+def drive(
+    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
+    model: WheelSoilModel | None = None, warnings: bool = False,
+) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:  # fmt: skip
+    """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
+
+    Yields (simulation, alive) after every control period: one row a course in its arrays, and the courses still under
+    way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`); between, its
+    action is held. Rows of ended courses stay as they ended. Raises `ParameterError` for an action of another shape
+    than [count, 1], or [count, axles], and for one that is not finite. The reward has no term `information`: it helps
+    to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
+    """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
     stepped = replace(scenario, reward=replace(scenario.reward, information=0.0), control=replace(control, repeat=1))
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
@@ -216,16 +195,16 @@ def _driven(controller, scenario, seed: int, first: int, count: int, threads, mo
 
 
 def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: int) -> np.ndarray:
-    """The `action` of a controller as commands [count] or [count, axles]; ControllerError for an unsuitable one."""
+    """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an unsuitable one."""
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
     if action.shape != (len(alive), axles):
-        raise ControllerError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
+        raise ParameterError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
     bad = np.flatnonzero(alive & ~np.isfinite(action).all(axis=1))
     if bad.size:
         value = action[bad[0]].tolist()
         said = value[0] if axles == 1 else value
-        raise ControllerError(f"action {said} {when} {first + bad[0]}: expected a finite number")
+        raise ParameterError(f"action {said} {when} {first + bad[0]}: expected a finite number")
     commands = np.clip(np.nan_to_num(action), -1.0, 1.0)
     return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
 
@@ -312,10 +291,7 @@ class _Detailed(_Totals):
 
     def __init__(self, sim, scenario: Scenario, count: int):
         super().__init__(sim, scenario, count)
-        self.alarms: list[tuple[Alarm, str, str, str]] = [  # and its metrics
-            (Warnings(scenario, count), "warned", "warning", "false_warning"),
-            (Foresight(scenario, count), "foreseen", "foreseen", "false_foresight"),
-        ]
+        self.foresight = Foresight(scenario, count)
         self.drawbar_work, self.drive_work = np.zeros((2, count))
         self.slips, self.depths, self.drove = [], [], []
 
@@ -327,18 +303,16 @@ class _Detailed(_Totals):
         self.slips.append(s["slip"].copy())
         self.depths.append(1000.0 * s["sinkage"])
         self.drove.append(on)
-        for alarm, *_ in self.alarms:
-            alarm.step(self.worlds, alive)
+        self.foresight.step(self.worlds, alive)
         return on
 
     def more(self) -> dict[str, np.ndarray]:
         stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
-        out = {}
-        for alarm, name, ahead, false in self.alarms:
-            lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
-            out[name] = np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)
-            out[f"{ahead}_distance"], out[f"{ahead}_time"] = lead.T
-            out[false] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
+        alarm = self.foresight
+        lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
+        out = {"foreseen": np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)}
+        out["foreseen_distance"], out["foreseen_time"] = lead.T
+        out["false_foresight"] = np.where(stuck, math.nan, _ratio(alarm.under, alarm.driven))
         out["tractive_efficiency"] = _ratio(self.drawbar_work, self.drive_work)
         drove = np.array(self.drove)
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):

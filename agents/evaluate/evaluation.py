@@ -12,23 +12,22 @@ from functools import partial
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError, quantity
-from soil_env.parameters import Scenario
 
 from ..cells import Engine, code_version, fill, read_cell
-from ..config import OfWorld, check_oracle
-from ..controllers import make_controller
+from ..config import OfTask, check_oracle
 from ..controllers.oracle import Oracle
+from ..controllers.rover import controllers_of
 from . import loading
 from .comparing import ORACLE, ORACLE_BLOCK, comparison
-from .contestants import Contestant, digest, model_files
+from .contestants import Contestant, digest, model_bytes
 from .driving import HELD_OUT_SET, Runs, run_courses
 
 
 @dataclass(frozen=True)
-class Evaluation(OfWorld):
+class Evaluation(OfTask):
     """Controllers that are compared, and their courses."""
 
-    scenario: Scenario
+    task: dict
     controllers: dict[str, Contestant]  # by `Contestant.key`
     courses: int = quantity("", 1, 100_000, default=1000)
     seed: int = quantity("", 0, 2**63 - 1, default=HELD_OUT_SET, doc="names the set of courses")
@@ -38,6 +37,7 @@ class Evaluation(OfWorld):
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
     tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
     model: dict = field(default_factory=dict)  # content of the model.yaml of the world's effects; empty = none
+    detailed: bool = True  # with the metrics `DETAILED` of a wheel
     version: str = field(default_factory=code_version)
 
     def __post_init__(self):
@@ -85,7 +85,7 @@ class Job:
 
     def __init__(self, asked: Evaluation, threads: int | None = 1, ship: bool = False):
         self.asked, self.threads, self.controllers = asked, threads, asked.contestants()
-        self.files = {key: model_files(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
+        self.files = {key: model_bytes(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):
@@ -97,7 +97,7 @@ class Job:
         try:
             runs = run_courses(
                 self._controller(key), asked.scenario, asked.seed, block.count, block.first,
-                batch=block.count, model=asked.world, threads=self.threads, detailed=key != ORACLE,
+                batch=block.count, model=asked.world, threads=self.threads, detailed=asked.detailed and key != ORACLE,
             )  # fmt: skip
         except ParameterError as error:
             label = self.controllers[key].label if key in self.controllers else key
@@ -141,9 +141,9 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     """
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}
-    contestants = asked.contestants()
+    contestants, (_, make) = asked.contestants(), controllers_of(asked.scenario)
     settings = {
-        c.name: make_controller(c.source, asked.scenario, **c.settings).settings
+        c.name: make(c.source, asked.scenario, **c.settings).settings
         for c in contestants.values()
         if c.kind == "classical"
     }

@@ -20,8 +20,8 @@ from .contestants import Contestant
 from .driving import simulate
 
 
-def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | None = None):
-    """The controller: an object with `predict` and `variant`. `files`: the model, if it does not lie at its source."""
+def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
+    """The controller: an object with `predict` and `variant`. `content`: of a model that is not here."""
     if contestant.kind == "classical":
         known, make = controllers_of(scenario)
         if known is CONTROLLERS:
@@ -30,12 +30,13 @@ def load(contestant: Contestant, scenario: Scenario, files: dict[str, bytes] | N
     if contestant.kind == "model":
         from .models import load_model  # takes seconds
 
-        if files is None:
-            return load_model(Path(contestant.source), scenario)
+        source = Path(contestant.source)
+        if content is None:
+            return load_model(source, scenario)
         with tempfile.TemporaryDirectory() as folder:
-            for name, content in files.items():
-                (Path(folder) / name).write_bytes(content)
-            return load_model(Path(folder) / next(iter(files)), scenario)
+            file = Path(folder) / source.name
+            file.write_bytes(content)
+            return load_model(file, scenario)
     return _from_class(contestant.source, contestant.name, scenario)
 
 
@@ -125,7 +126,7 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
     answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
-    action, _ = _checked(answer, (3, 1), contestant.label)
+    action, _ = _checked(answer, (3, getattr(scenario, "axles", 1)), contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
         given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"

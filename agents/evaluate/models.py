@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import multiprocessing
-import pickle
 import sys
 import warnings
 from functools import cache
@@ -21,7 +20,6 @@ from soil_env.simulation.task.scaling import Scaling
 from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
 from ..exported import ExportedAgent
-from .contestants import VECNORMALIZE
 
 try:
     import torch
@@ -50,8 +48,7 @@ def load_model(path: Path, scenario: Scenario):
 
     A policy.onnx of `agents.export` is run by onnxruntime. A zip of train.py (soil_env.json inside) has its
     normalisation and is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its observation
-    space gives the variant, and a file vecnormalize.pkl beside it, as rl-baselines3-zoo writes, the normalisation.
-    It may have been trained with `LineAction`.
+    space gives the variant. It may have been trained with `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
     if path.suffix == ".onnx":
@@ -117,6 +114,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
         raise ParameterError(f"{path}: a {algorithm} model needs {package.replace('_', '-')}") from None
+    if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
+        raise ParameterError(f"{beside}: trained with VecNormalize: give a module:Class that applies it instead")
     _warn(str(path))
     try:
         with warnings.catch_warnings():
@@ -131,7 +130,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     axles = getattr(scenario, "axles", 1)
     if shape != (axles,) and not of_line:
         raise ParameterError(f"{path}: trained with actions of shape {shape}: expected ({axles},)")
-    return _Plain(model, variant, scaling, _normalisation(path), names.index("choice") if of_line else None)
+    return _Plain(model, variant, scaling, names.index("choice") if of_line else None)
 
 
 @cache
@@ -156,36 +155,19 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     )
 
 
-def _normalisation(path: Path):
-    file = path.with_name(VECNORMALIZE)
-    if not file.is_file():
-        return None
-    _warn(str(file))
-    try:
-        with open(file, "rb") as stream:
-            normalisation = pickle.load(stream)
-        normalisation.normalize_obs  # noqa: B018
-    except Exception as error:
-        raise ParameterError(f"controllers: {file}: cannot be loaded ({type(error).__name__}: {error})") from None
-    return normalisation
-
-
 class _Plain:
-    """A model of SB3 that reads the observation of `variant`, normalised where it was trained so.
+    """A model of SB3 that reads the observation of `variant`.
 
     `choice` is the place of that reading in the observation for a model trained with `LineAction`, else None.
     """
 
-    def __init__(self, model, variant: str, scaling: Scaling, normalisation, choice: int | None = None):
+    def __init__(self, model, variant: str, scaling: Scaling, choice: int | None = None):
         self.model, self.policy, self.variant = model, model.policy, variant
-        self.scaling, self.normalisation, self.choice = scaling, normalisation, choice
+        self.scaling, self.choice = scaling, choice
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        x = self.scaling(observation)
-        if self.normalisation is not None:
-            x = self.normalisation.normalize_obs(x)
-        action, state = self.model.predict(x, state, episode_start, deterministic)
+        action, state = self.model.predict(self.scaling(observation), state, episode_start, deterministic)
         if self.choice is not None:
             choosing = np.asarray(observation)[..., [self.choice]] > 0.5
             action = np.where(choosing, action[..., 1:], action[..., :1])

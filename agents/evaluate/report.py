@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.document import Table
-from soil_env._io.files import replace_file
+from soil_env._io.files import replace_file, write_json
 from soil_env.simulation.task import Cause
 
 from ..progress import show
 from . import comparing
 from .comparing import ORACLE
 from .driving import RATES, Runs
-from .tables import cell, difference, draw_metrics, png, save_csv
+from .tables import cell, difference, draw_metrics, save_csv
 
-_FILES = ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png")
-_PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "return")
+_FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
+_PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "fighting", "return")
 _CHOSEN = {
     "untuned": "untuned",
     "tuned": "tuned on at least {courses} other courses",
@@ -29,10 +29,12 @@ def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
     show(*comparing.table(result), *settings(result), *comparing.limit_lines(result))
-    warned = (f"{name} {cell(rows[name]['warned'], 100.0, 0, bounds=False)} % "
-              f"{cell(rows[name]['warning_distance'], bounds=False)} m "
-              f"{cell(rows[name]['warning_time'], digits=1, bounds=False)} s" for name in rows)  # fmt: skip
-    show(f"Immobilisations warned of, distance and time ahead: {'; '.join(warned)}")
+    if "foreseen" not in result["metrics"]:
+        return
+    foreseen = (f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
+                f"{cell(row['foreseen_distance'], bounds=False)} m "
+                f"{cell(row['foreseen_time'], digits=1, bounds=False)} s" for name, row in rows.items())  # fmt: skip
+    show(f"Immobilisations foreseen, distance and time ahead: {'; '.join(foreseen)}")
 
 
 def settings(result: Mapping) -> list[str]:
@@ -51,11 +53,12 @@ def _values(values: Mapping[str, float]) -> str:
 
 
 def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list[str]:
-    """Write evaluation.json, .csv and .md, courses.csv and metrics.png; returns their names."""
+    """Write evaluation.json and .md, courses.csv and metrics.png; returns their names."""
     folder = Path(folder)
-    comparing.save(result, folder, "evaluation")
+    write_json(folder / "evaluation.json", result)
     save_csv(folder / "courses.csv", _courses(runs, list(result["metrics"])))
-    replace_file(folder / "metrics.png", png(draw_metrics({"": result["controllers"]}, _PANELS)))
+    panels = [m for m in _PANELS if m in result["metrics"]]
+    replace_file(folder / "metrics.png", draw_metrics({"": result["controllers"]}, panels))
     replace_file(folder / "evaluation.md", page(result))
     return list(_FILES)
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from soil_env._io.document import Table
-from soil_env._io.files import replace_file
+from soil_env._io.files import picture_of, replace_file
 
 from .driving import MEANINGS, RATES
 
@@ -48,11 +48,6 @@ def cell(m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, b
         return "-"
     value, low, high = (f"{factor * m[key]:{'+' if sign else ''}.{digits}f}" for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]" if bounds else value
-
-
-def percent(m: Mapping) -> str:
-    """A rate in percent."""
-    return cell(m, 100.0, 1).replace(" [", " % [")
 
 
 def points(m: Mapping) -> str:
@@ -93,11 +88,9 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
-def draw_metrics(
-    rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str], colour=lambda name: "#0072b2"
-) -> Figure:
-    """Figure of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each
-    metric, points with their intervals from the bottom; those not defined are left out."""
+def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
+    """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each metric,
+    points with their intervals from the bottom; those not defined are left out."""
     metrics, most = list(metrics), max(map(len, rows.values()))
     figure = Figure(figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained")
     axes = figure.subplots(len(rows), len(metrics), squeeze=False, sharey="row")
@@ -109,18 +102,11 @@ def draw_metrics(
                 if (m := entries[name][metric])["value"] is not None:
                     value, low, high = (factor * m[key] for key in ("value", "low", "high"))
                     bars = [[value - low], [high - value]]
-                    axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color=colour(name), capsize=2)
+                    axis.errorbar(value, y, xerr=bars, fmt="o", ms=4, color="#0072b2", capsize=2)
             axis.set_ylim(-0.6, len(names) - 0.4)
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.grid(alpha=0.3)
             axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
         line[0].set_yticks(range(len(names)), names)
         line[0].set_title(group, loc="left", fontsize=9)
-    return figure
-
-
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG, the same bytes for the same figure."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=110, metadata={"Software": None})
-    return out.getvalue()
+    return picture_of(figure, dpi=110, metadata={"Software": None})  # the same bytes for the same figure

@@ -65,33 +65,33 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
 def tuned_settings(
     scenario: Scenario, courses: int, names: Iterable[str] | None = None, model: WheelSoilModel | None = None,
     log: Path | None = None, anew: bool = False,
-) -> tuple[dict[str, dict], dict[str, list[dict]]]:  # fmt: skip
-    """({controller: best settings}, {controller: trials}) on the first `courses` courses of the tuning set.
+) -> dict[str, dict]:  # fmt: skip
+    """{controller: best settings} on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
-    they are good enough (`shipped_settings`), unless `anew`; they have no trials here. Controllers without settings are
-    left out; with 0 courses all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
+    they are good enough (`shipped_settings`), unless `anew`. Controllers without settings are left out; with 0 courses
+    all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
     interrupted tuning goes on.
     """
     if courses == 0:
-        return {}, {}
+        return {}
     shipped = {} if anew else shipped_settings(scenario, courses, model)
     spaces = {name: kind.bounds for name, kind in CONTROLLERS.items() if kind.bounds}
     if isinstance(scenario, RoverScenario):  # that of the controller of its wheels
         spaces = {name: spaces[kind.of_wheel] for name, kind in ROVER_CONTROLLERS.items()}
     names = [name for name in (spaces if names is None else names) if name in spaces]
-    chosen, tried = {name: shipped[name] for name in names if name in shipped}, {}
+    chosen = {name: shipped[name] for name in names if name in shipped}
     missing = [name for name in names if name not in shipped]
     trials = trials_of(courses)
     with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
         for name in missing:
-            tried[name] = _trials(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
-            best = max(tried[name], key=lambda trial: (trial["finished"], trial["return"]))
+            found = tried(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
+            best = max(found, key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
-    return {name: chosen[name] for name in names}, tried
+    return {name: chosen[name] for name in names}
 
 
-def _trials(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
+def tried(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
     """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
     optuna = _optuna()
     _, make = controllers_of(scenario)

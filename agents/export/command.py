@@ -33,8 +33,8 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.
 
     RUN is a run folder of train.py, "default" for the policy that comes with the package, or a .zip of
-    Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3) with its vecnormalize.pkl beside it. A zip that train.py did not
-    write is unpickled in part: name only what you trust.
+    Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3). A zip that train.py did not write is unpickled in part:
+    name only what you trust.
 
     The file takes raw observations and gives actions; normalisation, clipping and history are inside. It is compared
     with the agent over steps of held-out courses, and written only if no action differs by more than 1e-5.

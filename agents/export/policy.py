@@ -37,11 +37,11 @@ def onnx_model(agent, description: dict):
     graph, entries = Graph(), len(description["inputs"])
     seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
     raw, inputs, results = agent.scaling(seen) if agent.scaling.scaled else seen, [graph.info(seen, ["n", entries])], []
-    for name, size in _states(agent).items():
-        memory = graph.input(name, "float32")
-        raw, kept = agent.history.observe(raw, memory, fresh)
-        inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", size])]
-        results = [(kept, f"next_{name}", size)]
+    if history := getattr(agent, "history", None):
+        memory = graph.input("history", "float32")
+        raw, kept = history.observe(raw, memory, fresh)
+        inputs += [graph.info(fresh, ["n"]), graph.info(memory, ["n", history.kept])]
+        results = [(kept, "next_history", history.kept)]
     x = _normalised(raw, agent)
     action = agent.action(x) if shipped else action_of(graph, agent.policy, x)
     if choice is not None:
@@ -52,27 +52,17 @@ def onnx_model(agent, description: dict):
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
 
 
-def _states(agent) -> dict[str, int]:
-    """{name: numbers} of what an agent keeps from step to step: its readings, if it has a history."""
-    history = getattr(agent, "history", None)
-    return {} if history is None else {"history": history.kept}
-
-
 def _normalised(x: Traced, agent) -> Traced:
-    """Input of the network, float32, as `Agent._normalised` and `VecNormalize.normalize_obs` compute it."""
-    if hasattr(agent, "mean"):
-        mean, sd, clip = agent.mean, agent.sd, agent.clip
-    elif agent.normalisation is not None and agent.normalisation.norm_obs:
-        of = agent.normalisation
-        mean, sd, clip = of.obs_rms.mean, np.sqrt(of.obs_rms.var + of.epsilon), of.clip_obs
-    else:
+    """Input of the network, float32, as `Agent._normalised` computes it; other models have no normalisation."""
+    if not hasattr(agent, "mean"):
         return x
-    return np.clip((x.astype(np.float64) - mean) / sd, -clip, clip).astype(np.float32)
+    return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(np.float32)
 
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """Content of policy.yaml before the comparison, as plain values."""
     wheel, control, history = scenario.wheel, scenario.control, getattr(agent, "history", None)
+    kept = {"name": "history", "size": history.kept if history else 0, "first": 0.0, "output": "next_history"}
     return {
         "format": FORMAT,
         "name": name,
@@ -89,9 +79,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             "top rim speed": {"value": wheel.radius * wheel.no_load_speed, "unit": "m/s"},
             "course length": {"value": scenario.course.length, "unit": "m"},
         },
-        "states": [
-            {"name": key, "size": size, "first": 0.0, "output": f"next_{key}"} for key, size in _states(agent).items()
-        ],
+        "states": [] if history is None else [kept],
         "output": {"name": "action", "low": -1.0, "high": 1.0, **_output(wheel, control)},
         "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 
 from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, to_dict, unknown_key, unknown_value
@@ -18,10 +17,10 @@ from soil_env.vehicle import RoverScenario, load_rover
 
 from ..cells import code_version
 from ..cli import config_mapping
-from ..config import OfWorld, TrainConfig
+from ..config import OfTask, OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
-from ..evaluate import HELD_OUT_SET
+from ..evaluate.driving import HELD_OUT_SET
 
 #: Keys of the training's config that the study sets.
 _SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "courses", "tuning_courses",
@@ -29,17 +28,12 @@ _SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "c
 
 
 @dataclass(frozen=True)
-class Target(OfWorld):
+class Target(OfTask):
     """A scenario on which arms are compared."""
 
-    task: dict  # content of the scenario, or of the rover's
+    task: dict
     trained_on: str = ""  # target that the arms are made on; empty: this one
     model: dict = field(default_factory=dict)  # content of the model.yaml of its world's effects; empty: none
-
-    @cached_property
-    def scenario(self) -> Scenario:
-        """The scenario, of a wheel or of a rover."""
-        return load(RoverScenario if "vehicle" in self.task else Scenario, self.task, "scenario")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from soil_env._io.files import replace_file, write_json
 from soil_env._io.loading import to_dict
 
 from ..evaluate import comparing
-from ..evaluate.tables import cell, draw_metrics, png, points
+from ..evaluate.tables import cell, draw_metrics, points
 from . import work
 from .config import Study
 
@@ -69,5 +69,5 @@ def write(content: dict, folder: Path) -> list[str]:
     page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
     replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
     rows = {name: entry["controllers"] for name, entry in content["scenarios"].items()}
-    replace_file(folder / FILES[2], png(draw_metrics(rows, _PANELS)))
+    replace_file(folder / FILES[2], draw_metrics(rows, _PANELS))
     return list(FILES)

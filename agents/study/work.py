@@ -14,11 +14,10 @@ from soil_env._io.loading import ParameterError
 from soil_env.parameters import Scenario
 
 from .. import cells
-from ..controllers.rover import controllers_of
-from ..evaluate import run_courses, tuned_settings
 from ..evaluate.contestants import Contestant
-from ..evaluate.driving import Runs
+from ..evaluate.driving import Runs, run_courses
 from ..evaluate.loading import load
+from ..evaluate.tuning import tuned_settings
 from ..progress import show
 from .config import Cell, Study
 
@@ -68,23 +67,21 @@ class Work:
     def _done(self, cell: Cell, folder: Path) -> dict:
         study, arm, source = self.study, self.study.arms[cell.arm], self.study.targets[cell.source]
         model = (study.worlds[arm.world] if arm.world else source).world
-        settings, contestant = {}, Contestant(cell.arm, 0, "class", arm.controller)
+        settings, kind, made = {}, "class", arm.controller
         if not arm.controller:
             from .. import training  # needs the extra `train`, which --help does not
 
-            path = training.trained(study.training(cell, model, folder / "trained"), source.scenario)
-            contestant = Contestant(cell.arm, 0, "model", str(path))
+            kind, made = (
+                "model",
+                str(training.trained(study.training(cell, model, folder / "trained"), source.scenario)),
+            )
         elif ":" not in arm.controller:
-            settings = arm.settings or self._tuned(cell, source.scenario, model, folder)
-        driven = {}
+            kind, settings = "classical", arm.settings or self._tuned(cell, source.scenario, model, folder)
+        driven, contestant = {}, Contestant(cell.arm, 0, kind, made, settings=settings)
         for name in study.fed_by(cell.source):
             target = study.targets[name]
-            known, make = controllers_of(target.scenario)
             try:
-                if arm.controller in known:
-                    controller = make(arm.controller, target.scenario, **settings)
-                else:
-                    controller = load(contestant, target.scenario)
+                controller = load(contestant, target.scenario)
                 runs = run_courses(
                     controller, target.scenario, study.held_out, study.courses, model=target.world, threads=1
                 )
@@ -98,7 +95,7 @@ class Work:
         name, log = self.study.arms[cell.arm].controller, folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         anew = bool(self.study.worlds)  # as many trials in every world
-        chosen, _ = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
+        chosen = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
         return chosen.get(name, {})
 
 

@@ -75,15 +75,6 @@ def _markdown_row(cells: Sequence[object]) -> str:
     return "| " + " | ".join(" ".join(str(c).split()).replace("|", r"\|") for c in cells) + " |"
 
 
-def wrapped(markdown: str, width: int = 120) -> str:
-    """Markdown with its paragraphs broken into lines of `width`; headings, tables, figures, lists and code as is."""
-    blocks = [block.strip("\n") for block in re.split(r"\n\s*\n", markdown.strip())]
-    fixed = ("|", "!", "#", "- ", "* ", "```", "<", "    ")
-    lines = [b if b.startswith(fixed) else textwrap.fill(" ".join(b.split()), width, break_long_words=False,
-                                                         break_on_hyphens=False) for b in blocks]  # fmt: skip
-    return "\n\n".join(lines) + "\n"
-
-
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
     """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after that of all pages."""
     return render("page.html", title=title, body=[body] if isinstance(body, str) else body, style=style)
@@ -113,11 +104,11 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["hanging"] = _hanging
+    made.filters["hanging"] = hanging
     return made
 
 
-def _hanging(text: str) -> str:
+def hanging(text: str) -> str:
     """Text in lines of at most `WIDTH` characters; all but the first are indented by two more."""
     first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(

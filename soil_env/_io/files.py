@@ -96,8 +96,3 @@ def picture_of(figure, kind: str = "png", **options) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, **options)
     return stream.getvalue()
-
-
-def save_figure(figure, path: str | Path, **options) -> None:
-    """Save a matplotlib figure; the suffix of `path` says the format."""
-    replace_file(path, picture_of(figure, Path(path).suffix[1:], **options))

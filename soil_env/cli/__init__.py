@@ -8,7 +8,7 @@ from importlib.util import find_spec
 import click
 
 from soil_env._io.loading import nearest
-from soil_env.cli.running import ending_at_once, leave, run
+from soil_env.cli.running import leave, run
 
 _AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"  # its name in a clone without installation
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
@@ -42,8 +42,7 @@ class _Commands(click.Group):
             raise click.UsageError(f"unknown command {name!r}{nearest(name, _COMMANDS)} (known: {known})")
         module = _COMMANDS[name][0]
         try:
-            with ending_at_once(f"soil-env {name}"):
-                return import_module(module).command
+            return import_module(module).command
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("soil_env", _AGENTS):
                 raise

@@ -1,8 +1,7 @@
 """`soil-env discover`."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -37,8 +36,7 @@ def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: boo
     held-out conditions. The verdict is named, partly, ambiguous, unlisted,
     none or undetermined.
     """
-    with _progress(quiet) as progress:
-        report = run(data, setup, out, seed=seed, next_runs=runs, progress=progress)
+    report = run(data, setup, out, seed=seed, next_runs=runs, progress=_stages(quiet))
     if quiet:
         first = f"CHECK FIRST: {' '.join(report.doubts)} " if report.doubts else ""
         print(f"{report.verdict}: {first}{summary(report)}")
@@ -48,21 +46,13 @@ def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: boo
         print(f"written: {out / name}")
 
 
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show the stages of the work: a spinner on a terminal, a line each elsewhere (stderr)."""
-    console = Console(stderr=True)
-    if quiet:
-        yield lambda text: None
-    elif console.is_terminal:
-        with console.status("reading") as status:
-            yield status.update
-    else:
-        stages: list[str] = []
+def _stages(quiet: bool) -> Callable[[str], None]:
+    """Function that prints each stage of the work once, on stderr."""
+    said: set[str] = set()
 
-        def print_stage(text: str) -> None:
-            if (stage := text.partition(":")[0]) not in stages:
-                stages.append(stage)
-                print(f"soil-env discover: {stage}", file=sys.stderr)
+    def say(text: str) -> None:
+        if (stage := text.partition(":")[0]) not in said and not quiet:
+            said.add(stage)
+            print(f"soil-env discover: {stage}", file=sys.stderr)
 
-        yield print_stage
+    return say

@@ -12,14 +12,10 @@ from soil_env.cli.running import PATH
 
 @click.command("examples")
 @click.argument("folder", type=PATH, metavar="FOLDER", default="examples")
-@click.option("--list", "only_list", is_flag=True, help="List the files, copy nothing.")
-def command(folder: Path, only_list: bool) -> None:
+def command(folder: Path) -> None:
     """Copy the example scripts and their data into FOLDER (default: examples)."""
     source = shipped_dir("examples")
     files = sorted(f.relative_to(source) for f in source.rglob("*") if f.is_file() and "__pycache__" not in f.parts)
-    if only_list:
-        print(*files, sep="\n")
-        return
     if folder.resolve() == source.resolve():
         raise ParameterError(f"{folder}: has the examples already, as every clone: nothing to copy")
     if not is_unused(folder):

@@ -19,8 +19,8 @@ INTERRUPTED, TERMINATED, UNREAD = 130, 143, 141  # exit statuses, 128 + the numb
 _LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
 
 
-def run(command: click.Command, arguments: Sequence[str] | None, name: str) -> int:
-    """Run a click command and return its exit status.
+def run(command: click.Command | Callable[[], click.Command], arguments: Sequence[str] | None, name: str) -> int:
+    """Run a click command, or that which a function imports, and return its exit status.
 
     Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`) and too little memory
     print one line on stderr and return `BAD_INPUT`. Ctrl-C and SIGTERM return `INTERRUPTED` and `TERMINATED`; the text
@@ -31,9 +31,10 @@ def run(command: click.Command, arguments: Sequence[str] | None, name: str) -> i
     given = list(sys.argv[1:] if arguments is None else arguments)
     program, name = name, _called(command, given, name)
     try:
-        with _stoppable(received):
-            with command.make_context(program, given) as context:
-                command.invoke(context)
+        with _stoppable(received, name):
+            own = command if isinstance(command, click.Command) else command()
+            with own.make_context(program, given) as context:
+                own.invoke(context)
             if sys.stdout is not None:
                 sys.stdout.flush()
         return 0
@@ -63,7 +64,7 @@ def run(command: click.Command, arguments: Sequence[str] | None, name: str) -> i
         return _fail(name, str(error))
 
 
-def _called(command: click.Command, arguments: Sequence[str], name: str) -> str:
+def _called(command: object, arguments: Sequence[str], name: str) -> str:
     """Name of the program with that of its subcommand, for messages."""
     known = command.list_commands(None) if isinstance(command, click.Group) else ()
     return f"{name} {arguments[0]}" if arguments and arguments[0] in known else name
@@ -98,10 +99,11 @@ def leave(status: int) -> NoReturn:
 
 
 @contextmanager
-def _stoppable(received: list[int]) -> Iterator[None]:
+def _stoppable(received: list[int], name: str) -> Iterator[None]:
     """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended to `received`.
 
-    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but right after. Handlers
+    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but right after. During an
+    import the process ends at once: a half initialised C extension may turn the exception into another one. Handlers
     that somebody else has set stay, and outside the main thread nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -112,7 +114,10 @@ def _stoppable(received: list[int]) -> Iterator[None]:
     again: list[threading.Timer] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if _inside_llvm(frame):
+        if _inside(frame, "importlib._bootstrap"):
+            os.write(2, f"\n{name}: interrupted\n".encode())
+            os._exit(128 + number)
+        if _inside(frame, "llvmlite.binding"):
             again.append(threading.Timer(_LATER, _send, (number,)))
             again[-1].start()
             return
@@ -131,29 +136,6 @@ def _stoppable(received: list[int]) -> Iterator[None]:
             signal.signal(number, usual[number])
 
 
-@contextmanager
-def ending_at_once(name: str) -> Iterator[None]:
-    """End the process on Ctrl-C inside the block.
-
-    For imports: there a `KeyboardInterrupt` may be turned into another error by a half initialised C extension.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(*_: object) -> None:
-        os.write(2, f"\n{name}: interrupted\n".encode())
-        os._exit(INTERRUPTED)
-
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _send(number: int) -> None:
     """Send this signal to the main thread, where it also ends a blocking system call."""
     if hasattr(signal, "pthread_kill"):
@@ -162,10 +144,10 @@ def _send(number: int) -> None:
         signal.raise_signal(number)
 
 
-def _inside_llvm(frame: FrameType | None) -> bool:
-    """True if LLVM's Python side is among the callers of a frame."""
+def _inside(frame: FrameType | None, module: str) -> bool:
+    """True if a module, or one below it, is among the callers of a frame."""
     while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith("llvmlite.binding"):
+        if frame.f_globals.get("__name__", "").startswith(module):
             return True
         frame = frame.f_back
     return False

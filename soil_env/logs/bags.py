@@ -6,7 +6,6 @@ more than a chunk in memory. An MCAP file that was cut off gives all that is who
 """
 
 import dataclasses
-import difflib
 import json
 import math
 import re
@@ -266,14 +265,14 @@ def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: b
         elif hasattr(value, step):
             value = getattr(value, step)
         else:
-            raise ParameterError(f"{where}: the message has no such field; {_near(message, steps)}")
+            raise ParameterError(f"{where}: the message has no such field{_near(message, steps)}")
     if quaternion:
         try:
             return uphill(value.x, value.y, value.z, value.w)
         except AttributeError:
             raise ParameterError(f"{where}: expected an orientation with x, y, z and w for unit quaternion") from None
     if not isinstance(value, Real):
-        raise ParameterError(f"{where}: is no number but {_kind(value)}; {_near(message, steps)}")
+        raise ParameterError(f"{where}: is no number but {_kind(value)}{_near(message, steps)}")
     return float(value)
 
 
@@ -319,7 +318,4 @@ def _near(message: Any, steps: tuple[str | int, ...]) -> str:
     """The most similar path of a message, and the others."""
     asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
     known = _paths(message)
-    ends = [p for p in known if p.split("[")[0].endswith("." + asked)]
-    near = ends or difflib.get_close_matches(asked, known, n=1, cutoff=0.4)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"{hint}(fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
+    return f"{nearest(asked, known)} (fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"

@@ -1,9 +1,9 @@
 """Implausible readings: another unit, sign, field or mass than the map says.
 
 Each reading is compared with what the map says of the wheel, or with another reading of the same quantity. Rim speed is
-compared with travel speed and slip, a force with the weight, and torque with weight times radius. Pull is compared with
-mass times acceleration, and pitch with the gravity in accelerometer or pull. All values are medians over the steps that
-drive. A doubt is one line: what, where, what was expected.
+compared with travel speed and slip, a force with the weight, torque with weight times radius, and pitch with the
+gravity in accelerometer or pull. Where the load is doubtful, so is the mass: other forces are not compared then. All
+values are medians over the steps that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math
@@ -17,7 +17,6 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-_SINKAGE = (1e-3, 0.7)  # [radii] largest sinkage of a plausible log
 _SLIPS = (0.05, 0.3)  # difference between the slip measured and that of the speeds: least of another sign, most
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
 _AGAINST, _ALIKE = -0.5, 0.5  # slope of the gravity felt by that of the pitch; size of their correlation
@@ -41,8 +40,8 @@ class Range(NamedTuple):
 _RIM = Range(0.65, 6.0)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD, _PULL, _TORQUE = Range(0.2, 5.0), Range(1e-3, 2.0), Range(5e-3, 3.0)  # of weight, or of weight times radius
-_MASS = Range(0.2, 5.0)  # drawbar pull over mass times acceleration
 _PITCH, _FELT = Range(0.0, 0.8), Range(0.0, 0.7)  # [rad]; [of gravity], more with an axis that points down
+_SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
@@ -72,8 +71,7 @@ class _Doubts:
         self.rim, self.speed = log.readings["wheel_speed"] * log_map.wheel.radius, log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius
         self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(np.nan_to_num(self.speed)) > self.slowest)
-        sound_speeds, sound_acceleration = self._speeds(), self._acceleration()
-        self._forces(_felt_mass(log) if sound_acceleration else math.nan)
+        sound_speeds, sound_sizes = self._speeds(), self._sizes()
         for name in ("load", "sinkage"):
             if _median(log.get(name)) < 0.0:
                 self._doubt(name, "negative", "positive", "another sign or offset")
@@ -81,8 +79,8 @@ class _Doubts:
             if sound_speeds and _median((np.sign(self.rim) * log.get(name))[self.drives]) < 0.0:
                 self._doubt(name, "against the wheel speed", "with it", "another sign")
         self._stuck_sensors()
-        self._sinkage()
-        self._pitch()
+        if sound_sizes:
+            self._pitch()
 
     def _driven(self, values: np.ndarray) -> np.ndarray:
         """Known values [n] of the steps that drive."""
@@ -101,9 +99,9 @@ class _Doubts:
         units = {} if unit in others else UNITS[name]
         return [u for u, f in units.items() if u not in others and f != now and low <= f / now <= high]
 
-    def _unit(self, name: str, low: float, high: float, otherwise: str = "another unit or field") -> str:
+    def _unit(self, name: str, low: float, high: float) -> str:
         """A unit that explains a reading which should be `low` to `high` times as large."""
-        return " or ".join(f"unit {u}" for u in self._units(name, low, high)) or otherwise
+        return " or ".join(f"unit {u}" for u in self._units(name, low, high)) or "another unit or field"
 
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
@@ -141,64 +139,40 @@ class _Doubts:
             return False
         return True
 
-    def _forces(self, felt: float) -> None:
-        """Compare load, pull and torques with the weight; `felt`: mass [kg] by pull and acceleration, or NaN."""
-        wheel, weight, log = self.map.wheel, self.map.weight, self.log
-        mass, load = felt / wheel.body_mass, _median(np.abs(log.get("load")[self.drives])) / weight
-        light = load > 0.0 and not _LOAD.has(load)  # the load contradicts body_mass
-        if light and 0.5 < mass / load < 2.0:
-            self.lines.append(
-                f"wheel: body_mass = {wheel.body_mass:g} kg: load ({self._place('load')}) reads {load:.3g} times its "
-                f"weight, and so does the pull by the acceleration: expected about {load * wheel.body_mass:.3g} kg"
-            )
-            return
-        scales = {"load": (weight, _LOAD), "drawbar_pull": (weight, _PULL)}
-        scales |= {name: (weight * wheel.radius, _TORQUE) for name in ("torque", "motor_torque")}
-        for name, (scale, plausible) in scales.items():
-            values = self._driven(np.abs(log.get(name)))
-            # a pull, and the torque of a wheel that rolls, may be small for a while
-            size = _median(values if name == "load" else np.sort(values)[values.size // 2 :])
+    def _sizes(self) -> bool:
+        """Compare readings with sizes of the wheel; True if nothing is doubtful. Forces wait for a doubtful load."""
+        weight, radius, gravity = self.map.weight, self.map.wheel.radius, self.map.gravity
+        of_weight, of_twist = (weight, "N", "the weight on the wheel"), (weight * radius, "N m", "weight times radius")
+        sizes = {  # its size, with unit and words, the quantile that is compared, plausible ratios
+            "acceleration": ((gravity, "m/s2", "gravity"), 0.5, _FELT),
+            "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
+            "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
+            "load": (of_weight, 0.5, _LOAD),
+            "drawbar_pull": (of_weight, 0.75, _PULL),  # may be small for a while, as the torque of a wheel that rolls
+            "torque": (of_twist, 0.75, _TORQUE),
+            "motor_torque": (of_twist, 0.75, _TORQUE),
+        }
+        before = len(self.lines)
+        for name, ((scale, unit, words), quantile, plausible) in sizes.items():
+            values = self._driven(np.abs(self.log.get(name)))
+            size = float(np.quantile(values, quantile)) if values.size >= _LEAST else math.nan
             ratio = size / scale
-            if values.size < _LEAST or (name != "load" and light and plausible.has(ratio / load)):
+            if math.isnan(ratio) or plausible.has(ratio) or (ratio == 0.0 and name == "sinkage"):
                 continue
-            if name == "drawbar_pull" and not (light or math.isnan(mass) or _MASS.has(mass)):
-                self._mass(mass)
-            elif not plausible.has(ratio):
-                reason = "another unit or field"
-                if ratio > 0.0:
-                    reason = self._unit(name, plausible.low / ratio, plausible.high / ratio)
-                if name == "load" and size > 0.0:
-                    reason += f", or wheel.body_mass {size / self.map.gravity:.3g} kg"
-                of = "weight times radius" if "torque" in name else "the weight on the wheel"
-                unit = "N m" if "torque" in name else "N"
-                self._doubt(name, f"{ratio:.3g} times {of} ({scale:.3g} {unit})", plausible, reason)
-
-    def _mass(self, mass: float) -> None:
-        """Doubt a pull that is `mass` times what the acceleration of the body needs."""
-        said = f"{mass:.3g} times wheel.body_mass times the acceleration ({self._place('acceleration')})"
-        reason = "another unit or sign"
-        if mass > 0.0:
-            reason = self._unit("drawbar_pull", _MASS.low / mass, _MASS.high / mass, reason)
-            reason += f", or wheel.body_mass {mass * self.map.wheel.body_mass:.3g} kg"
-        self._doubt("drawbar_pull", said, _MASS, reason)
-
-    def _acceleration(self) -> bool:
-        """Compare the acceleration with gravity; True if nothing is doubtful."""
-        felt = _median(np.abs(self.log.get("acceleration"))) / self.map.gravity
-        if felt > _FELT.high:
-            said, reason = f"{felt:.3g} times gravity in the middle", "another unit, or an axis that points down"
-            self._doubt("acceleration", said, f"at most {_FELT.high:g}", reason)
-        return felt <= _FELT.high
+            reason = self._unit(name, plausible.low / ratio, plausible.high / ratio) if ratio else "a dead sensor"
+            if name == "load":
+                reason += f", or wheel.body_mass {size / gravity:.3g} kg"
+            if name == "acceleration":
+                reason += ", or an axis that points down"
+            self._doubt(name, f"{ratio:.3g} times {words} ({scale:.3g} {unit})", plausible, reason)
+            if name == "load":
+                break
+        return len(self.lines) == before
 
     def _pitch(self) -> None:
-        """Compare size and sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
+        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
         log, gravity = self.log, self.map.gravity
         if "pitch" not in log.readings:
-            return
-        middle = _median(np.abs(log.readings["pitch"]))
-        if middle > _PITCH.high:
-            reason = self._unit("pitch", 0.0, 0.5)
-            self._doubt("pitch", f"{middle:.2g} rad in the middle", f"at most {_PITCH.high:g}", reason)
             return
         name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
         if name not in log.readings or len(log) < _LEAST:
@@ -222,22 +196,6 @@ class _Doubts:
             if values.size >= _LEAST and np.ptp(values) == 0.0:
                 said, reason = f"{values[0]:.3g} in all {values.size} steps that drive", "a stuck sensor, or a command"
                 self._doubt(name, said, "values with the noise of a sensor", reason)
-
-    def _sinkage(self) -> None:
-        """Doubt a sinkage that never reaches a thousandth of the radius."""
-        radius = self.map.wheel.radius
-        deepest = float(np.nanmax(np.abs(self.log.readings.get("sinkage", np.zeros(1))), initial=0.0))
-        if 0.0 < deepest < _SINKAGE[0] * radius:
-            reason = self._unit("sinkage", *(share * radius / deepest for share in _SINKAGE))
-            self._doubt("sinkage", f"at most {deepest:.3g} m", f"more than {_SINKAGE[0] * radius:.3g} m", reason)
-
-
-def _felt_mass(log: Aligned) -> float:
-    """Mass [kg] that drawbar pull and acceleration give; NaN where they are not measured or hardly anything is felt."""
-    pull, felt = log.get("drawbar_pull"), log.get("acceleration")
-    known = ~np.isnan(pull + felt)
-    square = float(felt[known] @ felt[known])
-    return float(pull[known] @ felt[known]) / square if known.sum() >= _LEAST and square > 0.0 else math.nan
 
 
 def _median(values: np.ndarray) -> float:

@@ -100,19 +100,10 @@ class TimeColumn(Checked):
 
 @dataclass(frozen=True)
 class Windows(Checked):
-    """Limits of a steady stretch of a log: changes of the means from its first to its second half.
-
-    Sinkage follows the slip over a distance: its limit is how far it still has to go by the law of slip-sinkage.
-    """
+    """Duration of a steady stretch of a log, and the least speed of its wheel."""
 
     duration: float = quantity("s", 0.1, 600.0, default=1.0)
     wheel_speed: float = quantity("rad/s", 0.0, 1e3, default=0.13, doc="least")
-    slip_change: float = quantity("", 0.0, 1.0, default=0.03)
-    speed_change: float = quantity("of rim speed", 0.0, 1.0, default=0.05)
-    sinkage_left: float = quantity("of radius", 0.0, 1.0, default=0.05)
-    pull_change: float = quantity("of weight", 0.0, 1.0, default=0.04)
-    torque_change: float = quantity("of weight x radius", 0.0, 1.0, default=0.04)
-    pitch_change: float = quantity("rad", 0.0, 1.0, default=0.02)
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,9 @@ SD_OF = {
     "dig_gain": "dig_gain_relative_sd",
 }
 DIFFERS = 0.5  # probability from which the ground behind a border counts as another
-_SURE = 0.95  # probability from which ground is called impassable
 _LEARNT = 0.8  # sd over prior sd, below which something was learnt
 _LEAST_LOAD = 1e-9  # [N] of a wheel that is lifted, or whose reading of the load has noise
 _CONTRADICTS = 0.1  # share of the steps with status MISFIT, beyond which the report says so
-_SPINS = 0.9  # slip from which a wheel does not travel
 _LEFT = 1.2  # [border lengths] before a border that the identifier found, where it may have begun
 _COMPARED = ("friction_angle_deg", "shear_modulus", "cohesion")  # of two grounds
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
@@ -120,7 +118,6 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
         warnings.append(f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
     warnings += _refused(log.time, values, status)
     ground, differs = _grounds(log, log_map, found, values, status, prior)
-    warnings += _impassable(log, log_map, ground, values, status)
     borders = int(found[-1]) if size else 0
     return Replay(
         log.time, values, status, renewed, ground, differs, borders, prior, on_border, frozenset(names), restarts,
@@ -210,31 +207,6 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.array([(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)])
 
 
-def _impassable(
-    log: Aligned, log_map: LogMap, ground: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
-) -> list[str]:
-    """A line for each ground that has no drawbar pull to spare over the grade, where the wheel got no radius further.
-
-    It got further as far as it travelled without spinning; what it rolled back counts against that.
-    """
-    radius = log_map.wheel.radius
-    _, speed, slip = log.motion(radius)
-    speed = np.where((speed > 0.0) & (slip >= _SPINS), 0.0, np.nan_to_num(speed))
-    place = np.cumsum(speed * np.minimum(np.diff(log.time, prepend=0.0), log.period))
-    ahead = np.maximum.accumulate(place[::-1])[::-1] - place
-    margin, sd, lines = values["drawbar_margin"], values["drawbar_margin_sd"], []
-    chance = np.array([0.5 * math.erfc(m / (math.sqrt(2.0) * max(s, 1e-12))) for m, s in zip(margin, sd, strict=True)])
-    bad = (chance > _SURE) & (status == Status.CONVERGED) & (ahead < radius)
-    for number in np.unique(ground[bad]).tolist():
-        here = np.flatnonzero(bad & (ground == number))
-        k = here[np.argmax(chance[here])]
-        lines.append(
-            f"{log.time[here[0]]:.1f} to {log.time[here[-1]]:.1f} s: impassable with probability {chance[k]:.2f} as "
-            f"identified, drawbar margin {margin[k]:.3f} +- {sd[k]:.3f} of the load"
-        )
-    return lines
-
-
 # --- words ------------------------------------------------------------------------------------------------------------
 
 _NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
@@ -242,17 +214,6 @@ _NO_FORCE = (
     "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is identified, if the "
     "load is measured; friction angle, cohesion and K follow from it by the correlations of the belief."
 )
-_WITHOUT = {  # readings of which none was measured; what follows
-    ("sinkage",): "No sinkage: the filter follows it by the law of slip-sinkage. S has wider intervals.",
-    ("torque", "motor_torque"): "No torque: friction angle and K follow from the drawbar pull alone.",
-    ("drawbar_pull", "acceleration"): "No drawbar pull: friction angle and K follow from the torque alone.",
-    ("load",): "No load: the weight on the wheel stands for it, doubted by 5 %.",
-    ("slip",): "No slip: it follows from wheel and travel speed; an error of the wheel radius is an offset of it.",
-}
-_INSTEAD = {  # measured in place of: what follows
-    ("acceleration", "drawbar_pull"): "The drawbar pull is the acceleration times the mass on the wheel.",
-    ("motor_torque", "torque"): "The torque is that of the motor less what accelerates the wheel, friction included.",
-}
 _MISFIT = (
     "In {:.0%} of the steps the readings were further from what the model predicts than their errors explain: a wrong "
     "unit, sign or wheel in the map, a belief without this soil, or laws that do not hold here."
@@ -267,10 +228,6 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
-    for readings, text in _WITHOUT.items():
-        if measured.isdisjoint(readings) and (forces or readings[0] in ("load", "slip")):
-            lines.append(text)
-    lines += [text for (one, other), text in _INSTEAD.items() if one in measured and other not in measured]
     names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
     shares, current = found.learnt(), found.learnt(current=True)
     for name, words in names.items():

@@ -80,7 +80,6 @@ def report_of(
         "channels": _channel_table(log),
         "soil": _soil_table(found),
         "grounds": _ground_table(parts),
-        "points": _points(steady),
         "steady": advice(found, parts, steady),
     }
     estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
@@ -142,12 +141,6 @@ def _ground_table(parts: list[Ground]) -> Table:
         rows.append((g.number, *time, *cells, len(slip), f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""))
     header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
     return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
-
-
-def _points(steady: Steady) -> Table:
-    names = ("time", "run", "slip", "load", "speed", "sinkage", "drawbar_pull", "torque")
-    rows = [[cell(row[n], ".4g") for n in names] for row in steady.rows[:200]]
-    return Table(names, rows, "The first 200" if len(steady.rows) > 200 else "")
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------

@@ -134,8 +134,8 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
-    """True if the columns [n] of a stretch are steady within the limits of `log_map.windows`."""
-    w, radius, weight = log_map.windows, log_map.wheel.radius, log_map.weight
+    """True if the columns [n] of a stretch are steady."""
+    radius, weight = log_map.wheel.radius, log_map.weight
     n = part["slip"].size
     if np.isnan(part["slip"]).any() or np.isnan(part["speed"]).any() or np.mean(part["speed"]) < 0.0:
         return False
@@ -143,15 +143,15 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
     speeds = float(np.mean(np.abs(part["speed"]))), float(np.mean(np.abs(part["rim"] - part["speed"])))
     rate, _ = excavation_rate(*speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius)
     come = -math.expm1(-rate * (n / 2) * period)
-    limits = {
-        "slip": w.slip_change,
-        "speed": w.speed_change * rim,
-        "rim": w.speed_change * rim,
-        "pitch": w.pitch_change,
-        "load": w.pull_change * weight,
-        "drawbar_pull": w.pull_change * weight,
-        "torque": w.torque_change * weight * radius,
-        "sinkage": w.sinkage_left * radius * come,
+    limits = {  # of the change of the means from the first to the second half
+        "slip": 0.03,
+        "speed": 0.05 * rim,
+        "rim": 0.05 * rim,
+        "pitch": 0.02,
+        "load": 0.04 * weight,
+        "drawbar_pull": 0.04 * weight,
+        "torque": 0.04 * weight * radius,
+        "sinkage": 0.05 * radius * come,  # by the law of slip-sinkage 5 % of the radius are left to go
     }
     return all(_change(part[name]) <= limit for name, limit in limits.items())
 

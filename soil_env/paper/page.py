@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from soil_env._io.document import Table, render, wrapped
-from soil_env._io.files import replace_file, save_figure
+from soil_env._io.document import Table, render
+from soil_env._io.files import picture_of, replace_file
 from soil_env.paper import compare
 from soil_env.paper.compare import MEASURED, NAMES, P, Results, Row
 
@@ -21,7 +21,8 @@ def write(results: Results, folder: Path, command: str) -> None:
     for name, draw in zip(FIGURES, (_predictions, _torques), strict=True):
         figure = Figure(figsize=(6.4 if draw is _torques else 11.0, 4.2), layout="constrained")
         draw(figure, results)
-        save_figure(figure, folder / "paper" / f"{name}.png", dpi=110, metadata={"Software": None})
+        picture = picture_of(figure, dpi=110, metadata={"Software": None})
+        replace_file(folder / "paper" / f"{name}.png", picture)
     replace_file(folder / "paper.md", markdown(results, command))
 
 
@@ -38,7 +39,7 @@ def markdown(results: Results, command: str) -> str:
         return sum(compare.as_shown(row.ours[reading], row.form) == row.printed for row in results.rows[table])
 
     values = {"agree": agree, "r": results, "p": P, "c": compare, "command": command, "low": (low.min(), low.max())}
-    return wrapped(render("soil_env.paper:paper.md", **values, **tables))
+    return render("soil_env.paper:paper.md", **values, **tables)
 
 
 # --- tables -----------------------------------------------------------------------------------------------------------

@@ -1,83 +1,46 @@
-"""Strip charts over time: slip and sinkage, and the soil, estimated and true; of a rover, axle by axle."""
+"""Strip charts over time: slip and sinkage, and the soil, estimated and true, of every wheel."""
 
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from soil_env.rendering.canvas import BLUE, GREEN, GREY, GRID, INK, LIGHT_BLUE, ORANGE, WHITE, Canvas, Colour
+from soil_env.rendering.canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
 
 SPAN = 30.0  # [s] shown by the charts
+#: Numbers of a wheel in a sample: slip, sinkage [radii], estimate [3], its sd [3] and truth [3] of phi, ln K and ln S.
+QUANTITIES = 11
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
+_SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
+_BROAD = 5.0  # width of a line behind another
 
 
-def draw_charts(c: Canvas, history: np.ndarray, identified: bool = True) -> None:
-    """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true, from the history
-    [12, samples]."""
-    history, end = _recent(history)
-    time, slip, sinkage = history[:3]
-    _draw_chart(c, 0, "slip [-]", end, time, _slip_limits(slip), [(sinkage, GREEN), (slip, INK)])
-    x, y, width, _ = CHARTS[0]
-    c.text(x + 62, y - 11, "sinkage / radius [-]", 16, GREEN)
-    names = "friction angle φ [deg]", "shear deformation modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
-    for i, name in enumerate(names):
-        estimate, sd, true = history[3 + i], history[6 + i], history[9 + i]
-        low, high, estimate, true = (_in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
-        lines, band = [(true, ORANGE)], None
-        if identified:
-            lines, band = [*lines, (estimate, BLUE)], (low, high)
-        limits = _limits(np.concatenate([true, *(band or ())]), i > 0)
-        _draw_chart(c, i + 1, name, end, time, limits, lines, i > 0, band)
-    right, y = x + width, CHARTS[1][1] - 11
-    legend = [(right - 44, "true", ORANGE)]
-    if identified:
-        c.box((right - 146, y - 5, 16, 10), LIGHT_BLUE)
-        legend.append((right - 146, "estimate ± sd", BLUE))
-    for place, words, colour in legend:
-        c.lines([(place, y), (place + 16, y)], colour, 2)
-        c.text(place + 20, y, words, 15, colour)
+def draw_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool) -> None:
+    """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true.
 
-
-def draw_axle_charts(
-    c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool = True
-) -> None:
-    """Slip, sinkage, load and friction angle, estimated where it is `identified` and true, of each axle in its (dark,
-    pale) colours.
-
-    `history` [1 + 5 axles, samples]: time, then those five of each axle in turn.
+    `history` [1 + `QUANTITIES` x wheels, samples]: time, then those of each wheel in turn. Of the (dark, pale) colours
+    of a wheel the pale one is that of sinkage and truth. A single wheel has a band of one standard deviation.
     """
-    history, end = _recent(history)
-    time, axles = history[0], history[1:].reshape(len(colours), 5, -1).transpose(1, 0, 2)  # [quantity, axle, sample]
-    dark, pale = zip(*colours, strict=True)
-    deep, most = (0.5 * math.ceil(2.0 * values.max(initial=0.0)) for values in axles[1:3])
-    charts = (
-        ("slip [-]", _slip_limits(axles[0])), ("sinkage / radius [-]", (0.0, max(0.5, deep))),
-        ("load / mean load at rest on the level [-]", (0.0, max(1.5, most))),
-    )  # fmt: skip
-    for i, (name, limits) in enumerate(charts):
-        _draw_chart(c, i, name, end, time, limits, list(zip(axles[i], dark, strict=True)))
-    estimate, true = np.degrees(axles[3:])
-    lines, shown, words = [*zip(true, pale, [6.0] * len(pale), strict=True)], true, "true"
-    if identified:
-        lines += zip(estimate, dark, strict=True)
-        shown, words = np.stack([estimate, true]), "estimate, true (broad)"
-    _draw_chart(c, 3, f"friction angle φ [deg]: {words}", end, time, _limits(shown.ravel(), False), lines)
-
-
-def _recent(history: np.ndarray) -> tuple[np.ndarray, float]:
-    """The samples of the last `SPAN` seconds of a history, whose first row is time [s], and the end of the axis [s]."""
     end = max(SPAN, history[0].max(initial=0.0))
-    return history[:, history[0] >= end - SPAN - 1e-9], end
+    history = history[:, history[0] >= end - SPAN - 1e-9]
+    time, wheels = history[0], history[1:].reshape(len(colours), QUANTITIES, -1)
+    slip, sinkage = wheels[:, 0], wheels[:, 1]
+    limits = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
+    _draw_chart(c, 0, "slip, sinkage / radius (broad) [-]", end, time, limits, colours, slip, sinkage)
+    for i, name in enumerate(_SOIL):
+        estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
+        low, high, estimate, true = (_in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
+        band = (low[0], high[0]) if identified and len(colours) == 1 else None
+        shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
+        words = "estimate, true (broad)" if identified else "true"
+        above = estimate if identified else None
+        _draw_chart(c, i + 1, f"{name}: {words}", end, time, _limits(shown, i > 0), colours, above, true, i > 0, band)
 
 
-def _slip_limits(slip: np.ndarray) -> tuple[float, float]:
-    return -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
-
-
-def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, lines, log=False, band=None) -> None:
+def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, colours, above, behind, log=False, band=None):
     """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the last one.
 
-    `lines`: (values, colour), with a width if it is another than 1.8; `band`: (lower, upper).
+    Two lines a wheel: `behind`, broad and pale, and `above`, if any; `band`: (lower, upper).
     """
     left, top, width, height = CHARTS[place]
     of = np.log if log else np.asarray
@@ -98,8 +61,10 @@ def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, lines, log=
     c.lines([(left, top), (left, top + height), (left + width, top + height)], GREY, 1)
     if band is not None and time.size > 1:
         c.polygon([*at(time, band[0]), *at(time, band[1])[::-1]], LIGHT_BLUE)
-    for values, colour, *thickness in lines:
-        c.lines(at(time, values), colour, *(thickness or [1.8]))
+    for values, (_, pale) in zip(behind, colours, strict=True):
+        c.lines(at(time, values), pale, _BROAD)
+    for values, (dark, _) in zip(above if above is not None else (), colours, strict=False):
+        c.lines(at(time, values), dark, 1.8)
     if place == len(CHARTS) - 1:
         for t in ticks(end - SPAN, end, 5.0):
             c.text(left + width * (t - end + SPAN) / SPAN, top + height + 10, f"{t:g}", 14, GREY, 0.5)

@@ -39,11 +39,8 @@ def _along(courses, k, x, border):
     return grade, friction
 
 
-def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float, level: bool) -> Profile:
-    """Course k from `before` [m] ahead of its start up to `beyond` [m].
-
-    `level`: take distance along the course as horizontal, else as along the slope.
-    """
+def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float) -> Profile:
+    """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along the slope."""
     x = np.arange(-before, beyond, 0.5 * CELL)
     grade, friction = _along(courses, k, x, border)
 
@@ -51,8 +48,6 @@ def profile_of(courses: Courses, k: int, border: float, before: float, beyond: f
         total = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
         return total - np.interp(0.0, x, total)
 
-    if level:
-        return Profile(x, x, from_start(np.array([math.tan(g) for g in grade])), friction)
     return Profile(x, from_start(np.cos(grade)), from_start(np.sin(grade)), friction)
 
 

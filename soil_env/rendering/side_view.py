@@ -1,105 +1,210 @@
-"""Side view of one wheel with the stress under it, and charts of its slip, sinkage and soil estimate over time.
+"""Side view of a wheel or a rover: stresses under every wheel, ruts, body and suspension, and a table of its wheels.
 
 The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is computed here:
-terrain, stresses and mobilised sinkage coefficient come from the compiled functions that the simulation itself uses.
+places, loads and pitch are the state of the simulation, terrain and stresses come from its own compiled functions.
+The course is drawn in true lengths, and distance along it is that along the slope.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.driving.wheels import Simulation
-from soil_env.parameters import SoilState
-from soil_env.rendering.canvas import GREY, Canvas, soil_colour
-from soil_env.rendering.charts import draw_charts
-from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_course, friction_range
-from soil_env.rendering.view import CourseView
-from soil_env.rendering.wheels import ShownWheel, Stresses, contact_stresses, draw_cause, draw_scene, hub_of
+from soil_env.driving.rovers import RoverSimulation
+from soil_env.identification import Status
+from soil_env.rendering import canvas, wheels as drawing
+from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
+from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_flag, draw_ground, draw_scale_bar
+from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
+from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import sinkage_coefficient_at
-
-_VIEW = 8.5  # [radii] width of the side view
-_WHEEL_AT = (0.46, 0.6)  # place of the ground under the wheel in the side view, from left and top
+from soil_env.vehicle import Vehicle
 
 #: Box of the side view: left, top, width, height
-SCENE = (14, 92, 548, 304)
+SCENE = (14, 52, 548, 302)
+AT = (0.5, 0.66)  # place of the ground below the middle of the vehicle, from left and top
+_WIDTH, _LEAST_WIDTH = 1.55, 8.5  # of the side view: over the length of a rover from rim to rim; at least, of radii
+_BODY, _BEAM, _BOGIE = (206, 198, 184), (86, 90, 100), (120, 124, 134)
+COLOURS = {  # dark, pale
+    "front": (canvas.PURPLE, canvas.LIGHT_PURPLE),
+    "middle": (canvas.AMBER, canvas.LIGHT_AMBER),
+    "rear": (canvas.GREEN, canvas.LIGHT_GREEN),
+    "wheel": (canvas.BLUE, canvas.LIGHT_ORANGE),
+}
 
 
-def _soil_under(simulation: Simulation, k: int) -> SoilState:
-    """The undisturbed soil under wheel k."""
-    w = simulation.wheel(k)
-    soil, _, _ = ground_at(simulation.worlds.courses, k, w["x"], w["patch"], simulation.numbers.world.border)
-    return soil
+# --- state ------------------------------------------------------------------------------------------------------------
 
 
-def stresses_under(simulation: Simulation, k: int) -> Stresses:
-    """`Stresses` under wheel k as it moves now."""
-    w, wheel = simulation.wheel(k), simulation.numbers.world.wheel
-    load, r = w["mass"] * wheel.gravity * math.cos(w["grade"]), wheel.radius
-    rim_speed = w["wheel_speed"] * r
-    return contact_stresses(_soil_under(simulation, k), load, w["speed"], rim_speed, w["sinkage"], r, wheel.width)
+def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
+    """State of each wheel of vehicle j by name, the front one first.
+
+    Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the undisturbed `soil`
+    under it, and `estimate`, `sd` and `status` of the identifier, None where nothing is identified.
+    """
+    worlds = simulation.worlds
+    if isinstance(simulation, RoverSimulation):
+        rovers, known, rows = worlds.rovers, worlds.known, simulation.wheels[j].tolist()
+        names = axle_names(len(rows))
+        wheels = [rovers.wheels[k] | rovers.counts[k] | {"rut": rovers.axles.floor[k]} for k in rows]
+    else:
+        known, rows, names = worlds.ids, [j], ("wheel",)
+        wheels = [simulation.wheel(j) | {"rut": 0.0}]
+    for w, k, name in zip(wheels, rows, names, strict=True):
+        soil, _, _ = ground_at(worlds.courses, j, w["x"], w["patch"], simulation.numbers.world.border)
+        w |= {"name": name, "soil": soil}
+        w |= {key: None if known is None else getattr(known, key)[k] for key in ("estimate", "sd", "status")}
+    return wheels
 
 
-class Renderer(CourseView):
-    """Side view of wheel k of a `Simulation`."""
-
-    def _motion(self, simulation: Simulation, k: int) -> tuple[int, float]:
-        w = simulation.wheel(k)
-        return w["steps"], float(w["wheel_speed"])
-
-    def _sample(self, simulation: Simulation, k: int) -> tuple[float, ...]:
-        """Slip, sinkage [radii], estimate [3] and its sd [3], truth [3], of phi [rad], ln K and ln S."""
-        w, ids, soil = simulation.wheel(k), simulation.worlds.ids, _soil_under(simulation, k)
-        same = sinkage_coefficient_at(soil, self.scenario.belief.sinkage_exponent, w["bearing_sinkage"])
-        known = (math.nan,) * 6 if ids is None else (*ids.estimate[k, :3], *ids.sd[k, :3])
-        truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-        return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
-
-    def _paint(self, canvas: Canvas, simulation: Simulation, k: int) -> None:
-        margin, length = _VIEW * simulation.numbers.world.wheel.radius, simulation.numbers.task.length
-        profile = self._ground(simulation, k, margin, length + margin, True)
-        bounds, ids = friction_range(self.scenario, simulation), simulation.worlds.ids
-        _draw_scene(canvas, simulation, k, profile, bounds, self._angles)
-        _draw_readings(canvas, simulation, k, bounds, self._status(ids, k))
-        draw_course(canvas, profile, length, [simulation.worlds.state.x[k]], bounds)
-        draw_charts(canvas, np.array(self._history).reshape(-1, 12).T, self._shows(ids))
+def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[float, ...]:
+    """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage `exponent`."""
+    soil = w["soil"]
+    known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
+    same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
+    truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
+    return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
 
 
-def _draw_scene(c: Canvas, simulation, k: int, profile: Profile, bounds, angle: float) -> None:
-    """The side view in a camera that moves with the wheel."""
-    w, r = simulation.wheel(k), simulation.numbers.world.wheel.radius
-    centre, grade = np.array(profile.at(w["x"])), float(w["grade"])
-    place = np.add(SCENE[:2], np.multiply(_WHEEL_AT, SCENE[2:]))
-    scene = Scene(SCENE, SCENE[2] / (_VIEW * r), place, centre)
-    x = centre[0] + (np.linspace(0.0, 1.0, 185) - _WHEEL_AT[0]) * _VIEW * r
-    rut = depth_of_ruts(x, simulation.worlds.courses.rut[k]) / math.cos(grade)
-    hub = hub_of(centre, grade, r - w["sinkage"])
-    wheel = ShownWheel(hub, grade, angle, w["speed"], stresses_under(simulation, k))
-    draw_scene(c, scene, x, profile, rut, bounds, simulation, [wheel])
+def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
+    """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
+    r = simulation.numbers.world.wheel.radius
+    return np.array([drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"]) for w in wheels])
 
 
-def _draw_readings(c: Canvas, simulation, k: int, bounds, status: str) -> None:
-    """Numbers and the `status` of the estimate above the side view, the state of the episode, and the true soil under
-    the wheel below it."""
-    w = simulation.wheel(k)
+class Posture(NamedTuple):
+    """Places of the parts of a rover (horizontal, height) [m] in the world."""
+
+    hubs: np.ndarray  # [axles, 2]
+    pitch: float  # [rad] of the body, front up positive
+    pivot: np.ndarray  # of the bogie; the middle of the axles without
+    origin: np.ndarray  # of the body: the front axle's place on it
+
+    def on_body(self, behind: float, above: float) -> np.ndarray:
+        """Place [m] of a point of the body so far behind the front axle and above the axles."""
+        cos, sin = math.cos(self.pitch), math.sin(self.pitch)
+        return self.origin + np.array([-behind * cos - above * sin, -behind * sin + above * cos])
+
+
+def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
+    """`Posture` of a rover with its `hubs` [axles, 2] and the `pitch` [rad] of its body."""
+    first = v.first_on_bogie
+    front, rear, above = (0, 1, 0.0) if first < 0 else (first, first + 1, v.pivot_height)
+    behind = v.centre if first < 0 else v.pivot
+    share, along = (behind - v.axles[front]) / (v.axles[rear] - v.axles[front]), hubs[front] - hubs[rear]
+    upward = np.array([-along[1], along[0]]) / math.hypot(*along)
+    pivot = hubs[front] - share * along + above * upward
+    at_front = Posture(hubs, pitch, pivot, np.zeros(2))
+    return at_front._replace(origin=pivot - at_front.on_body(behind, above))
+
+
+def width_of(simulation: Any) -> float:
+    """Width of the side view [m]."""
+    r, vehicle = simulation.numbers.world.wheel.radius, getattr(simulation.scenario, "vehicle", None)
+    return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
+
+
+# --- picture ----------------------------------------------------------------------------------------------------------
+
+
+def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified) -> None:
+    """Vehicle j in a camera that moves with it, its readings above and the table of its `shown_wheels` below."""
+    is_rover, worlds, width = isinstance(simulation, RoverSimulation), simulation.worlds, width_of(simulation)
+    body = worlds.rovers.body[j] if is_rover else wheels[0] | {"pitch": wheels[0]["grade"]}
+    left = worlds.courses.rut[j]
+    if is_rover:
+        rows = simulation.wheels[j]
+        left = (worlds.ruts.floor[rows] + worlds.ruts.rut[rows]).max(axis=0)
+    middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
+    place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
+    scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
+    x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
+    rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
+    hubs, world, task = hubs_of(simulation, wheels, profile), simulation.numbers.world.wheel, simulation.numbers.task
+    r, size = world.radius, world.radius * scene.scale
+    stresses = [drawing.stresses_under(w, r, world.width) for w in wheels]
+    per_pascal = 0.45 * size * 0.5 * r * world.width / task.weight  # drawn length of a stress
+    c.clip(scene.box)
+    c.box(scene.box, canvas.SKY)
+    draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
+    draw_flag(c, scene, scene.at(*profile.at(task.length)))
+    posture = posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
+    if is_rover:
+        _draw_body(c, scene, simulation.scenario.vehicle, posture, r)
+    for w, hub, angle in zip(wheels, hubs, angles, strict=True):
+        drawing.draw_wheel(c, scene.at(*hub), size, float(angle), COLOURS[w["name"]][0] if is_rover else canvas.RIM)
+    for w, hub, own in zip(wheels, hubs, stresses, strict=True):
+        side = -1.0 if w["speed"] < -REST_SPEED else 1.0
+        drawing.draw_stresses(c, scene.at(*hub), size, float(w["grade"]), side, own, per_pascal)
+    if is_rover:
+        _draw_suspension(c, scene, simulation.scenario.vehicle, posture, r)
+    drawing.draw_stress_key(c, scene.box, stresses)
+    c.clip(None)
+    c.box(scene.box, None, canvas.GRID)
+    draw_scale_bar(c, scene)
+    _draw_readings(c, simulation, body, Cause(int(worlds.cause[j])))
+    _draw_table(c, wheels, bounds, identified)
+
+
+def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
+    """The body, with a slanted front."""
+    low, top = vehicle.centre_height - 0.55 * r, vehicle.centre_height + 0.55 * r
+    front, rear = 0.02 * vehicle.base, 0.98 * vehicle.base
+    corners = (front, low), (front + 0.3 * r, top), (rear, top), (rear, low), (front, low)
+    outline = [scene.at(*p.on_body(behind, above)) for behind, above in corners]
+    c.polygon(outline, _BODY)
+    c.lines(outline, _BEAM, 1.8)
+
+
+def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
+    """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all else."""
+    hubs, width = [scene.at(*hub) for hub in p.hubs], max(0.12 * r * scene.scale, 3.0)
+    if vehicle.bogie == "none":
+        c.lines(hubs, _BEAM, width)
+    else:
+        first, alone = vehicle.first_on_bogie, 2 if vehicle.bogie == "front" else 0
+        pivot = scene.at(*p.pivot)
+        knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
+        c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
+        c.lines([pivot, knee, hubs[alone]], _BEAM, width)
+        c.circle(pivot, 0.8 * width, canvas.RIM)
+    centre = scene.at(*p.on_body(vehicle.centre, vehicle.centre_height))
+    c.circle(centre, 6.0, canvas.WHITE)
+    c.circle(centre, 6.0, INK, 1.2)
+    c.circle(centre, 2.0, INK)
+
+
+def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
+    """Numbers of the wheel, or of the rover as a whole, above the side view, and the state of the episode."""
     cells = (
-        ("distance", f"{w['x']:.2f} of {simulation.numbers.task.length:g} m"),
-        ("speed", f"{w['speed']:.2f} m/s"),
-        ("slip", f"{w['slip']:.2f}"),
-        ("sinkage", f"{1e3 * w['sinkage']:.0f} mm"),
-        ("drawbar pull", f"{w['drawbar_pull']:.0f} N"),
-        ("motor torque", f"{w['motor_torque']:.1f} of {w['available_torque']:.1f} N m"),
-        ("grade", f"{math.degrees(w['grade']):+.1f}°"),
-        ("estimate", status),
+        ("distance", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
+        ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
+        ("pitch", f"{math.degrees(body['pitch']):+.1f}°"),
     )
-    for i, (name, value) in enumerate(cells):
-        x, y = (14, 140, 296, 396)[i % 4], 14 + 40 * (i // 4)
-        c.text(x, y, name, 15, GREY)
-        c.text(x, y + 16, value, 20)
-    draw_cause(c, Cause(int(simulation.worlds.cause[k])), w["halt_left"] > 0.0)
-    soil = _soil_under(simulation, k)
-    phi = math.degrees(math.atan(soil.tan_phi))
-    c.box((14, 404, 20, 14), soil_colour([phi], bounds)[0], GREY)
-    moduli = f"K = {1e3 * soil.shear_modulus:.1f} mm   S = {1e-6 * soil.sinkage_coefficient:.2f} MN/m^(n+2)"
-    c.text(42, 411, f"soil under the wheel:  φ = {phi:.1f}°   {moduli}   n = {soil.sinkage_exponent:.2f}", 16)
+    for x, (name, value) in zip((14, 190, 280), cells, strict=True):
+        c.text(x, 14, name, 15, GREY)
+        c.text(x, 32, value, 20)
+    drawing.draw_cause(c, cause, body["halt_left"] > 0.0)
+
+
+def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
+    """State of each wheel, with the rut that it runs in, the true soil under it and the status of its estimate."""
+    heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
+    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
+    for i, (x, words) in enumerate(zip(places, heads, strict=True)):
+        c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
+    for row, w in enumerate(wheels):
+        y, soil, known = 380 + 16 * row, w["soil"], identified and w["status"] is not None
+        phi = math.degrees(math.atan(soil.tan_phi))
+        values = (
+            w["name"], f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * w['rut']:.1f} mm",
+            f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
+            f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
+            Status(int(w["status"])).name.lower().replace("_", " ") if known else "none",
+        )  # fmt: skip
+        c.circle((20, y), 5, COLOURS[w["name"]][0])
+        for i, (x, words) in enumerate(zip(places, values, strict=True)):
+            c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)
+        c.box((402, y - 5, 8, 10), soil_colour([phi], bounds)[0], GREY)

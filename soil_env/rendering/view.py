@@ -1,26 +1,23 @@
-"""Common base of the views of a course: canvas, window, and the history that charts show."""
+"""View of one course of a simulation: canvas, window, and the history that charts show."""
 
 import math
-from abc import ABC, abstractmethod
 from collections import deque
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from soil_env.identification import Status
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import DESIGN, Canvas
-from soil_env.rendering.charts import SPAN
-from soil_env.rendering.ground import Profile, profile_of
+from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
+from soil_env.rendering.ground import draw_course, friction_range, profile_of
+from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
 
 MODES = ("rgb_array", "human")
 _POINTS = 600  # of the history, at most
 
 
-class CourseView(ABC):
-    """Draws one course of a simulation: `record` after each reset and step, `draw` whenever a frame is due."""
-
-    _windows: ClassVar[set[int]] = set()  # ids of the open windows of all views, which share one event queue
+class CourseView:
+    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step, `draw` a frame."""
 
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
@@ -29,7 +26,6 @@ class CourseView(ABC):
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
         self._canvas = self._window = self._clock = None
-        self._course_key = self._profile = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -43,46 +39,36 @@ class CourseView(ABC):
 
     def record(self, simulation: Any, k: int) -> None:
         """Add the present state of number k to the history; at its reset the history starts anew."""
-        steps, wheel_speed = self._motion(simulation, k)
+        steps, wheels = int(simulation.steps[k]), shown_wheels(simulation, k)
         if steps == 0:
             self.clear()
-        self._angles = self._angles + wheel_speed * self._step
+        self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.held) == 0:
-            self._history.append((steps * simulation.numbers.world.period, *self._sample(simulation, k)))
+            samples = (sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels)
+            self._history.append((steps * simulation.numbers.world.period, *(x for own in samples for x in own)))
 
-    @abstractmethod
-    def _motion(self, simulation: Any, k: int) -> tuple[int, Any]:
-        """Control periods since the reset, and the speed of each wheel [rad/s]."""
-
-    @abstractmethod
-    def _sample(self, simulation: Any, k: int) -> tuple[float, ...]:
-        """Numbers of the charts now."""
-
-    def _status(self, known: Any, k: int) -> str:
-        """The word for the status of the identifier of wheel k; "none" where there is none."""
-        return Status(int(known.status[k])).name.lower().replace("_", " ") if self._shows(known) else "none"
-
-    def _shows(self, known: Any) -> bool:
-        """True if there is an estimate to show."""
-        return self._identified and known is not None
-
-    @abstractmethod
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
         """Draw number k as it is now on a cleared canvas; its course is complete."""
+        wheels, width, length = shown_wheels(simulation, k), width_of(simulation), simulation.numbers.task.length
+        border = simulation.numbers.world.border
+        profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
+        bounds = friction_range(self.scenario, simulation)
+        angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
+        draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles, self._identified)
+        draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
+        colours, history = [COLOURS[w["name"]] for w in wheels], np.array(self._history)
+        history = history.reshape(-1, 1 + QUANTITIES * len(wheels)).T
+        draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
-        if self.mode == "human" and not self._poll():
-            return None
         self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
         simulation.complete(k)
         self._paint(self._canvas, simulation, k)
         surface = self._canvas.finish()
         if self.mode == "human":
-            self._window.get_surface().blit(surface, (0, 0))
-            self._window.flip()
-            self._clock.tick(1.0 / self._step)
+            self._show(surface)
             return None
         import pygame
 
@@ -90,31 +76,18 @@ class CourseView(ABC):
 
     def close(self) -> None:
         """Close the window, if there is one, and free the surfaces."""
-        if self._window is not None and self._id in self._windows:
-            self._windows.discard(self._id)
+        if self._window is not None:
             self._window.destroy()
         self._window = self._canvas = self._clock = None
 
-    def _ground(self, simulation: Any, k: int, before: float, beyond: float, level: bool) -> Profile:
-        """`profile_of` course k, computed anew where the course is another one."""
-        courses = simulation.worlds.courses
-        key = courses.edges[k].tobytes() + courses.soils[k].tobytes() + courses.grades[k].tobytes()
-        if key != self._course_key:
-            self._profile = profile_of(courses, k, simulation.numbers.world.border, before, beyond, level)
-            self._course_key = key
-        return self._profile
-
-    def _poll(self) -> bool:
-        """Open the window at the first call and handle its events; False once the user has closed it."""
+    def _show(self, surface: Any) -> None:
+        """Put a picture into the window, which is opened at the first call, and wait until it is due."""
         import pygame
 
         if self._window is None:
             pygame.display.init()
             self._window, self._clock = pygame.Window(f"soil_env: {self.scenario.name}", self.size), pygame.time.Clock()
-            self._id = self._window.id
-            self._windows.add(self._id)
-        for event in pygame.event.get():
-            if event.type == pygame.WINDOWCLOSE and event.window is not None and event.window.id in self._windows:
-                self._windows.discard(event.window.id)
-                event.window.destroy()
-        return self._id in self._windows
+        pygame.event.pump()
+        self._window.get_surface().blit(surface, (0, 0))
+        self._window.flip()
+        self._clock.tick(1.0 / self._step)

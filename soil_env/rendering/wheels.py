@@ -1,15 +1,12 @@
-"""Wheels in a picture with the ground and the stresses under them, and the state of an episode."""
+"""Wheels in a picture with the stresses under them, and the state of an episode."""
 
 import math
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.parameters import SoilState
 from soil_env.rendering import canvas
 from soil_env.rendering.canvas import Box, Canvas, Colour
-from soil_env.rendering.ground import Profile, Scene, draw_flag, draw_ground, draw_scale_bar
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import REST_SPEED, reaction
@@ -25,15 +22,14 @@ class Stresses(NamedTuple):
     shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
 
 
-def contact_stresses(
-    soil: SoilState, load: float, speed: float, rim_speed: float, sinkage: float, r: float, b: float
-) -> Stresses:
-    """`Stresses` under a wheel of radius r and width b [m] at the sinkage coefficient that its load [N] mobilises.
+def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
+    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now under its load.
 
-    Speeds of travel and of the rim [m/s]; sinkage [m] below the ground that the wheel meets. The soil's own sinkage
-    coefficient does not matter: so the same holds in a rut.
+    They are those at the sinkage coefficient that the load mobilises. The soil's own one does not matter: so the same
+    holds in a rut.
     """
-    coefficient = reaction(speed, rim_speed, sinkage, load, soil, r, b).sinkage_coefficient
+    soil, speed, rim_speed, sinkage = w["soil"], w["speed"], w["wheel_speed"] * r, w["sinkage"]
+    coefficient = reaction(speed, rim_speed, sinkage, w["load"], soil, r, b).sinkage_coefficient
     rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
     theta1 = contact.entry_angle(sinkage, r)
     angle = np.linspace(0.0, theta1, ARC_POINTS)
@@ -45,48 +41,6 @@ def contact_stresses(
         share, _ = contact.mobilised(j, soil.shear_modulus, contact.JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
     return Stresses(angle, normal, shear)
-
-
-class ShownWheel(NamedTuple):
-    """A wheel as it is drawn."""
-
-    hub: np.ndarray  # horizontal place and height [m]
-    grade: float  # [rad] of the ground under it
-    angle: float  # [rad] that it has turned
-    speed: float  # [m/s] of travel
-    stresses: Stresses
-    colour: Colour = canvas.RIM
-
-
-def draw_scene(
-    c: Canvas, scene: Scene, x: np.ndarray, profile: Profile, lowered: np.ndarray, bounds: tuple[float, float],
-    simulation: Any, wheels: Sequence[ShownWheel], behind: Callable[[], None] | None = None,
-    front: Callable[[], None] | None = None,
-) -> None:  # fmt: skip
-    """Terrain lowered by ruts [m] at x [m] along the course, end of the course, and wheels with their stresses.
-
-    `behind` and `front` draw what is behind and in front of the wheels.
-    """
-    world, task = simulation.numbers.world.wheel, simulation.numbers.task
-    size = world.radius * scene.scale
-    per_pascal = 0.45 * size * 0.5 * world.radius * world.width / task.weight  # drawn length of a stress
-    c.clip(scene.box)
-    c.box(scene.box, canvas.SKY)
-    draw_ground(c, scene, x, profile, lowered, [w.hub for w in wheels], world.radius, bounds)
-    draw_flag(c, scene, scene.at(*profile.at(task.length)))
-    if behind is not None:
-        behind()
-    for w in wheels:
-        draw_wheel(c, scene.at(*w.hub), size, float(w.angle), w.colour)
-    for w in wheels:
-        side = -1.0 if w.speed < -REST_SPEED else 1.0
-        draw_stresses(c, scene.at(*w.hub), size, float(w.grade), side, w.stresses, per_pascal)
-    if front is not None:
-        front()
-    draw_stress_key(c, scene.box, [w.stresses for w in wheels])
-    c.clip(None)
-    c.box(scene.box, None, canvas.GRID)
-    draw_scale_bar(c, scene)
 
 
 def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:

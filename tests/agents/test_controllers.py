@@ -11,8 +11,9 @@ import pytest
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.controllers.oracle import COUNT, Oracle
 from agents.drive import _drive
-from agents.evaluate import Runs, drive as evaluation_drive, driving, run_courses
+from agents.evaluate import driving
 from agents.evaluate.comparing import avoidable
+from agents.evaluate.driving import Runs, drive as evaluation_drive, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
@@ -176,7 +177,8 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     """With the true soil hardly a dead end is taken: only where the grade is seen too flat."""
     scenario = load_scenario("two_lines")
     controller, forks, right = make_controller("best_slip_true", scenario), 0, 0
-    *_, (worlds, _) = evaluation_drive(controller, scenario, 5, 0, 40)
+    *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
+    worlds = sim.worlds
     lines, edges = worlds.courses.lines, worlds.courses.edges
     for k in range(40):
         for p in range(worlds.courses.patches[k]):

@@ -8,8 +8,8 @@ import pytest
 from agents import default_policy, generalist, student
 from agents.common_layout import ADDED, COMMON, NAMES, CommonScaling
 from agents.default_policy import LAYERS, WEIGHTS, DefaultPolicy
-from agents.evaluate import run_courses
 from agents.evaluate.contestants import parse
+from agents.evaluate.driving import run_courses
 from agents.evaluate.loading import check, load
 from agents.history import BAND_SHARE, History
 from agents.teachers import Teacher, Teachers, settings_of

@@ -14,8 +14,8 @@ from scipy import stats
 
 from agents import cells, ppo
 from agents.controllers import make_controller
-from agents.evaluate import HELD_OUT_SET, Runs, comparing, course_rng, run_courses
-from agents.evaluate.driving import METRICS, RATES
+from agents.evaluate import comparing
+from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
 from soil_env.driving.wheels import Simulation
@@ -59,7 +59,7 @@ def same(a, b):
     """Assert that two folders hold the same results, to the byte."""
     done = sorted(f"cells/{p.name}" for p in (a / "cells").iterdir())
     assert done == sorted(f"cells/{p.name}" for p in (b / "cells").iterdir())
-    for name in ("evaluation.json", "evaluation.csv", "evaluation.md", "courses.csv", "metrics.png", *done):
+    for name in ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png", *done):
         assert (a / name).read_bytes() == (b / name).read_bytes(), name
 
 
@@ -101,7 +101,7 @@ def test_a_comparison_of_known_runs():
     """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
     rng, scenario = np.random.default_rng(0), load_scenario("mixed")
     returns, ends = rng.normal(5.0, 2.0, (2, 40)), np.arange(40) >= 10
-    runs = {"a": [runs_of(row, ends) for row in returns], "b": runs_of(returns.mean(axis=0) - 1.0)}
+    runs = {"a": [runs_of(row, ends) for row in returns], "b": [runs_of(returns.mean(axis=0) - 1.0)]}
     found = comparing.comparison(scenario, 3, runs, resamples=400)
     assert found["members"] == {"a": 2, "b": 1} and found["courses"] == 40 and found["scenario"] == "mixed"
     a, b = found["controllers"]["a"], found["controllers"]["b"]
@@ -131,9 +131,6 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
             assert metrics[metric]["value"] == expected
         for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
             assert metrics[cause.lower()]["value"] == pytest.approx(np.mean([row["cause"] == cause for row in own]))
-    table = list(csv.DictReader((done / "evaluation.csv").read_text().splitlines()))
-    assert [row["controller"] for row in table] == list(result["controllers"])
-    assert float(table[0]["return_low"]) == pytest.approx(result["controllers"]["half"]["return"]["low"], rel=1e-4)
 
 
 def test_settings_are_tuned_once_and_drive_the_held_out_courses_of_train(tmp_path, capsys):

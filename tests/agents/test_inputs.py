@@ -8,7 +8,7 @@ from gymnasium.spaces import Box
 from agents import ppo
 from agents.config import PPOConfig
 from agents.environment import HIDDEN, HistoryVecEnv, SeveralWorlds, hidden_worlds
-from agents.evaluate import run_courses
+from agents.evaluate.driving import run_courses
 from agents.evaluate.models import load_model
 from agents.history import READINGS, SHARE, History
 from agents.sb3 import SoilWheelVecEnv

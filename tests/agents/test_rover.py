@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from agents import training
+from agents import comparison, training
 from agents.config import TrainConfig
 from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
-from agents.evaluate import run_courses
-from agents.evaluate.driving import METRICS, OF_ROVERS
+from agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
 from soil_env import ParameterError
 from soil_env.cli import main
 from soil_env.simulation.rover.task import rover_layout
@@ -103,7 +102,7 @@ SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--cha
 
 def test_train_writes_the_comparison(tmp_path):
     assert main(["train", "--config", "rover.yaml", "--name", "small", "--runs", str(tmp_path), *SMALL]) == 0
-    result = json.loads((tmp_path / "small" / "comparison.json").read_text())
+    result = json.loads((tmp_path / "small" / comparison.DONE).read_text())
     assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "agent_identified"}
     for metrics in result["controllers"].values():
         assert set(metrics) == {*METRICS, *OF_ROVERS}

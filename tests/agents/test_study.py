@@ -1,9 +1,7 @@
 """`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a kill, bad input."""
 
 import dataclasses
-import itertools
 import json
-import os
 import pickle
 import shutil
 
@@ -14,7 +12,7 @@ from agents import cells
 from agents.agent import load_agent
 from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.rover import ROVER_CONTROLLERS
-from agents.evaluate import run_courses
+from agents.evaluate.driving import run_courses
 from agents.evaluate.models import load_model
 from agents.study import work
 from agents.study.config import Study, read_config
@@ -134,44 +132,6 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
     assert load_agent(copied / "trained" / "mixed-identified-0").info.observation == "identified"
     assert main(["--out", copied, "--report"]) == 0
     assert (copied / "study.json").read_bytes() == (finished / "study.json").read_bytes()
-
-
-class Killed(BaseException):
-    """Ends a study at once."""
-
-
-@pytest.mark.usefixtures("unrendered")
-def test_a_study_killed_at_its_files_gives_what_a_calm_one_gives(tmp_path, monkeypatch):
-    """Over and over, before or after it puts a file in its place; the trainings begin anew."""
-    own = {"train": {"timesteps": 192, "student": 0, "ppo": PPO}, "arms": {"identified": {}, "blind": {}}, "courses": 3}
-    path, replace = config(tmp_path, controllers=["soft_start"], seeds=1, **own), os.replace
-    moments = itertools.cycle(((1, "after"), (2, "before"), (2, "after"), (3, "before"), (5, "after")))
-
-    def killed(moment):
-        number, when = moment
-        seen = []
-
-        def replaced(source, target):
-            seen.append(target)
-            if len(seen) < number or when == "after":
-                replace(source, target)
-            if len(seen) == number:
-                raise Killed
-
-        monkeypatch.setattr(os, "replace", replaced)
-        try:
-            assert main(["--config", path, "--out", tmp_path / "killed"]) == 0
-        except Killed:
-            return True
-        return False
-
-    assert main(["--config", path, "--out", tmp_path / "calm"]) == 0
-    assert len(list(itertools.takewhile(killed, moments))) >= 5
-    calm, other = ({f.relative_to(tmp_path / name): f.read_bytes() for f in (tmp_path / name).rglob("*.*") if
-                    f.is_file() and "tensorboard" not in f.parts} for name in ("calm", "killed"))  # fmt: skip
-    assert calm.keys() == other.keys()
-    for file in (f for f in calm if "trained" not in f.parts and "tuned" not in f.parts):  # these hold folder and times
-        assert calm[file] == other[file], file
 
 
 @pytest.mark.usefixtures("unrendered")

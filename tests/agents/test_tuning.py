@@ -6,7 +6,8 @@ import yaml
 from agents import tune
 from agents.controllers import CONTROLLERS, make_controller
 from agents.controllers.rover import ROVER_CONTROLLERS
-from agents.evaluate import TUNING_SET, run_courses, tuning
+from agents.evaluate import tuning
+from agents.evaluate.driving import TUNING_SET, run_courses
 from agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env._io.loading import config_dir
 from soil_env.cli.running import run
@@ -36,8 +37,8 @@ def test_every_range_lies_within_the_bounds_of_its_setting(vehicle):
 
 
 def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
-    chosen, tried = tuned_settings(SHORT, 8, ("constant_torque",))
-    trials = tried["constant_torque"]
+    chosen, space = tuned_settings(SHORT, 8, ("constant_torque",)), CONTROLLERS["constant_torque"].bounds
+    trials = tuning.tried("constant_torque", space, 6, SHORT, 8, None, None, lambda count: None)
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
     assert chosen == {"constant_torque": {"share": best["share"]}} and len({t["finished"] for t in trials}) > 1
     runs = run_courses(make_controller("constant_torque", SHORT, share=best["share"]), SHORT, TUNING_SET, 8)
@@ -69,10 +70,9 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkey
 
 def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
     rover = load_rover("lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}})
-    chosen, tried = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"))
+    chosen = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"))
     own = {name: CONTROLLERS[ROVER_CONTROLLERS[name].of_wheel].bounds for name in chosen}
     assert {name: set(c) for name, c in chosen.items()} == {name: set(bounds) for name, bounds in own.items()}
-    assert all(len(trials) == 2 for trials in tried.values())
 
 
 def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatch):
@@ -101,7 +101,7 @@ def test_shipped_settings_serve_an_unchanged_scenario_only(name):
 
     shipped = shipped_settings(of({}), 200)
     assert set(shipped) == {name for name, c in CONTROLLERS.items() if c.bounds}
-    assert tuned_settings(of({}), 200, ("soft_start",)) == ({"soft_start": shipped["soft_start"]}, {})
+    assert tuned_settings(of({}), 200, ("soft_start",)) == {"soft_start": shipped["soft_start"]}
     assert shipped_settings(of({}), 10**6) == {}  # more courses than they were tuned on
     assert shipped_settings(of({"course": {"length": 9.0}}), 2) == {}
     assert shipped_settings(of({"control": {"action": "rim_acceleration", "repeat": 2}}), 2) == {}

@@ -1,15 +1,54 @@
-"""Training of the warning of immobilisation: events and alarms against a script; the shipped weights on a sample."""
+"""Warning of immobilisation: its alarms and events against a script, its training, the shipped weights on a sample."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from agents import warning
+from agents.evaluate.warning import KEPT, RELEASE, Foresight
 from agents.warning import DRIVERS, FAMILIES, Drives, drives, probabilities
 from soil_env.identification.online.immobilisation import FILE, HORIZONS, INPUTS, score_inputs, shipped, shipped_network
+from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
+from soil_env.simulation.world.wheel import WheelState
+
+
+def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):
+    """Control periods of (probability over the threshold of the alarm, halted, getting further at 0.1 m/s)."""
+    return [(share, halted, goes_on and not halted)] * round(10 * seconds)
+
+
+END = spell(1.0) + spell(0.9, goes_on=False)
+LEADS = {  # name: (script, distance [m] and time [s] from the alarm to the last mobile moment)
+    "on at the threshold": (spell(0.99, 3) + spell(1.0, 2) + spell(0.9, 4, goes_on=False), (0.19, 1.9)),
+    "on when the wheel is stuck": (spell(seconds=2) + spell(1.0, 4, goes_on=False), (np.nan, np.nan)),
+    "kept over half of the threshold": (spell(1.0) + spell(0.51, 3) + END, (0.49, 4.9)),
+    "kept over 0.9 s": (spell(1.0) + spell(0.4, 0.9) + END, (0.28, 2.8)),
+    "off after 1 s": (spell(1.0) + spell(0.4) + END, (0.09, 0.9)),
+    "no sign in a halt": (spell() + spell(1.0, 3, halted=True) + spell(1.0, 0.2) + END[10:], (0.01, 0.1)),
+    "no end in a halt": (spell(1.0) + spell(0.4, 3, halted=True) + spell(1.0) + END[10:], (0.19, 4.9)),
+}
+
+
+@pytest.mark.parametrize("name", LEADS)
+def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypatch):
+    scenario = load_scenario("mixed", {"control": {"action": "torque"}})
+    assert (KEPT, RELEASE, scenario.control.period) == (0.5, 1.0, 0.1)
+    foresight, (script, lead) = Foresight(scenario, 1), LEADS[name]
+    worlds = SimpleNamespace(state=WheelState(1), recent=None, ids=SimpleNamespace(estimate=None, sd=None))
+    for share, halted, goes_on in script:
+        found = np.array([[0.0, share * foresight.alarm.threshold]])
+        monkeypatch.setattr(foresight.warning, "probabilities", lambda *_, found=found: found)
+        worlds.state["halt_left"] = float(halted)
+        worlds.state["best_x"] += 0.01 * goes_on
+        foresight.step(worlds, np.array([True]))
+    assert foresight.lead(worlds, np.array([False]))[0] == pytest.approx(lead, nan_ok=True)
+    if name == "on when the wheel is stuck":  # a bogged wheel was mobile to the end
+        assert foresight.lead(worlds, np.array([True]))[0] == pytest.approx([0.0, 3.9])
+        assert foresight.under[0] == pytest.approx(4.0) and foresight.driven[0] == pytest.approx(6.0)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from agents.controllers import make_controller
-from agents.evaluate import drive
+from agents.evaluate.driving import drive
 from soil_env._numba.compiling import compiled_root
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import load_scenario
@@ -27,8 +27,8 @@ def test_intervals_hold_on_the_default_task():
     scenario, errors, sds, without = load_scenario("two_lines"), [], [], []
     prior = identifier_numbers(scenario).prior[:2]
     controller = make_controller("best_slip_identified", scenario)
-    for w, alive in drive(controller, scenario, SEED, 0, COURSES, threads=1, warnings=True):
-        truth = np.empty((COURSES, 2))
+    for sim, alive in drive(controller, scenario, SEED, 0, COURSES, threads=1, warnings=True):
+        w, truth = sim.worlds, np.empty((COURSES, 2))
         _truth(w.state, w.counts, w.courses, scenario.course.border, truth)
         driven = alive & (w.state["halt_left"] == 0.0)
         errors.append((w.ids.estimate[:, :2] - truth)[driven])

@@ -5,11 +5,10 @@ import json
 import math
 import os
 
-import matplotlib.figure
 import numpy as np
 import pytest
 
-from soil_env._io.files import check_outputs, replace_file, replace_files, save_figure, write_json
+from soil_env._io.files import check_outputs, replace_file, replace_files, write_json
 
 resource = pytest.importorskip("resource")
 
@@ -57,14 +56,6 @@ def test_outputs_that_could_not_be_written_are_named_and_nothing_is_made(tmp_pat
     with pytest.raises(OSError, match="is a file"):
         check_outputs(tmp_path / "file" / "out", ())
     assert sorted(os.listdir(tmp_path)) == ["a.md", "file"]
-
-
-def test_a_figure_is_whole_or_not_at_all(tmp_path):
-    with full(), pytest.raises(OSError):
-        save_figure(matplotlib.figure.Figure(), tmp_path / "a.png")
-    assert os.listdir(tmp_path) == []
-    save_figure(matplotlib.figure.Figure(), tmp_path / "a.png", dpi=30)
-    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_json_has_no_numpy_and_no_nan(tmp_path):

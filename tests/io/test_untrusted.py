@@ -67,14 +67,13 @@ def test_plain_aliases_merges_and_shipped_files_are_read():
 
 
 def test_no_unsafe_loading_in_the_sources():
-    """No yaml.load but the one with our SafeLoader; pickles only after a warning, or from the parent process."""
+    """No yaml.load but the one with our SafeLoader; pickles only from the parent process."""
     unsafe = re.compile(r"yaml\.(load\(|unsafe|full)|pickle\.load|allow_pickle=True|(?<!retri)eval\(|exec\(")
     files = [p for folder in ("soil_env", "agents", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
     lines = [(path.name, line.strip()) for path in files for line in path.read_text("utf-8").splitlines()]
     assert sorted((name, line) for name, line in lines if unsafe.search(line)) == [
         ("compiling.py", "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`"),
         ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
-        ("models.py", "normalisation = pickle.load(stream)"),
         ("records.py", 'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does'),
     ]
 

@@ -13,7 +13,7 @@ from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import soil_unknowns
 from soil_env.logs import read_map, replay, steady_windows
 from soil_env.logs.align import Aligned, Channel
-from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, _impassable, findings
+from soil_env.logs.replay import COLUMNS, ESTIMATED, _grounds, findings
 from soil_env.logs.report import report_of
 from soil_env.logs.steady import advice, commands, files, grounds, setup_text
 from soil_env.measurement.setup import read_setup
@@ -239,23 +239,6 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
     late = Aligned(0, time + 100.0 * (time > 29.95), shown, {}, 0.1)
     ground, differs = _grounds(late, log_map, found, values, current, prior)
     assert np.flatnonzero(np.diff(ground)).tolist() == [299, 499, 899] and math.isnan(differs[1])
-
-
-def test_ground_is_called_impassable_with_a_probability_and_not_where_it_was_crossed(log_map):
-    """Four grounds without pull to spare: one known too badly, one where the wheel went on, one where it spins."""
-    time, ground = 0.1 * np.arange(80), np.repeat([1, 2, 3, 4], 20)
-    speed, slip = np.full(80, 0.2), np.full(80, 0.3)
-    margin, sd = np.full(80, -0.05), np.full(80, 0.02)
-    speed[60:], slip[60:], sd[:20], margin[40:60] = 0.001, 0.99, 0.05, 0.05
-    rows = {"wheel_speed": np.full(80, 2.0), "speed": speed, "slip": slip}
-    status = np.full(80, int(Status.CONVERGED))
-    values = {"drawbar_margin": margin, "drawbar_margin_sd": sd}
-    lines = _impassable(Aligned(0, time, rows, {}, 0.1), log_map, ground, values, status)
-    assert len(lines) == 1 and lines[0].startswith("6.0 to 7.9 s: impassable with probability 0.99")
-    rows["speed"] = rows["speed"] - 0.4 * (time > 7.0)  # rolls back
-    assert len(_impassable(Aligned(0, time, rows, {}, 0.1), log_map, ground, values, status)) == 1
-    rows["speed"], rows["slip"] = np.full(80, 0.2), np.full(80, 0.3)
-    assert len(_impassable(Aligned(0, time, rows, {}, 0.1), log_map, ground, values, status)) == 1  # its last 15 cm
 
 
 def test_command(tmp_path, capsys):

@@ -1,24 +1,54 @@
 """Doubts about readings of a log, in one line each; a log as it was driven raises none."""
 
-import dataclasses
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from agents.controllers.wheel import ConstantSpeed
+from benchmarks.drives import record
+from soil_env.logs import LogMap, Source, Windows
+from soil_env.logs.align import Aligned
 from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
-from tests.logs.driven import SteppedSpeed, log_of
+
+READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch", "motor_torque",
+            "acceleration")  # in the order of `SensorReading`  # fmt: skip
+
+
+class SteppedSpeed(ConstantSpeed):
+    """Rim speed that is held for 2.5 s, and then another."""
+
+    shares, hold = np.array([0.33, 0.6, 0.47, 0.8]), 2.5  # of the top rim speed; [s]
+
+    def rim_speed(self, observation, state):
+        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        return self.top_speed * self.shares[(t / self.hold).astype(int) % self.shares.size]
+
+
+def log_of(driven, scenario):
+    """A drive of `benchmarks.drives.record` as a log with its map."""
+    rows, wheel, period = driven["readings"], scenario.wheel, scenario.control.period
+    twist = scenario.weight * wheel.radius
+    unit = {"drawbar_pull": scenario.weight, "load": scenario.weight, "torque": twist, "motor_torque": twist}
+    readings = {name: rows[:, k].copy() for k, name in enumerate(READINGS)}
+    readings["wheel_speed"] /= wheel.radius
+    readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
+    sources = {name: Source(column=name, sd=getattr(scenario.noise, name) * unit.get(name, 1.0)) for name in readings}
+    log_map = LogMap(
+        wheel, sources, period=period, gravity=scenario.gravity, relaxation=scenario.relaxation,
+        windows=Windows(duration=1.0),
+        belief=replace(scenario.belief, spread=scenario.belief.spread or scenario.spread),
+    )  # fmt: skip
+    return Aligned(0, period * np.arange(len(rows)), readings, {}, period), log_map
 
 
 @pytest.fixture(scope="module")
 def logs():
     """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
-    from agents.controllers.wheel import ConstantSpeed
-    from benchmarks.drives import record
-
     out = {}
     for name, controller in (("mixed", SteppedSpeed), ("sticky", ConstantSpeed), ("field_vehicle", SteppedSpeed)):
         scenario = load_scenario(name)
@@ -29,10 +59,9 @@ def logs():
 def changed(log, without=(), **factors):
     """A log with readings left out, and others times a factor."""
     readings = {n: v * factors.get(n, 1.0) for n, v in log.readings.items() if n not in without}
-    return dataclasses.replace(log, readings=readings)
+    return replace(log, readings=readings)
 
 
-FORCES = ("drawbar_pull", "load", "torque", "motor_torque")
 WRONG = {  # readings left out, factors of others, mass in the map over that of the wheel; where, what is proposed
     "rpm": ((), {"wheel_speed": 30.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in rpm"),
     "backwards": ((), {"wheel_speed": -1.0}, 1.0, "column wheel_speed", "sign"),
@@ -44,8 +73,7 @@ WRONG = {  # readings left out, factors of others, mass in the map over that of 
     "sinkage": ((), {"sinkage": 1e-3}, 1.0, "column sinkage", "unit"),
     "g": ((), {"acceleration": 30.0}, 1.0, "column acceleration", "axis"),
     "downhill pitch": ((), {"pitch": -1.0}, 1.0, "column pitch", "sign"),
-    "a tenth of the mass": ((), {}, 0.1, "body_mass = 1.5 kg", "about 1[4-9]"),
-    "a tenth, no acceleration": (("acceleration", *FORCES[2:]), {}, 0.1, "column load", "body_mass 1[4-9]"),
+    "a tenth of the mass": ((), {}, 0.1, "column load", "body_mass 1[4-9]"),
 }
 
 
@@ -53,7 +81,7 @@ WRONG = {  # readings left out, factors of others, mass in the map over that of 
 def test_a_sensor_that_is_stuck_is_doubted(logs, name):
     log, log_map = logs["mixed"][0]
     readings = log.readings | {name: np.full(len(log), np.median(log.readings[name]))}
-    lines = [line for line in doubts(dataclasses.replace(log, readings=readings), log_map) if "stuck" in line]
+    lines = [line for line in doubts(replace(log, readings=readings), log_map) if "stuck" in line]
     assert len(lines) == 1 and f"column {name}" in lines[0]
 
 
@@ -61,8 +89,8 @@ def test_a_sensor_that_is_stuck_is_doubted(logs, name):
 def test_each_wrong_reading_is_doubted_in_one_line(logs, wrong):
     without, factors, mass, where, proposed = WRONG[wrong]
     for log, log_map in logs["mixed"]:
-        wheel = dataclasses.replace(log_map.wheel, body_mass=mass * log_map.wheel.body_mass)
-        found = doubts(changed(log, without, **factors), dataclasses.replace(log_map, wheel=wheel))
+        wheel = replace(log_map.wheel, body_mass=mass * log_map.wheel.body_mass)
+        found = doubts(changed(log, without, **factors), replace(log_map, wheel=wheel))
         assert len(found) == 1 and where in found[0] and re.search(proposed, found[0]), found
         assert "expected" in found[0]
 
@@ -83,6 +111,6 @@ def test_what_was_driven_is_not_doubted(logs, name):
 )  # fmt: skip
 def test_stamps_in_another_unit_are_doubted(logs, interval, rows, unit, proposed):
     """`interval` [s] between the rows, as declared."""
-    log_map = dataclasses.replace(logs["mixed"][0][1], time=TimeColumn("t", unit))
+    log_map = replace(logs["mixed"][0][1], time=TimeColumn("t", unit))
     found = time_doubts(interval, interval * rows, log_map)
     assert len(found) == bool(proposed) and (not found or proposed in found[0]), found

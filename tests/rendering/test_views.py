@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import load_scenario
-from soil_env.rendering import canvas, rover_view, side_view
-from soil_env.rendering.rover_view import RoverRenderer, posture_of, rover_stresses
-from soil_env.rendering.side_view import Renderer, stresses_under
+from soil_env.rendering import canvas
+from soil_env.rendering.ground import profile_of
+from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, width_of
+from soil_env.rendering.view import CourseView
+from soil_env.rendering.wheels import stresses_under
 from soil_env.simulation.world.terrain import cell_at
 from soil_env.vehicle import load_rover, rover_names
 from tests.conftest import ROOT
@@ -28,7 +30,7 @@ def start(rover=None, changes=None, mode="rgb_array", variant="identified"):
     else:
         scenario = load_rover(rover, {"control": {"action": "wheel_speed"}, **(changes or {})})
     simulation = started(scenario, variant, [1])
-    view = (Renderer if rover is None else RoverRenderer)(scenario, mode)
+    view = CourseView(scenario, mode)
     view.record(simulation, 0)
     return simulation, view
 
@@ -45,19 +47,19 @@ def near(picture, colour, tolerance=12):
     return (np.abs(picture.astype(int) - colour) <= tolerance).all(axis=-1)
 
 
-def hubs(simulation, view):
+def ground(simulation):
+    """`Profile` of the course."""
+    return profile_of(simulation.worlds.courses, 0, simulation.numbers.world.border, 1.0, 60.0)
+
+
+def hubs(simulation):
     """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
-    r = simulation.numbers.world.wheel.radius
-    if isinstance(view, Renderer):
-        left, top, width, height = side_view.SCENE
-        scale, w, at = width / side_view._VIEW / r, simulation.wheel(0), side_view._WHEEL_AT
-        up = (r - w["sinkage"]) * np.array([[-math.sin(w["grade"]), math.cos(w["grade"])]])
-    else:
-        left, top, width, height = rover_view.SCENE
-        scale, at = width / rover_view._width_of(simulation), rover_view._AT
-        x = simulation.worlds.rovers.wheels.x[simulation.wheels[0]]
-        up = posture_of(simulation, 0, view._profile).hubs - view._profile.at(0.5 * (x[0] + x[-1]))
-    return np.array([left + at[0] * width, top + at[1] * height]) + up * scale * (1.0, -1.0), scale
+    left, top, width, height = SCENE
+    scale, wheels = width / width_of(simulation), shown_wheels(simulation, 0)
+    up = hubs_of(simulation, wheels, ground(simulation)) - ground(simulation).at(
+        0.5 * (wheels[0]["x"] + wheels[-1]["x"])
+    )
+    return np.array([left + AT[0] * width, top + AT[1] * height]) + up * scale * (1.0, -1.0), scale
 
 
 def ring(picture, x, y, radius):
@@ -72,7 +74,7 @@ def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
     simulation, view = start(rover)
     drive(simulation, view, 40)
     picture = view.draw(simulation, 0)
-    places, scale = hubs(simulation, view)
+    places, scale = hubs(simulation)
     radius = simulation.numbers.world.wheel.radius * scale
     for x, y in places:
         assert ring(picture, x, y, radius) > 0.6  # arrow heads and beams lie on the rest
@@ -94,12 +96,8 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     drive(simulation, view, 15, command)
     world = simulation.numbers.world.wheel
     r, area = world.radius, world.radius * world.width
-    if rover is None:
-        wheels = [(simulation.wheel(0), stresses_under(simulation, 0))]
-    else:
-        states = [simulation.worlds.rovers.wheels[int(k)] for k in simulation.wheels[0]]
-        wheels = [(w, rover_stresses(simulation, 0, axle)) for axle, w in enumerate(states)]
-    for w, (angle, normal, shear) in wheels:
+    for w in shown_wheels(simulation, 0):
+        angle, normal, shear = stresses_under(w, r, world.width)
         side = math.copysign(1.0, w["speed"])
         load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
         pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
@@ -114,22 +112,20 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
     with_rut, worlds = view.draw(simulation, 0), simulation.worlds
-    places, scale = hubs(simulation, view)
-    if rover is None:
-        left, row, x = [worlds.courses.rut], 0, simulation.wheel(0)["x"]
-    else:  # behind the rear wheel: its own rut in that of the front wheel
-        row = int(simulation.wheels[0][-1])
-        left, x = [worlds.ruts.rut, worlds.ruts.floor], worlds.rovers.wheels.x[row]
-        depth = worlds.rovers.wheels.sinkage[row] + worlds.rovers.axles.floor[row]
-        hub, ground = posture_of(simulation, 0, view._profile).hubs[-1], view._profile.at(x)
-        assert math.dist(hub, ground) == pytest.approx(simulation.numbers.world.wheel.radius - depth, rel=1e-9)
+    places, scale = hubs(simulation)
+    last, row, left = shown_wheels(simulation, 0)[-1], 0, [worlds.courses.rut]
+    if rover is not None:  # behind the rear wheel: its own rut in that of the front wheel
+        row, left = int(simulation.wheels[0][-1]), [worlds.ruts.rut, worlds.ruts.floor]
+    x, place = last["x"], ground(simulation).at(last["x"])
+    deep = simulation.numbers.world.wheel.radius - last["sinkage"] - last["rut"]
+    assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(deep, rel=1e-9)
     depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
     for array in left:
         array[:] = 0.0
     without, radius = view.draw(simulation, 0), simulation.numbers.world.wheel.radius * scale
     sky = [near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum() for p in (with_rut, without)]
     assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
-    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : side_view.SCENE[2]]  # below the key of the stresses
+    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]]  # below the key of the stresses
     assert np.array_equal(with_rut[ahead], without[ahead])
 
 
@@ -148,7 +144,7 @@ def test_where_nothing_is_identified_no_estimate_is_drawn(variant):
 def test_off_screen_pictures_need_no_display():
     code = (
         "import sys, numpy as np\n"
-        "import soil_env.rendering.side_view\n"
+        "import soil_env.rendering.view\n"
         "assert 'pygame' not in sys.modules\n"
         "from tests.rendering.test_views import start\n"
         "simulation, renderer = start()\n"
@@ -162,27 +158,25 @@ def test_off_screen_pictures_need_no_display():
     assert done.returncode == 0, done.stderr
 
 
-def test_windows_live_and_close_one_by_one(monkeypatch):
+def test_a_window_shows_the_picture(monkeypatch):
+    """And two of them live and close one by one."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     import pygame
 
     pygame.display.quit()
     fast = {"control": {"period": 0.01, "substep": 0.01}}
-    (sim_a, a), (sim_b, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
-    off_screen = Renderer(sim_a.scenario, "rgb_array")
+    (simulation, a), (_, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
+    off_screen = CourseView(simulation.scenario, "rgb_array")
     for _ in range(3):
-        drive(sim_a, a, 1)
-        assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
+        drive(simulation, a, 1)
+        assert a.draw(simulation, 0) is None and b.draw(simulation, 0) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
     off_screen._history, off_screen._angles = a._history, a._angles
-    assert np.array_equal(shown, off_screen.draw(sim_a, 0))
-    pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=a._window))
-    assert b.draw(sim_b, 0) is None  # b takes the event meant for a
-    assert a._id not in Renderer._windows and b._id in Renderer._windows
-    assert a.draw(sim_a, 0) is None and b.draw(sim_b, 0) is None
-    for renderer in (a, a, b, b, off_screen, off_screen):
-        renderer.close()
-    assert not Renderer._windows
+    assert np.array_equal(shown, off_screen.draw(simulation, 0))
+    a.close()
+    assert b.draw(simulation, 0) is None
+    for view in (a, b, b, off_screen):
+        view.close()
     pygame.display.quit()
 
 
