@@ -75,6 +75,7 @@ def test_two_vector_envs_in_two_threads_at_once():
 
 CODE = """
 import numpy as np
+from soil_env.env import SoilWheelVectorEnv
 env = SoilWheelVectorEnv(40, course={"length": 2.0})
 env.reset(seed=3)
 for _ in range(5):
