@@ -39,7 +39,8 @@ class OnGround(Checked):
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
     hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5)
-    careful: float = quantity("share of the teacher's acceleration that is left with softening", 0.01, 1.0, default=0.3)
+    plain: float = quantity("factor on the teacher's acceleration in worlds without softening", 0.01, 1.0, default=1.0)
+    careful: float = quantity("the same with softening", 0.01, 1.0, default=0.3)
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,10 @@ class Generalist(Checked):
             hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects, self.cut)
             some = round(own.hidden * own.wheels) if hidden else 0
             shares = own.wheels - some, *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist()
-            careful = {"acceleration": own.careful * settings_of(scenario)["acceleration"]}
+            usual = settings_of(scenario)["acceleration"]
             for share, world in zip(shares, [None, *hidden], strict=True):
-                teacher = careful if world is not None and SOFTENING in world.effects else {}
+                softening = world is not None and SOFTENING in world.effects
+                teacher = {"acceleration": usual * (own.careful if softening else own.plain)}
                 parts.append(CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world))
             progress(k + 1)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
