@@ -21,13 +21,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import load_rover
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
-TINY = {
-    "grounds": {
-        "two_lines": {"wheels": 8},
-        "field_vehicle": {"wheels": 4, "hidden": 0.75, "plain": 0.5, "careful": 0.7},
-    }
-}
-TINY["hidden"] = 2
+TINY = {"grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}}, "hidden": 2}
 TINY["effects"] = ["shear_softening", "bulldozing"]
 TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
@@ -35,7 +29,10 @@ TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 @pytest.fixture(scope="module")
 def trained():
     """A model after a few steps on two grounds."""
-    model = generalist.load(generalist.Generalist, TINY, "").build()
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("ROUNDS", "OF_GROUND"):
+            patch.setattr(generalist, name, ((2, 1),))
+        model = generalist.load(generalist.Generalist, TINY, "").build()
     student.teach(model, 1000, 0)
     return model
 
@@ -126,7 +123,7 @@ def test_the_file_acts_as_the_trained_model(trained, tmp_path):
 
 
 def test_teachers_of_several_grounds_and_hidden_worlds(trained):
-    """Each wheel has the teacher of its ground, with the acceleration of its world."""
+    """Each wheel has the teacher that was chosen for its ground and world."""
     env = trained.get_vec_normalize_env().unwrapped
     effects = [p.model and next(iter(p.model.effects)) for p in env.parts]
     assert [(p.num_envs, p.scenario.name, e) for p, e in zip(env.parts, effects, strict=True)] == [
@@ -134,19 +131,25 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
         (1, "field_vehicle", None), (1, "field_vehicle", "shear_softening"), (2, "field_vehicle", "bulldozing"),
     ]  # fmt: skip
     teachers = Teachers(env)
-    usual = settings_of(env.parts[0].scenario)["acceleration"], settings_of(env.parts[-1].scenario)["acceleration"]
-    expected = [usual[0], 0.3 * usual[0], usual[0], 0.5 * usual[1], 0.7 * usual[1], 0.5 * usual[1]]
-    assert [t.settings["acceleration"] for _, t in teachers.parts] == pytest.approx(expected)
+    for part, teacher in teachers.parts:
+        top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
+        assert teacher.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
+        assert (teacher.settings["acceleration"], teacher.share) == (
+            part.teacher["acceleration"],
+            part.teacher["share"],
+        )
     action, choosing, weight = teachers.lesson(np.ones(12, dtype=bool))
     assert action.shape == (12, 1) and choosing.shape == weight.shape == (12,)
 
 
-def test_a_careful_teacher_does_better_with_softening():
-    """The rule that knows the soil but not the effect digs in."""
+def test_the_teacher_of_a_softening_world_starts_gently():
+    """The rule that knows the soil but not the effect digs in; the chosen one does better on other courses."""
     scenario = load_scenario("mixed")
     world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
-    careful = Teacher(scenario, acceleration=0.3 * settings_of(scenario)["acceleration"])
-    own, better = (run_courses(d, scenario, 77, 60, model=world).returns.mean() for d in (Teacher(scenario), careful))
+    settings = generalist.chosen(scenario, [world], ((30, 1),))
+    assert settings["acceleration"] < 0.5 * settings_of(scenario)["acceleration"]
+    drivers = Teacher(scenario), Teacher(scenario, **settings)
+    own, better = (run_courses(d, scenario, 77, 60, model=world).returns.mean() for d in drivers)
     assert better > own + 1.0
 
 
