@@ -1,21 +1,13 @@
-"""Teachers of a student: what knows the true soil and is asked for its action in every state (`student.teach`).
-
-The teacher of a wheel tries several settings on clones of it, every two seconds, and goes on with those that come
-furthest (rollouts: Bertsekas & Castanon 1999, J. Heuristics 5:89; Ross & Bagnell 2014, arXiv:1406.5979).
-"""
+"""Teachers of a student: what knows the true soil and is asked for its action in every state (`student.teach`)."""
 
 from typing import NamedTuple
 
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario
-from soil_env.simulation.task import Cause
 from soil_env.vehicle import RoverScenario
 
-from .controllers.oracle import score
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 
@@ -28,12 +20,6 @@ OF_SCENARIOS = {
     "sticky": {"start": 0.1, "acceleration": 0.43, "speed": 0.58},
     "field_vehicle": {"start": 0.04, "acceleration": 0.3, "speed": 0.36, "share": 1.5},
 }
-
-
-#: Factors of acceleration, share and speed of the settings that are tried, the first as they are.
-TRIED = np.array([(1, 1, 1), (1, 1.6, 1), (0.55, 1.6, 1), (1.8, 1, 1.6), (1.8, 1.6, 1.6), (1, 1, 0.6), (0.3, 0.6, 0.6),
-                  (0.55, 1.6, 0.5)])  # fmt: skip
-EVERY, HORIZON = 4, 28  # actions between two trials, and of a trial
 
 
 class Manner(NamedTuple):
@@ -85,59 +71,6 @@ class Teacher(BestSlipTrue):
         return np.where(choosing[:, None], np.sign(action), action), choosing, weight, state
 
 
-class TryingTeacher(Teacher):
-    """The teacher with the settings, for each wheel of a vector environment, that do best on clones of the wheel."""
-
-    def __init__(self, part):
-        super().__init__(part.scenario)
-        self.part, self.dreamer, self.count = part, Teacher(part.scenario), len(TRIED)
-        self.clones = type(part)(1, part.scenario, part.observation_variant, model=part.model)
-        self.clones.simulation = Simulation(
-            part.num_envs * self.count, part.scenario, part.observation_variant, part.simulation._threads, part.model,
-            estimates=False,
-        )
-        self.own = self.settings | {"share": self.share}
-        self.best, self.since = np.zeros(part.num_envs, dtype=int), 0
-        self.rng = np.random.default_rng(0)
-
-    def _set(self, teacher: Teacher, numbers: np.ndarray) -> None:
-        """Give a teacher the settings with these `numbers` [n]."""
-        factors = dict(zip(("acceleration", "share", "speed"), TRIED[numbers].T, strict=True))
-        own = {name: value * factors.get(name, 1.0) for name, value in self.own.items()}
-        teacher.share, teacher.settings = own.pop("share"), own
-
-    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        worlds = self.part.simulation.worlds
-        self.best[episode_start] = 0
-        due = np.flatnonzero(worlds.state["halt_left"] <= EVERY * self.period)
-        if self.since % EVERY == 0 and due.size:
-            self._try(np.asarray(observation, dtype=float), state, due)
-        self.since += 1
-        self._set(self, self.best)
-        return super().predict(observation, state, episode_start)
-
-    def _try(self, batch, state, due) -> None:
-        """Choose the settings of the wheels `due` [d] anew."""
-        rows, numbers = np.repeat(due, self.count), np.tile(np.arange(self.count), due.size)
-        n, sim = rows.size, self.clones.simulation
-        clone(self.part.simulation, rows, sim, np.arange(n))
-        streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
-        sim.worlds.streams[:n] = np.repeat(streams, self.count)  # the same noise for all settings
-        self._set(self.dreamer, numbers)
-        what, commands, done = np.full(sim.worlds.cause.size, IDLE), np.zeros(sim.worlds.cause.size), np.full(n, float(HORIZON))
-        what[:n], batch = STEP, batch[rows]
-        state = None if state is None else {name: x[rows] for name, x in state.items()}
-        for k in range(HORIZON):
-            action, state = self.dreamer.predict(batch, state, np.full(n, state is None))
-            commands[:n] = action[:, 0]
-            sim.step_all(commands, what)
-            ended = (what[:n] == STEP) & (sim.worlds.cause[:n] != Cause.RUNNING.value)
-            done[ended], what[:n][ended] = k, IDLE
-            batch = self.clones.true_soil()[:n].astype(float)
-        points = score(sim.worlds, n, self.scenario, (HORIZON - done) * self.period)
-        self.best[due] = np.argmax(points.reshape(-1, self.count), axis=1)
-
-
 class _OfWheels(Teacher):
     """The teacher of the wheels of a rover."""
 
@@ -168,7 +101,7 @@ def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
     """The teacher of the wheels or rovers of a vector environment, with the settings that it names, if any."""
     if isinstance(part.scenario, RoverScenario):
         return RoverTeacher(part.scenario)
-    return Teacher(part.scenario, **part.teacher) if hasattr(part, "teacher") else TryingTeacher(part)
+    return Teacher(part.scenario, **getattr(part, "teacher", {}))
 
 
 def settings_of(scenario: Scenario) -> dict[str, float]:

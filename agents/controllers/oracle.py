@@ -18,7 +18,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import IDLE, STEP, Simulation, Worlds
+from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
@@ -175,17 +175,14 @@ class Oracle:
             what[:n][ended] = IDLE
             if (what[:n] == IDLE).all():
                 break
-        return score(w, n, self.scenario, (self.steps - done) * self.driver.period)
+        return self._value(n, done)
 
-
-def score(worlds: Worlds, n: int, scenario: Scenario, spare: np.ndarray) -> np.ndarray:
-    """Score [n] of wheels after a trial: distance [m], less penalties for failure, waiting and sinkage.
-
-    A wheel that has finished earns the time `spare` [s] that it has saved.
-    """
-    s, cause, wheel = worlds.state, worlds.cause[:n], scenario.wheel
-    waited = s["idle_time"][:n] / scenario.limits.no_progress_time
-    depth = s["sinkage"][:n] / (scenario.limits.bogged_sinkage * wheel.radius)
-    out = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - DEEP * depth * depth
-    out = np.where(cause == _FINISHED, scenario.course.length + spare * wheel.radius * wheel.no_load_speed, out)
-    return np.where(np.isin(cause, _FAILED), out - 100.0, out)
+    def _value(self, n: int, done: np.ndarray) -> np.ndarray:
+        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time saved by a finish."""
+        w, s = self.clones.worlds, self.clones.worlds.state
+        waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
+        spare = (self.steps - done) * self.driver.period * self.driver.top_speed
+        depth = s["sinkage"][:n] / (self.scenario.limits.bogged_sinkage * self.driver.radius)
+        score = s["best_x"][:n] - 0.5 * np.maximum(waited - 0.3, 0.0) - DEEP * depth * depth
+        score = np.where(w.cause[:n] == _FINISHED, self.scenario.course.length + spare, score)
+        return np.where(np.isin(w.cause[:n], _FAILED), score - 100.0, score)
