@@ -51,7 +51,7 @@ def _torque(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _P = EffectParameter
 INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in (
     _entry("tilt", "a rig that is not level", (PULL,),
-           _P("angle_deg", "e", "deg", 0.0, -15.0, 15.0, 2.0, "uphill tilt of the ground against the axes of the rig"),
+           _P("angle_deg", "e", "deg", 0.0, -15.0, 15.0, 1.5, "uphill tilt of the ground against the axes of the rig"),
            "DP_measured = DP - W sin({angle_deg}); W_n = W cos({angle_deg})"),
     _entry("force_offset", "zero error of the drawbar pull", (PULL,),
            _P("offset", "d", "N", 0.0, -1e6, 1e6, 0.0, "offset of the load cell"), "DP_measured = DP + {offset}",
