@@ -142,10 +142,10 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
 
     Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
     be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
-    than the base model does, or than one of them alone (95 % interval). So is the most probable set behind a name,
-    without those that have a further effect, if it needs a soil far from the setup's, or leaves a pattern in a channel
-    (`structure`) and is not, by itself, more probable than an anonymous law; and the base model with a pattern where
-    nothing would be missing.
+    than the base model does (95 % interval), and a second effect that closes nothing of the gap beside the first. So is
+    the most probable set behind a name, without those that have a further effect, if it needs a soil far from the
+    setup's, or leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an anonymous law;
+    and the base model with a pattern where nothing would be missing.
     """
     while True:
         own, names = finding.stated.evidence, finding.names
@@ -165,13 +165,16 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
             near = base if not some else own.fit if some == names else finding.best(*some).evidence.fit
             fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
         held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
-        if not any(_worse(problem, held[some], held[names], seed) for some in held if some != names):
+        if not any(_worse(problem, some, held[some], held[names], seed) for some in held if some != names):
             return finding, (fits[()], fits[names]), held
         finding = finding.without(names)
 
 
-def _worse(problem: Problem, before: np.ndarray, after: np.ndarray, seed: int) -> bool:
-    """True if held-out predictions [N, 3] are worse than those of fewer effects, for sure."""
+def _worse(problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int) -> bool:
+    """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base model's, for sure."""
+    share = judgement.closed(problem, judgement.gaps(problem, before, after))
+    if share is None or share >= 0.0 or some:
+        return share is not None and share < 0.0
     interval = judgement.closed_interval(problem, before, after, np.random.default_rng([seed, 2]))
     return interval is not None and interval[1] < 0.0
 
