@@ -140,6 +140,8 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
         return
     from PIL import Image
 
-    images = [Image.fromarray(frame).quantize(64) if len(frames) > 1 else Image.fromarray(frame) for frame in frames]
+    images = [Image.fromarray(frame) for frame in frames]
+    if len(images) > 1:
+        images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]  # keeps colours of small areas
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     images[0].save(path, **(more if path.suffix == ".gif" else {}))

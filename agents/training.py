@@ -125,7 +125,11 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         model = ppo.build(*task)
     with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
         if model.num_timesteps == 0 and config.student > 0.0:
-            student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
+            try:
+                student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
+            except KeyboardInterrupt:
+                show("A student keeps no checkpoint before it is done: it will start again from step 0.")
+                raise
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:

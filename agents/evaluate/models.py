@@ -115,7 +115,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
     except ImportError:
         raise ParameterError(f"{path}: a {algorithm} model needs {package.replace('_', '-')}") from None
     if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
-        raise ParameterError(f"{beside}: trained with VecNormalize: give a module:Class that applies it instead")
+        raise ParameterError(f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead")
     _warn(str(path))
     try:
         with warnings.catch_warnings():

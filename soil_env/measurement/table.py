@@ -167,7 +167,9 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
-        raise ParameterError(f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8") from None
+        raise ParameterError(
+            f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8, no Parquet or Excel file"
+        ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
     lines = [(line, cells) for line, cells in lines if any(cells)]
