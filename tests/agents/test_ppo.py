@@ -187,4 +187,4 @@ def test_a_model_of_another_task_is_refused(tmp_path, scenario):
     small(A2C, "Pendulum-v1").save(tmp_path / "p.zip")
     refused(lambda: load_model(tmp_path / "p.zip", scenario), "another observation layout: shape (3,)")
     (tmp_path / "vecnormalize.pkl").touch()
-    refused(lambda: load_model(tmp_path / "p.zip", scenario), "trained with VecNormalize: give a module:Class")
+    refused(lambda: load_model(tmp_path / "p.zip", scenario), "trained with VecNormalize: evaluate a module:Class")
