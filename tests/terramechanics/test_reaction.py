@@ -69,6 +69,31 @@ def test_rates_of_the_reaction_against_central_differences(case):
         assert np.all(np.abs([f.dp_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
 
 
+@pytest.mark.parametrize("name", sorted(soils()))
+def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
+    """Driving forward j keeps its sign: there `reaction_from` meets differences of higher order to seven digits."""
+    soil, rng = soils()[name].state(R), np.random.default_rng(1)
+    for _ in range(20):
+        u = rng.uniform(0.05, 0.6)
+        v, sinkage, load = u * rng.uniform(0.1, 0.9), rng.uniform(0.01, 0.06), rng.uniform(80.0, 250.0)
+
+        def forces(v, u, sinkage=sinkage, load=load):
+            return np.array(reaction.reaction(v, u, sinkage, load, soil, R, R)[:4])
+
+        def slope(f, h=2e-4):
+            return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
+
+        f = reaction.reaction(v, u, sinkage, load, soil, R, R)
+        if f.sinkage_coefficient == 0.0:
+            continue  # cohesion alone carries more than the load
+        by_v = slope(lambda h, v=v, u=u, forces=forces: forces(v + h, u))[1:]
+        by_u = slope(lambda h, v=v, u=u, forces=forces: forces(v, u + h))[1:]
+        size = 2e-7 * (np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-9)
+        assert np.all(np.abs([f.dp_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
+        assert np.all(np.abs([f.dp_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
+        assert f.load == pytest.approx(load, rel=1e-12)  # whatever the motion
+
+
 def test_a_reaction_moved_is_its_tangent():
     soil, wheel = soils()["lete_sand"].state(R), wheel_with("together")
     ground = reaction.ground_under(0.02, 0.2, 0.35, 160.0, soil, 0.0, 1.0, wheel)
