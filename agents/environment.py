@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
 from soil_env.parameters import Scenario
 from soil_env.terramechanics.effects import CATALOGUE
-from soil_env.terramechanics.effects.entry import Bench, Effect, EffectParameter
+from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
@@ -136,30 +136,26 @@ class HistoryVecEnv(VecEnvWrapper):
 # --- worlds with a hidden effect --------------------------------------------------------------------------------------
 
 
-def hidden_worlds(
-    scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN, cut: float = 1.0
-) -> list[WheelSoilModel]:
+def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 
-    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at `cut` standard
-    deviations: at one, most are of the size of the disagreement between published laws.
+    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one standard deviation,
+    so that most are of the size of the disagreement between published laws.
     """
     rng = np.random.default_rng([seed, count, 7])
-    return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng, cut) for k in range(count)]
+    return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]
 
 
-def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator, cut: float) -> WheelSoilModel:
+def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
     form = effect.forms[rng.integers(len(effect.forms))]
-    bench = Bench(scenario.wheel.radius, scenario.weight, *[0.0] * 6, None, False)
-    priors = {name: (p.scale, p.low, p.high) for name in form.free for p in [effect.parameter(name)]}
-    priors |= effect.priors(bench)
-    values = {name: _size(effect.parameter(name), priors[name], cut, rng) for name in form.free} | dict(form.fixed)
+    values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
     wheel, height = scenario.wheel, _HEIGHT * scenario.wheel.radius if effect.name == "grousers" else 0.0
     return WheelSoilModel(ModelWheel(wheel.radius, wheel.width, height), effects={effect.name: values})
 
 
-def _size(p: EffectParameter, prior: tuple[float, float, float], cut: float, rng: np.random.Generator) -> float:
-    (scale, low, high), share = prior, rng.uniform(-cut, cut)
+def _size(p: EffectParameter, rng: np.random.Generator) -> float:
+    share = rng.uniform(-1.0, 1.0)
     if p.centre is not None:
-        return float(np.clip(p.centre * np.exp(scale * share), low, high))
-    return float(rng.uniform(max(low, p.neutral - cut * scale), min(high, p.neutral + cut * scale)))
+        return float(np.clip(p.centre * np.exp(p.scale * share), p.low, p.high))
+    low = max(p.low, p.neutral - p.scale)
+    return float(rng.uniform(low, min(p.high, p.neutral + p.scale)))

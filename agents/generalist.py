@@ -7,8 +7,9 @@ The grounds of configs/default_policy.yaml stand side by side, half of the wheel
 
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 import click
@@ -19,16 +20,21 @@ import soil_env
 from soil_env._io.files import replace_file
 from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict, unknown_value
 from soil_env.cli.running import PATH, run
-from soil_env.parameters import load_scenario
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
 from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
+from .evaluate.driving import run_courses
 from .progress import Bar, show
-from .teachers import settings_of
+from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
-SOFTENING = "shear_softening"  # effect whose worlds have a more careful teacher
+#: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft start without a limit.
+ACCELERATIONS, SHARES, SOFT_START = (1.0, 0.55, 0.3), (1.0, 0.6, 1.6), {"start": 1.0, "acceleration": 0.07}
+#: Rounds of it: courses in each world, and settings that are left after it; for one world, and for all of a ground.
+ROUNDS, OF_GROUND, TEACHING_SET = ((50, 3), (200, 2), (300, 1)), ((40, 3), (60, 1)), 5_000_011
 
 
 @dataclass(frozen=True)
@@ -39,8 +45,6 @@ class OnGround(Checked):
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
     hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5)
-    plain: float = quantity("factor on the teacher's acceleration in worlds without softening", 0.01, 1.0, default=1.0)
-    careful: float = quantity("the same with softening", 0.01, 1.0, default=0.3)
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,6 @@ class Generalist(Checked):
     improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
     effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
-    cut: float = quantity("of the prior of their sizes [standard deviations]", 0.1, 3.0, default=1.0)
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
 
     def __post_init__(self):
@@ -66,21 +69,42 @@ class Generalist(Checked):
     def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
         """The untrained agent in the vector environment of all grounds.
 
-        The teacher knows the true soil but no effect. In worlds with shear softening it starts with more care.
+        Each hidden world has the teacher that does best in it, and the world without an effect the one that does best
+        in all worlds of the ground: at the start of a course the student cannot distinguish them.
         """
         parts = []
         for k, (name, own) in enumerate(self.grounds.items()):
             scenario = load_scenario(own.scenario or name, own.changes)
-            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects, self.cut)
+            hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
             some = round(own.hidden * own.wheels) if hidden else 0
             shares = own.wheels - some, *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist()
-            usual = settings_of(scenario)["acceleration"]
-            for share, world in zip(shares, [None, *hidden], strict=True):
-                softening = world is not None and SOFTENING in world.effects
-                teacher = {"acceleration": usual * (own.careful if softening else own.plain)}
+            everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+            taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
+            for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
                 parts.append(CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world))
             progress(k + 1)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
+
+
+def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
+    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses, settings left).
+
+    The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
+    AISTATS). All settings drive the same courses.
+    """
+    own, first = settings_of(scenario), 0
+    scaled = product(ACCELERATIONS, SHARES)
+    tried = [own | {"acceleration": a * own["acceleration"], "share": b * own["share"]} for a, b in scaled]
+    tried.append(own | SOFT_START)
+    for courses, left in rounds:
+        earned = np.zeros(len(tried))
+        for world in worlds:
+            for k, settings in enumerate(tried):
+                teacher = Teacher(scenario, **settings)
+                earned[k] += run_courses(teacher, scenario, TEACHING_SET, courses, first, model=world).returns.mean()
+            first += courses
+        tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
+    return tried[0]
 
 
 def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
