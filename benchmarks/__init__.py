@@ -1,5 +1,4 @@
 """Benchmarks, run as `python -m benchmarks.NAME`; numbers and tables of their results are in docs/results.
 
-`identification`: calibration of the online identifier by drive. `discovery`: blind naming of hidden mechanisms.
-`throughput`: speed.
+`discovery`: blind naming of hidden mechanisms. `throughput`: speed.
 """

@@ -23,12 +23,6 @@ def spread(values) -> dict[str, float]:
     return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
 
 
-def range_text(value: dict, digits: int = 2, scale: float = 1.0) -> str:
-    """Text of a `spread`: the median with the lowest and the highest round."""
-    median, low, high = (f"{value[k] * scale:,.{digits}f}" for k in ("median", "low", "high"))
-    return f"{median} ({low}-{high})"
-
-
 def share(values: Iterable[bool]) -> dict | None:
     """{count, of, value, low, high} with the 95 % interval of Wilson (1927); None of nothing."""
     values = [bool(v) for v in values]

@@ -17,7 +17,7 @@ import click
 import gymnasium
 import numpy as np
 
-from benchmarks.common import machine, machine_text, page, range_text, ready, spread, study_options, write
+from benchmarks.common import machine, machine_text, page, ready, spread, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
@@ -88,9 +88,9 @@ def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, 
 
 
 def tables(result: dict) -> dict[str, Table]:
-    """Return the tables of the page."""
-    speeds = [(name, range_text(v, 0, 1e-3)) for name, v in result["rates"].items()]
-    return {"Speed": Table(("environment", "1000 steps/s"), speeds)}
+    """Return the tables of the page: medians with the lowest and the highest round."""
+    rounds = {name: [f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high")] for name, v in result["rates"].items()}
+    return {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), [(n, *v) for n, v in rounds.items()])}
 
 
 @click.command(NAME)

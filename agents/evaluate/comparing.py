@@ -65,7 +65,7 @@ def comparison(
         "iqm": {n: iqm(n) for n in runs},
         "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs},
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in runs},
-        **({"limit": _limit(oracle, runs, names, seed, resamples)} if oracle else {}),
+        **({"limit": _limit(oracle, names, seed, resamples)} if oracle else {}),
     }
 
 
@@ -78,15 +78,14 @@ def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
     return st.bounds(st.mean(scores), samples)
 
 
-def _limit(oracle: Runs, rows: Mapping[str, Sequence[Runs]], names: Sequence[str], seed: int, resamples: int) -> dict:
-    """{"courses", "metrics", "avoidable": {controller: `avoidable`}}; the drives of the oracle are not detailed."""
+def _limit(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:
+    """{"courses", "metrics"} of the oracle, whose drives are not detailed."""
     drawn = st.draws(seed, oracle.cause.size, resamples)
     members, metrics = drawn.members(ORACLE, 1), dict.fromkeys(names, _UNDEFINED)
     for m in oracle.names:
         scores = oracle.metric(m)[None]
         metrics[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
-    failures = {name: avoidable(oracle, own) for name, own in rows.items()}
-    return {"courses": int(oracle.cause.size), "metrics": metrics, "avoidable": failures}
+    return {"courses": int(oracle.cause.size), "metrics": metrics}
 
 
 def table(result: Mapping) -> tuple[Table, str]:
@@ -98,39 +97,7 @@ def table(result: Mapping) -> tuple[Table, str]:
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
 
 
-# --- limit of the task ------------------------------------------------------------------------------------------------
-# A failure is avoidable where the oracle finished the same course. The oracle (`agents.controllers.oracle`) knows the
-# ground ahead; a controller without that knowledge need not have been able to foresee the failure.
-
-
-def avoidable(oracle: Runs, runs: Sequence[Runs]) -> dict:
-    """{"failures", "value", "low", "high"}: failures of one controller on the oracle's courses, and the share of them
-    that the oracle has finished, with a 95 % interval; None where there was none. `runs`: one entry a member."""
-    passed = oracle.metric("finished") > 0.5
-    failed = [run.metric("finished")[: passed.size] < 0.5 for run in runs]
-    failures = int(sum(f.sum() for f in failed))
-    if failures == 0:
-        return {"failures": 0, "value": None, "low": None, "high": None}
-    count = int(sum((f & passed).sum() for f in failed))
-    low, high = st.wilson(count, failures)
-    return {"failures": failures, "value": count / failures, "low": low, "high": high}
-
-
 def limit_rows(result: Mapping) -> dict[str, Mapping]:
     """The oracle's row of a table of controllers, {name: metrics}; none where it has not driven."""
     entry = result.get("limit")
     return {f"{ORACLE} (first {entry['courses']} courses)": entry["metrics"]} if entry else {}
-
-
-def limit_lines(result: Mapping) -> list[str]:
-    """One line: the share of each controller's failures that was avoidable; none where the oracle has not driven."""
-    entry = result.get("limit")
-    if not entry:
-        return []
-    parts = [
-        f"{name} {100 * a['value']:.0f} [{100 * a['low']:.0f}, {100 * a['high']:.0f}] % of {a['failures']}"
-        for name, a in entry["avoidable"].items()
-        if a["failures"]
-    ]
-    title = f"Failures on the first {entry['courses']} courses that the oracle, which knows the ground, avoids: "
-    return [title + ("; ".join(parts) or "nobody failed there")]

@@ -105,8 +105,11 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
             raise ParameterError(f"controllers: {spec}: no model matches; expected .zip files or run folders")
         return "model", [str(_file_of(Path(p))) for p in found]
     path = Path(spec)
-    if path.suffix in (".zip", ".onnx") or path.is_dir() or "/" in spec:
+    if path.suffix in (".zip", ".onnx") or path.is_dir() or ("/" in spec and not path.is_file()):
         return "model", [str(_file_of(path))]
+    if path.is_file():
+        expected = "a run folder, a model.zip, a policy.onnx, module:Class, or the name of a controller"
+        raise ParameterError(f"controllers: {spec}: no trained agent: expected {expected}")
     known = (*classical, *SHIPPED)
     raise ParameterError(f"{unknown_value(spec, known, 'controllers')}; or model.zip, policy.onnx, module:Class")
 

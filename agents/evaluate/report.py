@@ -28,7 +28,7 @@ _CHOSEN = {
 def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
-    show(*comparing.table(result), *settings(result), *comparing.limit_lines(result))
+    show(*comparing.table(result), *settings(result))
     if "foreseen" not in result["metrics"]:
         return
     foreseen = (f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
@@ -100,7 +100,6 @@ def page(result: Mapping) -> str:
         f"{result['courses']} courses of set {result['seed']}, the same for all controllers; 95 % intervals.",
         Table(["controller", "training seeds", "from", "settings"], made).markdown(),
         *settings(result),
-        *comparing.limit_lines(result),
         "![Metrics](metrics.png)",
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
         "Differences on the same courses, of rates in percentage points, and the probability of the higher return:",

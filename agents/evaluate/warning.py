@@ -22,52 +22,45 @@ RELEASE = 1.0  # [s]
 KEPT = 0.5  # of the threshold: an alarm that is on stays on over that
 
 
-class Alarm:
-    """Alarms of `count` wheels side by side by a probability and its threshold."""
-
-    def __init__(self, count: int, period: float, threshold: float):
-        self.period, self.threshold = period, threshold
-        self.on, self.quiet = np.zeros(count, dtype=bool), np.zeros(count)  # [s] below `KEPT`
-
-    def step(self, probability: np.ndarray, driving: np.ndarray) -> np.ndarray:
-        """Take in one control period of the wheels that are `driving` [count]; returns where the alarm came on."""
-        come = driving & (probability >= self.threshold) & ~self.on
-        kept = probability >= KEPT * self.threshold
-        self.quiet = np.where(driving, np.where(kept, 0.0, self.quiet + self.period), self.quiet)
-        self.on = (self.on | come) & ~(driving & (self.quiet >= RELEASE - 1e-9))
-        return come
-
-
 class Foresight:
     """The alarms over the courses of `count` wheels: how far and how long ahead they came, and when they were on."""
 
     def __init__(self, scenario: Scenario, count: int):
-        self.warning, period = ImmobilisationWarning(scenario), scenario.control.period
-        self.alarm, self.probability = Alarm(count, period, float(shipped()["alarm"])), np.zeros(count)
+        self.warning, self.period = ImmobilisationWarning(scenario), scenario.control.period
+        self.threshold, self.probability = float(shipped()["alarm"]), np.zeros(count)
+        self.on, self.quiet = np.zeros(count, dtype=bool), np.zeros(count)  # alarms; [s] below `KEPT`
         self.under, self.driven, self.time = np.zeros((3, count))  # [s] under alarm, of all driving, of all
         self.start_time, self.start_x = np.zeros((2, count))
-        self.least = scenario.limits.no_progress_distance / scenario.limits.no_progress_time * period  # [m]
+        self.least = scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period  # [m]
         self.furthest = np.zeros(count)  # [m] a control period ago
         self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] from the alarm to the last mobile moment
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""
-        rows, period, best = np.flatnonzero(alive), self.alarm.period, worlds.state["best_x"]
+        rows, period, best = np.flatnonzero(alive), self.period, worlds.state["best_x"]
         driving = alive & (worlds.state["halt_left"] == 0.0)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         self.time[alive] += period
-        come = self.alarm.step(self.probability, driving)
+        come = self._switch(driving)
         self.start_time[come], self.start_x[come] = self.time[come], best[come]
-        self.under[driving & self.alarm.on] += period
+        self.under[driving & self.on] += period
         self.driven[driving] += period
         mobile = driving & (best - self.furthest >= self.least)
         self.furthest = best.copy()
         self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
+    def _switch(self, driving):
+        """Switch the alarms of the wheels that are `driving` [count] on and off; returns where one came on."""
+        come = driving & (self.probability >= self.threshold) & ~self.on
+        kept = self.probability >= KEPT * self.threshold
+        self.quiet = np.where(driving, np.where(kept, 0.0, self.quiet + self.period), self.quiet)
+        self.on = (self.on | come) & ~(driving & (self.quiet >= RELEASE - 1e-9))
+        return come
+
     def _lead(self, worlds):
         lead = np.stack([worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1)
-        return np.where(self.alarm.on[:, None], lead, np.nan)
+        return np.where(self.on[:, None], lead, np.nan)
 
     def lead(self, worlds: Worlds, bogged: np.ndarray) -> np.ndarray:
         """[count, 2]: distance [m] and time [s] from the alarm to complete immobilisation, NaN without an alarm.

@@ -14,7 +14,7 @@ _AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"  # its
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
     "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),
-    "train": (f"{_AGENTS}.train", "Train a PPO agent and compare it with the classical controllers."),
+    "train": (f"{_AGENTS}.train", "Train an agent and compare it with the classical controllers."),
     "evaluate": (f"{_AGENTS}.evaluate.command", "Compare controllers and agents on held-out courses."),
     "tune": (f"{_AGENTS}.tune", "Tune the classical controllers."),
     "study": (f"{_AGENTS}.study.command", "Train and compare arms over seeds and scenarios."),

@@ -47,8 +47,8 @@ def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: boo
 
 
 def _stages(quiet: bool) -> Callable[[str], None]:
-    """Function that prints each stage of the work once, on stderr."""
-    said: set[str] = set()
+    """Function that prints each stage of the work once, on stderr, but the reading of the files, which may refuse."""
+    said = {"reading"}
 
     def say(text: str) -> None:
         if (stage := text.partition(":")[0]) not in said and not quiet:

@@ -12,9 +12,7 @@ from agents.controllers import CONTROLLERS, checked_settings, make_controller
 from agents.controllers.oracle import COUNT, Oracle
 from agents.drive import _drive
 from agents.evaluate import driving
-from agents.evaluate.comparing import avoidable
-from agents.evaluate.driving import Runs, drive as evaluation_drive, run_courses
-from agents.evaluate.statistics import wilson
+from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.driving.wheels import Simulation
@@ -275,17 +273,6 @@ def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, mo
     monkeypatch.setattr(driving, "course_rng", lambda seed, k: rng(seed, int(failed[k])))
     runs = run_courses(Oracle(scenario), scenario, SEED, 8)
     assert runs.metric("finished").sum() >= 5
-
-
-def test_avoidable_failures_are_those_on_courses_that_the_oracle_finished():
-    def runs_of(*finished):
-        return Runs(np.where(finished, Cause.FINISHED.value, Cause.BOGGED.value), *np.ones((6, len(finished))))
-
-    oracle = runs_of(1, 1, 0, 1)
-    found = avoidable(oracle, [runs_of(1, 0, 0, 1, 0), runs_of(0, 1, 1, 1, 1)])  # the fifth course is not the oracle's
-    assert found["failures"] == 3 and found["value"] == pytest.approx(2 / 3)
-    assert (found["low"], found["high"]) == wilson(2, 3)
-    assert avoidable(oracle, [runs_of(1, 1, 1, 1)]) == {"failures": 0, "value": None, "low": None, "high": None}
 
 
 def test_drives_are_shown_side_by_side(tmp_path, capsys):

@@ -174,7 +174,8 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
     there, plain = result_of(tmp_path / "with"), result_of(tmp_path / "without")
     assert list(there["model"]["effects"]) == ["bulldozing"] and "model" not in plain
     assert there["controllers"]["soft_start"]["return"] != plain["controllers"]["soft_start"]["return"]
-    assert there["limit"]["courses"] == 2 and set(there["limit"]["avoidable"]) == {"soft_start"}
+    assert there["limit"]["courses"] == 2 and there["limit"]["metrics"]["finished"]["value"] in (0.0, 0.5, 1.0)
+    assert "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text() and "limit" not in plain
 
 
 class Killed(BaseException):
@@ -228,6 +229,7 @@ def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
     [
         (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?")),
         (["--controllers=missing.zip"], ("missing.zip", "No such file")),
+        ([f"--controllers={__file__}"], ("test_evaluate.py: no trained agent: expected a run folder", "a controller")),
         (["--controllers={models}/seed_*"], ("2 models", "NAME=")),
         (["--controllers={models}/seed_0,{models}/seed_0"], ("'seed_0' twice",)),
         ([f"--controllers={DRIVERS}:Halve"], ("'Halve'", "did you mean 'Half'?")),

@@ -44,6 +44,12 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, caps
     assert os.listdir(tmp_path) == ["file"]
 
 
+def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
+    (tmp_path / "table.csv").write_text("slip,load\n0.1,100\n")
+    said = refusal(capsys, "discover", str(tmp_path / "table.csv"), *TABLE[1:], "--out", str(tmp_path / "out"))
+    assert "table.csv" in said
+
+
 def test_examples_are_copied_once(capsys, monkeypatch, tmp_path):
     assert main(["examples", str(tmp_path / "mine")]) == 0
     assert (tmp_path / "mine" / "README.md").is_file()

@@ -8,18 +8,15 @@ import math
 from collections import Counter
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import linregress, t
 
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.identification.table import identify_table
 from soil_env.identification.table.priors import BROAD
 from soil_env.identification.table.problem import TableProblem
-from soil_env.identification.table.unknown_noise import Scatter
 from soil_env.measurement.setup import NoiseLevels, Prior, Setup, SetupWheel, SoilPriors
 from soil_env.measurement.table import read_table
 from tests.terramechanics import reference
@@ -256,43 +253,11 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
     assert any("does not fit" in w for w in identify_table(table, setup_of(THREE)).warnings)
 
 
-def line(x, y, sd):
-    """Problem for `Scatter`: a straight line through one channel (the last), its noise not known.
-
-    The unknowns have priors a thousand times wider than what the line shows of them.
-    """
-    count, wide = len(x), 1e3
-    J = np.zeros((count, 3, 2))
-    J[:, 2] = wide * np.stack([np.ones(count), x], axis=1)
-    e = np.zeros((count, 3))
-    e[:, 2] = y
-    return SimpleNamespace(
-        estimated=np.arange(5) == 4, F=np.zeros((count, 3, 2)), measured=np.tile([False, False, True], (count, 1)),
-        noise=np.full(5, sd), floor=np.full(5, 1e-3 * sd), relative=np.ones((1, 3)),
-        residual=lambda u: e, by_unknowns=lambda u: J,
-    ), wide  # fmt: skip
-
-
-@pytest.mark.parametrize("count", [4, 6, 12])
-def test_intervals_from_one_channel_are_students(count):
-    """With one channel and no prior, integrating its noise out gives the interval of linear regression."""
-    x, rng = np.linspace(0.0, 1.0, count), np.random.default_rng(count)
-    y = 1.0 + 2.0 * x + rng.normal(size=count)
-    problem, wide = line(x, y, 1.0)
-    low, high = Scatter(problem, np.zeros(2)).interval(np.array([0.0, wide]))
-    found = linregress(x, y)
-    half = t.ppf(0.975, count - 2) * found.stderr
-    assert (low, high) == pytest.approx((found.slope - half, found.slope + half), abs=0.05 * half)
-
-
-FOUR = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))
-
-
 def test_intervals_from_few_points_at_one_load(tmp_path):
     """Two channels of unknown noise, four points: 95 % intervals; fewer than 51 of 60 has probability 5e-4."""
-    rng, hits = np.random.default_rng(9), Counter()
+    rng, hits, four = np.random.default_rng(9), Counter(), clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))
     for _ in range(60):
-        e = identify_table(table_of(tmp_path, FOUR, rng), setup_of(THREE, None))
+        e = identify_table(table_of(tmp_path, four, rng), setup_of(THREE, None))
         assert e.converged
         hits.update(inside(e))
     assert min(hits["friction_angle_deg"], hits["shear_modulus"]) >= 51, hits

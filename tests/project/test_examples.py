@@ -10,7 +10,6 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 RUNS = {  # script -> (arguments, pattern of the output, module it needs)
     "record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
-    "cleanrl_ppo": ("--steps 4096 --length 16 --courses 4", r"same 4 courses: ppo -?\d", "torch"),
 }
 
 

@@ -101,7 +101,8 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
     env = {name: v for name, v in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTEST"))}
     env |= {"PYTHONPATH": str(home), "HOME": str(nowhere), "USERPROFILE": str(nowhere), "LOCALAPPDATA": str(nowhere)}
     program = (
-        "import soil_env, soil_env_agents.controllers;"
+        "import sys, soil_env; assert 'soil_env.env' not in sys.modules; soil_env.SoilWheelEnv, soil_env.SoilRoverEnv;"
+        "import soil_env_agents.controllers;"
         "from soil_env.terramechanics.model import ModelWheel, WheelSoilModel;"
         "from soil_env.parameters import load_scenario, scenario_names, soils;"
         "[load_scenario(name) for name in scenario_names()];"

@@ -217,14 +217,6 @@ def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
         out[n, 0], out[n, 1] = early, early + (1.0 - early) * late
 
 
-def score_inputs(inputs: np.ndarray, net: Network) -> np.ndarray:
-    """Probabilities [n, 2] of rows `inputs` [n, inputs] by the network, in numpy."""
-    x = np.clip((inputs - net.mean) * net.scale, -LARGEST, LARGEST)
-    x = np.tanh(np.tanh(x @ net.first + net.first_bias) @ net.second + net.second_bias)
-    early, late = (0.5 + 0.5 * np.tanh(0.5 * (x @ net.last + net.last_bias))).T
-    return np.stack([early, early + (1.0 - early) * late], axis=1)
-
-
 @functools.cache
 def shipped() -> dict[str, Any]:
     """Content of immobilisation.json: `inputs`, the arrays of `Network`, `alarm` and `card`."""

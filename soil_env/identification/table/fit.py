@@ -16,7 +16,6 @@ from scipy.stats import chi2, f as f_distribution, t
 
 from soil_env.identification.table.form_error import mixed
 from soil_env.identification.table.problem import LAW_ERRORS, SOURCES, TableProblem
-from soil_env.identification.table.unknown_noise import FEW, Scatter
 from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import UNITS, Table
@@ -107,15 +106,7 @@ def identify_table(table: Table, setup: Setup) -> TableEstimate:
         u, converged = _settle(problem, u, False)
     if not problem.measured[:, 0].any():
         problem.z_ref = float(np.median(problem.steady(u, problem.corrected)[:, 0]))
-    if not (np.any(problem.estimated) and np.min(problem.freedom) < FEW):
-        return _summary(problem, u, converged, plain, None)
-    for _ in range(_PASSES):
-        scatter = Scatter(problem, u)
-        problem.noise[problem.estimated] = scatter.noise()
-        before, (u, converged) = u, _settle(problem, u, False)
-        if np.max(np.abs(u - before)) < 1e-3:
-            break
-    return _summary(problem, u, converged, plain, Scatter(problem, u))
+    return _summary(problem, u, converged, plain)
 
 
 class _Plain(NamedTuple):
@@ -157,8 +148,7 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
     return out, np.any(out > 0.0, axis=1)
 
 
-def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain,
-             scatter: Scatter | None) -> TableEstimate:  # fmt: skip
+def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain) -> TableEstimate:
     scaling, free = _scaling(problem)
     published = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
     published[PHI, PHI], published[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
@@ -175,7 +165,7 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
         for name, fit in _fits(problem, u).items()
     }
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
-    parameters = _parameters(problem, u, whole, scaling, scatter)
+    parameters = _parameters(problem, u, whole, scaling)
     first = _units(problem, parameters, plain.fits)
     warnings = first + _undetermined(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
@@ -188,12 +178,11 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
 
 
 def _parameters(
-    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray, scatter: Scatter | None
+    problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
     """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
 
-    Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest. From few points the
-    noise is integrated out too (`scatter`), and the wider of the two taken on either side.
+    Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
     values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}
@@ -212,9 +201,8 @@ def _parameters(
         if name == "tilt_deg" and problem.setup.tilt_deg is None:
             continue
         half = reach * math.sqrt(by_u @ covariance @ by_u)
-        below, above = (0.0, 0.0) if scatter is None else scatter.interval(by_u)
         least, most = range_of.get(name, (-math.inf, math.inf))
-        low, high = max(float(value + min(below, -half)), least), min(float(value + max(above, half)), most)
+        low, high = max(float(value - half), least), min(float(value + half), most)
         bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]

@@ -5,17 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers import CONTROLLERS, make_controller
-from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
-from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 from soil_env.vehicle import RoverScenario, load_rover
 
@@ -37,34 +33,7 @@ def _grounds(x, patch, course, courses, border, out):
         out[k, 7], out[k, 8] = here, x[k] - courses.edges[course[k], here]
 
 
-# --- a wheel ----------------------------------------------------------------------------------------------------------
-
-
-class SwingingSpeed(ConstantSpeed):
-    """`ConstantSpeed` whose rim speed swings by 30 %, so that slip does."""
-
-    name = "swinging_speed"
-
-    def rim_speed(self, observation, state):
-        """Rim speed of this period [m/s], [n]."""
-        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
-        return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
-
-
-def controller_of(name: str, scenario: Scenario) -> Any:
-    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s to the highest."""
-    if name == "swinging_speed":
-        return SwingingSpeed(scenario)
-    if name == "ramp":
-        top = SoftStart(scenario).top_speed
-        return make_controller("soft_start", scenario, acceleration=top / 15.0, speed=top)
-    assert name in CONTROLLERS
-    return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
-
-
-def record(
-    controller: Any, scenario: Scenario, courses: int, seed: int, model: WheelSoilModel | None = None
-) -> list[dict[str, np.ndarray]]:
+def record(controller: Any, scenario: Scenario, courses: int, seed: int) -> list[dict[str, np.ndarray]]:
     """Drive courses of a seed; return of each a log of T control periods.
 
     `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
@@ -76,7 +45,7 @@ def record(
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
     true, halts, readings, known, running, ground = [], [], [], [], [], np.empty((courses, 9))
-    for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
+    for sim, alive in drive(controller, scenario, seed, 0, courses, warnings=True):
         w = sim.worlds
         x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
@@ -106,9 +75,6 @@ def truth(soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Sce
     )
 
 
-# --- a rover ----------------------------------------------------------------------------------------------------------
-
-
 def rover_scenario(rover: str) -> RoverScenario:
     """Scenario of a rover, driven by rim speeds."""
     return load_rover(rover, {"control": {"action": "wheel_speed", "repeat": 1}})
@@ -136,17 +102,6 @@ class SwingingSlip:
             rim = self.last + np.clip(rim - self.last, -self.step, self.step)
         self.time, self.last = self.time + self.period, rim
         return rim
-
-
-class ConstantSpeeds:
-    """Rim speeds [rovers, axles] of half the highest."""
-
-    def __init__(self, scenario: RoverScenario) -> None:
-        self.axles: int = scenario.axles
-
-    def __call__(self, speed: np.ndarray) -> np.ndarray:
-        """Rim speeds, whatever the measured speeds [rovers]."""
-        return np.full((len(speed), self.axles), 0.5)
 
 
 def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any) -> dict[str, np.ndarray]:
