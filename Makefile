@@ -75,8 +75,9 @@ dist: $(TEST_READY)  ## wheel and sdist into dist/
 	$(PIP) install -q --no-compile -c constraints.txt build
 	$(PY) -m build
 
-bench: $(TRAIN_READY)  ## measure speed, renew docs/results
+bench: $(TRAIN_READY)  ## measure speed and calibration of the identifier, renew docs/results
 	$(PY) -m benchmarks.throughput $(ARGS)
+	$(PY) -m benchmarks.identification $(ARGS)
 
 clean:  ## remove .venv, build products and caches; runs/ stays
 	rm -rf $(VENV) build dist site *.egg-info .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis

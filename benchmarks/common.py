@@ -3,6 +3,7 @@
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -36,11 +37,9 @@ def share(values: Iterable[bool]) -> dict | None:
 def machine() -> dict[str, Any]:
     """Processor, cores, load and versions that figures are measured with."""
     name = platform.processor() or platform.machine()
-    try:
+    with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
     return {
         "processor": name,
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -57,13 +56,10 @@ def machine_text(machine: dict[str, Any]) -> str:
 
 def study_options(name: str) -> Callable[[Callable], Callable]:
     """Options --smoke and --out of the study of this name."""
-
-    def decorate(command: Callable) -> Callable:
-        text = f"Folder of {name}.json and {name}.md (default docs/results)."
-        command = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)(command)
-        return click.option("--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing.")(command)
-
-    return decorate
+    text = f"Folder of {name}.json and {name}.md (default docs/results)."
+    out = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)
+    smoke = click.option("--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing.")
+    return lambda command: smoke(out(command))
 
 
 def ready(out: Path, name: str) -> Path:
@@ -73,16 +69,12 @@ def ready(out: Path, name: str) -> Path:
     return out / f"{name}.json"
 
 
-def page(title: str, text: str, tables: Mapping[str, Table]) -> str:
-    """Page of Markdown: a title, a paragraph and tables under their headings."""
+def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Table]) -> None:
+    """Write NAME.md: a title, a paragraph and tables under their headings. Print it and say where it is."""
     parts = [f"## {heading}\n\n{table.markdown()}" for heading, table in tables.items()]
-    return "\n\n".join([f"# {title}", text, *parts]) + "\n"
-
-
-def write(out: Path, name: str, text: str) -> None:
-    """Write the page NAME.md, print it and say where it is."""
-    replace_files(out, {f"{name}.md": text})
-    print(f"{text}\nWritten: {out / name}.json and .md", flush=True)
+    page = "\n\n".join([f"# {title}", text, *parts]) + "\n"
+    replace_files(out, {f"{name}.md": page})
+    print(f"{page}\nWritten: {out / name}.json and .md", flush=True)
 
 
 def short(result: Any, digits: int = 5) -> Any:

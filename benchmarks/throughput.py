@@ -17,7 +17,7 @@ import click
 import gymnasium
 import numpy as np
 
-from benchmarks.common import machine, machine_text, page, ready, spread, study_options, write
+from benchmarks.common import machine, machine_text, ready, spread, study_options, write
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
@@ -87,12 +87,6 @@ def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, 
     return found
 
 
-def tables(result: dict) -> dict[str, Table]:
-    """Return the tables of the page: medians with the lowest and the highest round."""
-    rounds = {name: [f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high")] for name, v in result["rates"].items()}
-    return {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), [(n, *v) for n, v in rounds.items()])}
-
-
 @click.command(NAME)
 @study_options(NAME)
 def command(smoke: bool, out: Path) -> None:
@@ -101,16 +95,12 @@ def command(smoke: bool, out: Path) -> None:
     about = machine()
     seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 7, 1024)
     found = rates(runners(size, min(2, about["cores"])), seconds, rounds)
-    result = {"machine": about, "size": size, "rates": {name: spread(values) for name, values in found.items()}}
-    write_json(file, result)
+    speeds = {name: spread(values) for name, values in found.items()}
+    write_json(file, {"machine": about, "size": size, "rates": speeds})
     text = f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on {machine_text(about)}."
-    write(out, NAME, page("Speed", text, tables(result)))
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit status."""
-    return run(command, arguments, f"benchmarks.{NAME}")
+    rows = [(name, *(f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high"))) for name, v in speeds.items()]
+    write(out, NAME, "Speed", text, {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), rows)})
 
 
 if __name__ == "__main__":
-    leave(main())
+    leave(run(command, None, f"benchmarks.{NAME}"))

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from agents.controllers.wheel import ConstantSpeed
+from benchmarks.drives import record
 from soil_env.logs import LogMap, Source, Windows
 from soil_env.logs.align import Aligned
 from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
-from tests.drives import record
 
 READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch", "motor_torque",
             "acceleration")  # in the order of `SensorReading`  # fmt: skip
@@ -30,7 +30,7 @@ class SteppedSpeed(ConstantSpeed):
 
 
 def log_of(driven, scenario):
-    """A drive of `tests.drives.record` as a log with its map."""
+    """A drive of `benchmarks.drives.record` as a log with its map."""
     rows, wheel, period = driven["readings"], scenario.wheel, scenario.control.period
     twist = scenario.weight * wheel.radius
     unit = {"drawbar_pull": scenario.weight, "load": scenario.weight, "torque": twist, "motor_torque": twist}

@@ -1,17 +1,23 @@
 """Drives of wheels and rovers with the true soil along them, for judging what is identified."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from agents.controllers import make_controller
+from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
+from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP
+from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
+from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 from soil_env.vehicle import RoverScenario, load_rover
 
@@ -33,7 +39,28 @@ def _grounds(x, patch, course, courses, border, out):
         out[k, 7], out[k, 8] = here, x[k] - courses.edges[course[k], here]
 
 
-def record(controller: Any, scenario: Scenario, courses: int, seed: int) -> list[dict[str, np.ndarray]]:
+class SwingingSpeed(ConstantSpeed):
+    """`ConstantSpeed` whose rim speed swings by 30 %, so that slip does."""
+
+    def rim_speed(self, observation, state):
+        """Rim speed of this period [m/s], [n]."""
+        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
+
+
+def controller_of(name: str, scenario: Scenario) -> Any:
+    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s to the highest."""
+    if name == "swinging_speed":
+        return SwingingSpeed(scenario)
+    if name == "ramp":
+        top = SoftStart(scenario).top_speed
+        return make_controller("soft_start", scenario, acceleration=top / 15.0, speed=top)
+    return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
+
+
+def record(
+    controller: Any, scenario: Scenario, courses: int, seed: int, model: WheelSoilModel | None = None
+) -> list[dict[str, np.ndarray]]:
     """Drive courses of a seed; return of each a log of T control periods.
 
     `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
@@ -45,7 +72,7 @@ def record(controller: Any, scenario: Scenario, courses: int, seed: int) -> list
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
     true, halts, readings, known, running, ground = [], [], [], [], [], np.empty((courses, 9))
-    for sim, alive in drive(controller, scenario, seed, 0, courses, warnings=True):
+    for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
         w = sim.worlds
         x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
@@ -59,6 +86,15 @@ def record(controller: Any, scenario: Scenario, courses: int, seed: int) -> list
     columns["estimate"], columns["sd"] = np.split(np.array(known), 2, axis=2)
     steps = np.sum(running, axis=0)
     return [{name: rows[: steps[k], k].copy() for name, rows in columns.items()} for k in range(courses)]
+
+
+def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.ndarray, ...]:
+    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`, halts left out."""
+    driven = np.concatenate([log["halt_left"] == 0.0 for log in logs])
+    course = np.repeat(np.arange(len(logs)), [len(log["halt_left"]) for log in logs])[driven]
+    true, estimate, sd = (np.concatenate([log[name] for log in logs])[driven] for name in ("truth", "estimate", "sd"))
+    numbers = identifier_numbers(scenario)
+    return estimate - true, sd, np.append(numbers.prior, numbers.prior_pull[0]) - true, course
 
 
 def truth(soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario) -> np.ndarray:
@@ -102,6 +138,11 @@ class SwingingSlip:
             rim = self.last + np.clip(rim - self.last, -self.step, self.step)
         self.time, self.last = self.time + self.period, rim
         return rim
+
+
+def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds [rovers]."""
+    return lambda speed: np.full((len(speed), scenario.axles), 0.5)
 
 
 def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any) -> dict[str, np.ndarray]:
