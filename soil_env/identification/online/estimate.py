@@ -5,9 +5,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
-
-from soil_env._numba.compiling import compiled_inline, compiled_root, uncompiled
+from soil_env._numba.compiling import compiled_inline, compiled_root
 from soil_env.parameters import Belief, Soil, SoilState
 from soil_env.terramechanics.traversability import best_working_point
 
@@ -67,13 +65,6 @@ def assess_ground(rows, estimate, pull, seen, numbers, out):
         margin = max(pull[k, 0] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = best.slip, margin, pull[k, 1], best.torque
         out[k, 4], out[k, 5] = numbers.stall_torque, 1.0 if margin > 0.0 else 0.0
-
-
-def soil_as_identified(estimate: np.ndarray, belief: Belief) -> SoilState:
-    """`soil_of_estimate` of an estimate [5] under a belief; the friction angle to the bit as published, in degrees."""
-    phi, *rest = estimate.tolist()
-    x = math.radians(math.degrees(phi)), *rest
-    return uncompiled(soil_of_estimate)(x, belief.dig_gain, belief.sinkage_exponent, belief.dig_recovery)
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
