@@ -33,8 +33,8 @@ UNLISTED_ODDS = 0.05
 ALIKE = 0.17
 #: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
 #: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
-#: Chosen on the development seed 136501 of `benchmarks.discovery`, since 1.75 was too modest on blind tables; what
-#: other values give is in docs/results/discovery_development.json.
+#: Chosen on the development seed 136501 of `benchmarks.discovery`, where 1.75 was too modest on blind tables; what other
+#: values give is in docs/results/discovery_development.json.
 TEMPERATURE = 1.25
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
 TOLD = 0.05  # least probability of an alternative
