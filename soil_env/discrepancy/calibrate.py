@@ -35,6 +35,7 @@ from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
+ANY_FORM = 3.0  # form error of an effect that is named by its place, in all channels alike, over that of others
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
@@ -341,8 +342,9 @@ class Problem:
         blocks = [np.zeros((*stresses[0].shape, 0))]
         for choice, factor in zip(choices, added, strict=True):
             own = functions(self.effect_process(choice))
-            moved = [name in LISTED[choice.effect].moves for name in CHANNELS]
-            blocks += [_in_channel(own, factor * unit) for unit in np.eye(3)[moved]]
+            moved = np.array([name in LISTED[choice.effect].moves for name in CHANNELS])
+            units = [ANY_FORM * moved] if LISTED[choice.effect].any_form else np.eye(3)[moved]
+            blocks += [_in_channel(own, factor * unit) for unit in units]
         return (
             [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law],
             np.concatenate(blocks, axis=2),

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.stats import truncnorm
 
-from soil_env.discrepancy.calibrate import LAW_LENGTHS, Fit, Problem
+from soil_env.discrepancy.calibrate import ANY_FORM, LAW_LENGTHS, Fit, Problem
 from soil_env.discrepancy.evidence import Evidence
-from soil_env.discrepancy.instrument import nuisances
+from soil_env.discrepancy.instrument import LISTED, nuisances
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process
 from soil_env.terramechanics.model import rows_of
 
@@ -91,7 +91,8 @@ def predicted(
     root = top @ np.linalg.cholesky(covariance + 1e-12 * np.eye(start.size))
     own = np.full(mean.shape, sizes.scatter**2)
     for choice, x in zip(fit.choices, added, strict=True):
-        own += sizes.effect**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
+        beta = sizes.effect * (ANY_FORM if LISTED[choice.effect].any_form else 1.0)
+        own += beta**2 * there.effect_process(choice).left(at)[:, None] * (x / there.noise) ** 2
     return mean, root.reshape(*mean.shape, -1), own, feasible
 
 

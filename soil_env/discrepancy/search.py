@@ -255,7 +255,9 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             say("with something that no catalogue lists and " + " and ".join(LISTED[n].title for n in s))
             free[s] = anonymous(problem, sets.best(s))
     entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True)) for s, e in free.items()]
-    for s in filter(None, order):
+    for s in order:
+        if all(LISTED[n].any_form for n in s):
+            continue  # what resembles it has its name
         alike = resembling(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))
     total = [log / TEMPERATURE + odds_of for *_, log, odds_of in entries]

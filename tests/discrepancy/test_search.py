@@ -60,6 +60,15 @@ def test_an_effect_is_named_under_a_law_error(effect):
     assert 0.0 < result.low < result.value < result.high and abs(result.value - strength) < 0.5 * strength
 
 
+def test_a_slip_error_is_named_in_a_form_that_no_catalogue_has():
+    """A zero error of the travel speed: the slower the run, the more wrong its slip."""
+    data = table({}, (0.1, 0.2, 0.35, 0.5), (100.0, 200.0), (0.03, 0.08, 0.2), (1, 2))
+    speed = data.rows.conditions[:, 0]
+    rows = data.rows._replace(slip=1.0 - (1.0 - data.rows.slip) / (1.0 - 0.003 / speed))
+    finding = search(problem(dataclasses.replace(data, rows=rows), np.random.default_rng(0)))
+    assert finding.names == ("slip_bias",)
+
+
 def test_what_depends_on_time_alone_is_unlisted():
     """A drift of the torque over the campaign: no effect of the catalogue knows the time."""
     data = planted({}).data

@@ -72,6 +72,7 @@ class Effect:
     varies: str | None = None  # column that must vary in a table for the effect to show
     shows_without: bool = False  # shows, if faintly, where that column does not vary
     beside: str | None = None  # column, or the time elapsed, that it may depend on in a way that no form has
+    any_form: bool = False  # named by its place, as an error of one sensor is, however it goes with the conditions
     symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
     sensed: tuple[str, ...] = ()  # parameters that act on sensors, or that the simulated world has anyway
     #: Prior (standard deviation, low, high) by parameter, where the rig sets it.

@@ -33,6 +33,7 @@ EFFECT = Effect(
         Form("rolling_radius", ("radius_error",), "i = i_measured + {radius_error} (1 - i_measured)", _WONG),
     ),
     beside="speed",  # the zero of a speed sensor counts the more, the slower the wheel
+    any_form=True,
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
 )  # fmt: skip
