@@ -94,7 +94,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
                 cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
             rows.append((k, title(p.name).replace(" and ", " + "), fixed(p.probability, 2), *cells))
     channels = (f"{TITLES[n].split()[-1]} [{UNITS[n][0]}]" for n in report.channels)
-    return Table(("run", "candidate", "p", *channels), rows)
+    return Table(("run", "just these effects", "p", *channels), rows)
 
 
 def untestable(report: Report) -> Table:
