@@ -29,6 +29,7 @@ from soil_env.identification.table.form_error import (
     INPUTS,
     LENGTHS,
     SIZES,
+    NormalEquations,
     Process,
     marginals,
     mixed,
@@ -107,13 +108,12 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
     sizes, log_prior, errors, table, first = over or plain_grid(fit)
     scatter, p = np.array([s.scatter for s in sizes]), fit.u.size
-    scales = noise_scales(problem.freedom)
+    scales, normal = noise_scales(problem.freedom), NormalEquations.of(fit.jacobian, errors, fit.residual)
     log, mean, covariance = (np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p)))
     for k, noise in enumerate(scales):
         for more in np.unique(scatter):
             at, sd = scatter == more, noise * more
-            blocks = [b / sd for b in errors]
-            found = marginals(fit.jacobian / sd, blocks, table[at], fit.residual / sd, fit.u, first)
+            found = marginals(normal, table[at], fit.u, first, sd)
             log[k, at] = found[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *found[1:])
             mean[k, at], covariance[k, at] = found[1:]
     log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
@@ -347,9 +347,13 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     sizes = [s._replace(**point) for s in likely for points in kinds for point, _ in points]
     log_prior = ((before - logsumexp(before))[:, None] + cost).ravel()
     leading = [by[name] for name, _ in first]
-    table = np.array([(s.rig, s.effect, *s.laws, *(x for _, x in first), *s.free,
-                       *(sum(x for name, x in s.patterns[len(first):] if name == n) for n in by))
-                      for s in sizes])  # fmt: skip
+    later = np.zeros((len(sizes), len(by)))
+    column = {name: k for k, name in enumerate(by)}
+    for row, s in zip(later, sizes, strict=True):
+        for name, x in s.patterns[len(first) :]:
+            row[column[name]] += x
+    known = np.array([(s.rig, s.effect, *s.laws, *(x for _, x in first), *s.free) for s in sizes])
+    table = np.column_stack([known, later])
     errors = (fit.rig, fit.effect, *fit.law, *leading, *fit.free, *by.values())
     return Grid(sizes, log_prior, errors, table, 2 + len(fit.law) + len(first))
 

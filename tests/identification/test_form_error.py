@@ -68,8 +68,8 @@ def test_compression_whitens():
 def test_marginals_are_those_of_the_joint_normal(first):
     j, e, u = RNG.normal(size=(30, 3)), RNG.normal(size=30), RNG.normal(size=3)
     blocks = [RNG.normal(size=(30, 5)), RNG.normal(size=(30, 4))]
-    sizes = np.array([[0.0, 0.0], [0.4, 0.3], [2.0, 0.0], [0.4, 1.0], [0.0, 0.7]])
-    log, mean, covariance = form_error.marginals(j, blocks, sizes, e, u, first)
+    sizes = np.array([[0.0, 0.0], [0.4, 0.3], [2.0, 0.0], [0.4, 1.0], [0.0, 0.7], [0.0, 0.2]])
+    log, mean, covariance = form_error.marginals(form_error.NormalEquations.of(j, blocks, e), sizes, u, first)
     expected = []
     for k, size in enumerate(sizes):
         c = np.eye(30) + sum(x**2 * b @ b.T for x, b in zip(size, blocks, strict=True))

@@ -184,30 +184,51 @@ def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
     return v - u @ ((share if v.ndim == 1 else share[:, None]) * (u.T @ v))
 
 
+class NormalEquations(NamedTuple):
+    """Products of a whitened linear problem: A'A and A'e of A = (Jacobian, form errors), e'e, columns of each part."""
+
+    gram: np.ndarray
+    along: np.ndarray
+    square: float
+    width: tuple[int, ...]
+
+    @classmethod
+    def of(cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray) -> "NormalEquations":
+        """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
+        a = np.concatenate([jacobian, *errors], axis=1)
+        width = (jacobian.shape[1], *(b.shape[1] for b in errors))
+        return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
+
+    def where(self, used: np.ndarray, noise: float) -> "NormalEquations":
+        """Those of the form errors that are `used` [K], under a noise relative to that of the problem."""
+        width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
+        at = np.flatnonzero(np.repeat((True, *used), self.width))
+        return NormalEquations(
+            self.gram[np.ix_(at, at)] / noise**2, self.along[at] / noise**2, self.square / noise**2, width
+        )
+
+
 def marginals(
-    jacobian: np.ndarray,
-    errors: Sequence[np.ndarray],
-    sizes: np.ndarray,
-    residual: np.ndarray,
-    u: np.ndarray,
-    first: int = 0,
+    problem: NormalEquations, sizes: np.ndarray, u: np.ndarray, first: int = 0, noise: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes [S, K].
 
-    The whitened problem is linear about u [p]: residual [M], `jacobian` [M, p], K form errors [M, R] at the size 1;
-    the unknowns have unit priors about 0. With A the Jacobian and the form errors, and D their sizes,
+    The problem is linear about u [p], whose unit priors are about 0; `noise` is relative to its own. With A the
+    Jacobian and the form errors, and D their sizes,
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
     The unknowns and the `first` form errors are eliminated once for all rows that have the same sizes of these.
     """
-    a, p = np.concatenate([jacobian, *errors], axis=1), u.size
-    width = [p, *(b.shape[1] for b in errors)]
-    gram, along = a.T @ a, a.T @ residual
-    start, square = np.concatenate([u, np.zeros(along.size - p)]), float(residual @ residual + u @ u)
+    used = np.any(sizes != 0.0, axis=0)
+    used[:first] = True
+    gram, along, power, width = problem.where(used, noise)
+    sizes, p = sizes[:, used], u.size
+    start, power = np.concatenate([u, np.zeros(along.size - p)]), power + float(u @ u)
     log, mean, covariance = np.empty(len(sizes)), np.empty((len(sizes), p)), np.empty((len(sizes), p, p))
     scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
-    outer = np.arange(sum(width[: 1 + first]))
+    outer, place = np.arange(sum(width[: 1 + first])), np.repeat(np.arange(len(width) - 1), width[1:]) - first
+    place = place[place >= 0]
     for of in np.unique(sizes[:, :first], axis=0):
         rows = np.flatnonzero(np.all(sizes[:, :first] == of, axis=1))
         d = scales[rows[0], outer]
@@ -217,25 +238,27 @@ def marginals(
         right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
         half = _solved(factor, right)
         of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
-        base = -0.5 * (square - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
+        base = -0.5 * (power - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
         centre, narrow = u + of_unknowns.T @ of_data, of_unknowns.T @ of_unknowns
-        normal = gram[outer.size :, outer.size :] - rest.T @ rest
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
-        for s in rows:
-            d = scales[s, outer.size :]
-            seen = np.flatnonzero(d > 0.0)
-            d = d[seen]
-            factor = _factor(d[:, None] * normal[np.ix_(seen, seen)] * d)
-            half = _solved(factor, d[:, None] * pulls[seen])
-            moved, more = half[:, 0], half[:, 1:]
-            log[s] = base + 0.5 * (moved @ moved) - np.sum(np.log(np.diag(factor)))
-            mean[s], covariance[s] = centre - more.T @ moved, narrow + more.T @ more
+        there = sizes[rows, first:] > 0.0
+        for some in np.unique(there, axis=0):
+            seen = np.flatnonzero(some[place])
+            column, inner = outer.size + seen, rest[:, seen]
+            normal, pull = gram[np.ix_(column, column)] - inner.T @ inner, pulls[seen]
+            alike = rows[np.all(there == some, axis=1)]
+            d = scales[np.ix_(alike, column)][:, :, None]
+            n, h = np.eye(seen.size) + d * normal * d.transpose(0, 2, 1), d * pull
+            moved = h.transpose(0, 2, 1) @ np.linalg.solve(n, h)
+            half = np.log(np.diagonal(np.linalg.cholesky(n), axis1=1, axis2=2)).sum(axis=1)
+            log[alike] = base + 0.5 * moved[:, 0, 0] - half
+            mean[alike], covariance[alike] = centre - moved[:, 1:, 0], narrow + moved[:, 1:, 1:]
     return log, mean, covariance
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is left as it is."""
-    normal[np.diag_indices_from(normal)] += 1.0
+    normal.ravel()[:: len(normal) + 1] += 1.0
     factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)  # .T: symmetric, and in Fortran's order
     if failed:
         raise LinAlgError(f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}")

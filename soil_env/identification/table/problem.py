@@ -279,7 +279,9 @@ class TableProblem:
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
             row[2 * of.span : 2 * of.span + 2] = of.size, of.own * of.size
-        log, mean, covariance = form_error.marginals(j, blocks, sizes, np.where(np.isfinite(e), e, _FAR), u)
+        log, mean, covariance = form_error.marginals(
+            form_error.NormalEquations.of(j, blocks, np.where(np.isfinite(e), e, _FAR)), sizes, u
+        )
         self.form_error = kept
         log += np.log(np.tile(form_error.size_prior(), len(LAW_LENGTHS) * len(CHANNELS_OWN)))
         return np.exp(log - logsumexp(log)), mean, covariance
