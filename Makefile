@@ -46,7 +46,7 @@ test: $(BASE_READY)  ## lint, build the site, compile the kernels, run the tests
 	$(PY) -m pytest -q -n $(JOBS) --dist worksteal $(ARGS)
 
 checks: $(TEST_READY)
-	$(MAKE) lint docs
+	$(MAKE) -j 2 lint docs
 
 lint: $(TEST_READY)  ## ruff, import contracts, types, workflow files
 	$(BIN)/ruff check .

@@ -267,12 +267,12 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
 def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
     scenario = load_scenario("mixed", {"control": {"action": action}})
     blind = run_courses(make_controller("soft_start", scenario, acceleration=0.08, speed=0.57), scenario, SEED, 120)
-    failed = np.flatnonzero(blind.metric("finished") < 0.5)[:8]
-    assert failed.size == 8
+    failed = np.flatnonzero(blind.metric("finished") < 0.5)[:6]
+    assert failed.size == 6
     rng = driving.course_rng
     monkeypatch.setattr(driving, "course_rng", lambda seed, k: rng(seed, int(failed[k])))
-    runs = run_courses(Oracle(scenario), scenario, SEED, 8)
-    assert runs.metric("finished").sum() >= 5
+    runs = run_courses(Oracle(scenario), scenario, SEED, 6)
+    assert runs.metric("finished").sum() >= 4
 
 
 def test_drives_are_shown_side_by_side(tmp_path, capsys):

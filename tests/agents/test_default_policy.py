@@ -30,8 +30,13 @@ TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 def trained():
     """A model after a few steps on two grounds."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("ROUNDS", "OF_GROUND"):
-            patch.setattr(generalist, name, ((2, 1),))
+        for name, few in {
+            "ROUNDS": ((2, 1),),
+            "OF_GROUND": ((2, 1),),
+            "ACCELERATIONS": (1.0,),
+            "SHARES": (0.6,),
+        }.items():
+            patch.setattr(generalist, name, few)
         model = generalist.load(generalist.Generalist, TINY, "").build()
     student.teach(model, 1000, 0)
     return model
