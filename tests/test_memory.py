@@ -1,6 +1,6 @@
 """Memory over many steps: after the first tenth, in which caches fill, the process may not grow by more than 2 MB.
 
-SOIL_ENV_MEMORY=100 python -m pytest tests/test_memory.py drives a hundred times as long: ten million steps.
+SOIL_ENV_MEMORY=100 python -m pytest tests/test_memory.py drives a hundred times as long: five million steps.
 """
 
 import gc
@@ -38,7 +38,7 @@ def test_an_environment_keeps_its_size(many):
     rng, sizes = np.random.default_rng(0), []
     env.reset(seed=0)
     for _ in range(10):
-        for number in range(int((40 if many else 2000) * TIMES)):
+        for number in range(int((20 if many else 1000) * TIMES)):
             over = env.step(rng.uniform(-0.1, 0.9, env.action_space.shape))[2]
             if not many and over:
                 env.reset()
