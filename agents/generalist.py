@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 import numpy as np
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import ConvertCallback
 
 import soil_env
 from soil_env._io.files import replace_file
@@ -132,7 +133,8 @@ def command(config: Path | None, out: Path) -> None:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
-            model.learn(asked.improved, callback=lambda *_: bar.update(model.num_timesteps) or True)
+            watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
+            model.learn(asked.improved, callback=[ppo.Exploration(asked.ppo), watch])
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())

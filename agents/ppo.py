@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soil_env._io.files import replace_file
@@ -49,6 +50,24 @@ def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path |
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
     return model
+
+
+class Exploration(BaseCallback):
+    """Exploration noise whose logarithm falls linearly over a training, from `log_std_init` to `log_std_final`."""
+
+    def __init__(self, config: PPOConfig):
+        super().__init__()
+        self.config = config
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        if self.config.log_std_final is None:
+            return
+        done = self.model.num_timesteps / self.model._total_timesteps
+        log_std, first = self.model.policy.log_std, self.config.log_std_init
+        log_std.requires_grad_(False).fill_(first + done * (self.config.log_std_final - first))
 
 
 def save(model: PPO, path: Path) -> None:

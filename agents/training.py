@@ -135,7 +135,7 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         if left > 0:
             watch = _Watch(folder, config.checkpoint_every, bar)
             try:
-                model.learn(left, callback=watch, reset_num_timesteps=False, tb_log_name="PPO")
+                model.learn(left, callback=[ppo.Exploration(config.ppo), watch], reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
                 ppo.save(model, checkpoint)
                 raise

@@ -102,7 +102,7 @@ def test_overrides_are_read_as_yaml_and_names_as_text():
 
 REFUSED = [  # (options, parts of the message)
     (["--timestep", "5"], ["timestep", "did you mean 'timesteps'"]),
-    (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "16384"]),
+    (["--ppo.batch_size", "1000"], ["command line", "batch_size", "1000", "65536"]),
     (["--hidden_worlds", "256"], ["hidden_worlds = 256", "num_envs"]),
     (["--config", "nowhere.yaml"], ["nowhere.yaml", "No such file"]),
     (["--courses"], ["courses", "value"]),
