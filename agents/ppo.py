@@ -57,17 +57,15 @@ class Exploration(BaseCallback):
 
     def __init__(self, config: PPOConfig):
         super().__init__()
-        self.config = config
+        self.first, self.last = config.log_std_init, config.log_std_final
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.config.log_std_final is None:
-            return
-        done = self.model.num_timesteps / self.model._total_timesteps
-        log_std, first = self.model.policy.log_std, self.config.log_std_init
-        log_std.requires_grad_(False).fill_(first + done * (self.config.log_std_final - first))
+        if self.last is not None:
+            done = self.model.num_timesteps / self.model._total_timesteps
+            self.model.policy.log_std.requires_grad_(False).fill_(self.first + done * (self.last - self.first))
 
 
 def save(model: PPO, path: Path) -> None:

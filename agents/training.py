@@ -133,9 +133,9 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
-            watch = _Watch(folder, config.checkpoint_every, bar)
+            calls = [ppo.Exploration(config.ppo), _Watch(folder, config.checkpoint_every, bar)]
             try:
-                model.learn(left, callback=[ppo.Exploration(config.ppo), watch], reset_num_timesteps=False, tb_log_name="PPO")
+                model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:
                 ppo.save(model, checkpoint)
                 raise

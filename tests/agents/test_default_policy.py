@@ -30,13 +30,9 @@ TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 def trained():
     """A model after a few steps on two grounds."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, few in {
-            "ROUNDS": ((2, 1),),
-            "OF_GROUND": ((2, 1),),
-            "ACCELERATIONS": (1.0,),
-            "SHARES": (0.6,),
-        }.items():
-            patch.setattr(generalist, name, few)
+        few = {"ROUNDS": ((2, 1),), "OF_GROUND": ((2, 1),), "ACCELERATIONS": (1.0,), "SHARES": (0.6,)}
+        for name, value in few.items():
+            patch.setattr(generalist, name, value)
         model = generalist.load(generalist.Generalist, TINY, "").build()
     student.teach(model, 1000, 0)
     return model

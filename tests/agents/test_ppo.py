@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
+from stable_baselines3.common.callbacks import ConvertCallback
 
 from agents.agent import INFO, load_agent, read_info
 from agents.config import PPOConfig
@@ -79,21 +80,15 @@ def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(s
     assert rates == pytest.approx([TINY.learning_rate * share for share in (2 / 6, 1 / 6, 0.05)])
 
 
-@pytest.mark.parametrize("final", [-3.0, None])
-def test_the_exploration_narrows_from_the_first_rollout_to_the_last_or_is_learned(scenario, final):
+@pytest.mark.parametrize("final, falls", [(-3.0, 2.0), (None, 0.0)])
+def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, falls):
     config, seen = replace(TINY, log_std_init=-1.0, log_std_final=final), []
     model = build(scenario, "identified", config, 0)
     model.num_timesteps = ROLLOUT  # as after a student
-
-    class Watch(Exploration):
-        def _on_rollout_end(self):
-            seen.append(self.model.policy.log_std.item())
-
-    model.learn(3 * ROLLOUT, callback=Watch(config), reset_num_timesteps=False)
-    if final is None:
-        assert seen[0] == -1.0 and abs(seen[2] + 1.0) > 1e-6 and model.policy.log_std.requires_grad
-    else:
-        assert seen == pytest.approx([-1.0 - 2.0 * share for share in (1 / 4, 2 / 4, 3 / 4)])
+    watch = ConvertCallback(lambda *_: seen.append(model.policy.log_std.item()) or True)
+    model.learn(3 * ROLLOUT, callback=[Exploration(config), watch], reset_num_timesteps=False)
+    assert seen[:: TINY.n_steps] == pytest.approx([-1.0 - falls * k / 4 for k in (1, 2, 3)], abs=0.0 if falls else 0.1)
+    assert len(set(seen)) == 3 and model.policy.log_std.requires_grad == (final is None)
 
 
 def test_resume_starts_new_courses_with_new_noise(saved, scenario):
