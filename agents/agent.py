@@ -81,26 +81,27 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 
 
 class ChoosingExtractor(MlpExtractor):
-    """Hidden layers of the value network, of the drive, and of one network that looks at each line.
-
-    Where the entry `choice` of an observation is 1, the policy acts by the difference of its two views: exchanged lines
-    give the opposite choice (Bromley et al. 1993, NIPS 6).
-    """
+    """Hidden layers of the value network and of the drive, and one network that gives each line a score."""
 
     def __init__(self, feature_dim: int, choice: int, lines: Sequence[list[int]], net_arch, activation_fn, device):
         super().__init__(feature_dim, net_arch, activation_fn, device)
         self.choice, self.lines = choice, lines
-        self.line_net = MlpExtractor(len(lines[0]), net_arch, activation_fn, device).policy_net
+        hidden = MlpExtractor(len(lines[0]), net_arch, activation_fn, device).policy_net
+        self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Last hidden layer of the policy for observations [n, D]."""
+        """Last hidden layer of the drive, difference of the scores, and 1 where a line is chosen, for [n, D]."""
         ahead, beside = (self.line_net(features[:, columns]) for columns in self.lines)
         choosing = features[:, [self.choice]] > 0.0  # normalised: above its mean
-        return torch.where(choosing, ahead - beside, self.policy_net(features))
+        return torch.cat([self.policy_net(features), ahead - beside, choosing.to(ahead.dtype)], dim=1)
 
 
 class ChoosingPolicy(ActorCriticPolicy):
-    """`MlpPolicy` with a head of its own for the choice of a line (`ChoosingExtractor`)."""
+    """`MlpPolicy` with a head of its own for the choice of a line (`ChoosingExtractor`).
+
+    Where the entry `choice` of an observation is 1, the mean action is the difference of the scores of the two lines:
+    exchanged lines give the opposite choice (Bromley et al. 1993, NIPS 6).
+    """
 
     def __init__(self, *args, choice: int = 0, lines: Sequence[list[int]] = (), **kwargs):
         self.of_choice = {"choice": choice, "lines": lines}
@@ -109,6 +110,11 @@ class ChoosingPolicy(ActorCriticPolicy):
     def _build_mlp_extractor(self) -> None:
         arguments = self.net_arch, self.activation_fn, self.device
         self.mlp_extractor: nn.Module = ChoosingExtractor(self.features_dim, *self.of_choice.values(), *arguments)
+
+    def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
+        *hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
+        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden[0]))
+        return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:
         return super()._get_constructor_parameters() | self.of_choice

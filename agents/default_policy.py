@@ -18,7 +18,8 @@ from .history import History, lines_of
 WEIGHTS = Path(__file__).with_name("default_policy.npz")
 NAME = "default_policy"
 CLIP = 10.0  # of a normalised input
-LAYERS = ("policy_0", "policy_1", "line_0", "line_1", "action")  # each with a weight [out, in] and a bias [out]
+#: Of the drive, and of the score of a line; each with a weight [out, in] and a bias [out].
+LAYERS = ("policy_0", "policy_1", "action", "line_0", "line_1", "score")
 _EXPECTED = f"expected an .npz of {__package__}.generalist; the shipped one comes again with an installation"
 
 
@@ -52,9 +53,12 @@ class DefaultPolicy:
                 f"{path}: trained on another observation layout; expected that of {common_layout.__name__}"
             )
         self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
-        wrong = _unfitting(self.layers, self.mean.size, len(self.lines[0]))
-        if wrong is not None:
-            raise ParameterError(f"{path}: {wrong}: {_EXPECTED}")
+        try:
+            fits = self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape == (1, 1)
+        except ValueError:
+            fits = False
+        if not fits:
+            raise ParameterError(f"{path}: layers whose shapes do not fit each other: {_EXPECTED}")
         self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
@@ -71,22 +75,15 @@ class DefaultPolicy:
 
     def action(self, x):
         """Actions [n, 1] for normalised observations [n, D]; arrays, or values of an ONNX graph."""
-        (w, b), (v, c), *of_line, (last, bias) = self.layers
-        drive = _relu(_relu(x @ w.T + b) @ v.T + c)
-        (w, b), (v, c) = of_line
-        ahead, beside = (_relu(_relu(x[:, columns] @ w.T + b) @ v.T + c) for columns in self.lines)
-        return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive) @ last.T + bias
+        drive = _network(self.layers[:3], x)
+        ahead, beside = (_network(self.layers[3:], x[:, columns]) for columns in self.lines)
+        return np.where(np.greater(x[:, [self.choice]], 0.0), ahead - beside, drive)
 
 
-def _unfitting(layers, inputs: int, of_line: int) -> str | None:
-    """Return the fault of the first layer whose shape does not fit those before it, None if all fit."""
-    (first, _), (second, _), (line, _), *_ = layers
-    before = inputs, len(first), of_line, len(line), len(second)
-    after = len(first), len(second), len(line), len(second), 1
-    for name, (weight, bias), n_in, n_out in zip(LAYERS, layers, before, after, strict=True):
-        if (weight.shape, bias.shape) != ((n_out, n_in), (n_out,)):
-            return f"{name} has shapes {weight.shape} and {bias.shape}, the other layers need {(n_out, n_in)}"
-    return None
+def _network(layers, x):
+    """Output of two hidden layers and a last one."""
+    (w, b), (v, c), (last, bias) = layers
+    return _relu(_relu(x @ w.T + b) @ v.T + c) @ last.T + bias
 
 
 def _relu(x):

@@ -112,7 +112,7 @@ def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     """The content of the weights' file of a trained model."""
     env, policy = model.get_vec_normalize_env(), model.policy
     own = policy.mlp_extractor
-    modules = [own.policy_net[0], own.policy_net[2], own.line_net[0], own.line_net[2], policy.action_net]
+    modules = [own.policy_net[0], own.policy_net[2], policy.action_net, *own.line_net[::2]]
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
         out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
@@ -133,6 +133,7 @@ def command(config: Path | None, out: Path) -> None:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
+            ppo.keep_choice(model)
             watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
             model.learn(asked.improved, callback=[ppo.Exploration(asked.ppo), watch])
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}

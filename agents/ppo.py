@@ -49,7 +49,15 @@ def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path |
     )
     with torch.no_grad():  # exploring around full stop would teach little but how to stall
         model.policy.action_net.bias.fill_(config.initial_action)
+        if hasattr(model.policy.mlp_extractor, "line_net"):  # no line is preferred at first
+            model.policy.mlp_extractor.line_net[-1].weight.mul_(0.01)
     return model
+
+
+def keep_choice(model: PPO) -> None:
+    """Keep the choice of a line as it is learned so far: PPO improves the drive only."""
+    if hasattr(model.policy.mlp_extractor, "line_net"):
+        model.policy.mlp_extractor.line_net.requires_grad_(False)
 
 
 class Exploration(BaseCallback):

@@ -133,6 +133,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
+            if config.student > 0.0:
+                ppo.keep_choice(model)
             calls = [ppo.Exploration(config.ppo), _Watch(folder, config.checkpoint_every, bar)]
             try:
                 model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")

@@ -128,11 +128,12 @@ def numbers(tensor) -> np.ndarray:
 def action_of(graph: Graph, policy, x: Traced) -> Traced:
     """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an unknown network."""
     if hasattr(policy, "action_net") and not hasattr(policy, "lstm_actor"):  # PPO, A2C, TRPO
-        own, hidden = policy.mlp_extractor, _layers(graph, policy.mlp_extractor.policy_net, x)
-        if hasattr(own, "line_net"):
-            ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
-            hidden = np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), hidden)
-        return _layers(graph, policy.action_net, hidden)
+        own = policy.mlp_extractor
+        drive = _layers(graph, policy.action_net, _layers(graph, own.policy_net, x))
+        if not hasattr(own, "line_net"):
+            return drive
+        ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
+        return np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), drive)
     actor = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed
         return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x)))

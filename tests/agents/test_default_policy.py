@@ -107,7 +107,7 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
         arrays = dict(archive)
     for name in LAYERS:
         np.savez(bad, **arrays | {f"{name}_weight": arrays[f"{name}_weight"][:-1]})
-        with pytest.raises(ParameterError, match=r"has shapes .* the other layers need .*\.generalist"):
+        with pytest.raises(ParameterError, match=r"shapes do not fit each other: .*\.generalist"):
             DefaultPolicy("mixed", bad)
 
 

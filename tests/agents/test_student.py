@@ -87,3 +87,13 @@ def test_the_same_seed_gives_the_same_student():
     for model in models:
         student.teach(model, 2 * student.ROUND * 16, 0)
     assert all(torch.equal(a, b) for a, b in zip(*(m.policy.state_dict().values() for m in models), strict=True))
+
+
+def test_ppo_keeps_the_choice_of_a_line():
+    model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
+    student.teach(model, student.ROUND * 16, 0)
+    ppo.keep_choice(model)
+    before = {name: x.clone() for name, x in model.policy.state_dict().items()}
+    model.learn(256)
+    changed = {name for name, x in model.policy.state_dict().items() if not torch.equal(x, before[name])}
+    assert "action_net.weight" in changed and not any("line_net" in name for name in changed)
