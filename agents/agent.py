@@ -112,8 +112,8 @@ class ChoosingPolicy(ActorCriticPolicy):
         self.mlp_extractor: nn.Module = ChoosingExtractor(self.features_dim, *self.of_choice.values(), *arguments)
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
-        *hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden[0]))
+        hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
+        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:
