@@ -90,10 +90,9 @@ class ChoosingExtractor(MlpExtractor):
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Last hidden layer of the drive, difference of the scores, and 1 where a line is chosen, for [n, D]."""
+        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n, D]."""
         ahead, beside = (self.line_net(features[:, columns]) for columns in self.lines)
-        choosing = features[:, [self.choice]] > 0.0  # normalised: above its mean
-        return torch.cat([self.policy_net(features), ahead - beside, choosing.to(ahead.dtype)], dim=1)
+        return torch.cat([self.policy_net(features), ahead - beside, features[:, [self.choice]]], dim=1)
 
 
 class ChoosingPolicy(ActorCriticPolicy):
@@ -113,7 +112,7 @@ class ChoosingPolicy(ActorCriticPolicy):
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))
+        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))  # normalised: above its mean
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:

@@ -54,11 +54,10 @@ class DefaultPolicy:
             )
         self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
         try:
-            fits = self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape == (1, 1)
+            if self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape != (1, 1):
+                raise ValueError
         except ValueError:
-            fits = False
-        if not fits:
-            raise ParameterError(f"{path}: layers whose shapes do not fit each other: {_EXPECTED}")
+            raise ParameterError(f"{path}: layers whose shapes do not fit each other: {_EXPECTED}") from None
         self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
@@ -81,10 +80,8 @@ class DefaultPolicy:
 
 
 def _network(layers, x):
-    """Output of two hidden layers and a last one."""
-    (w, b), (v, c), (last, bias) = layers
-    return _relu(_relu(x @ w.T + b) @ v.T + c) @ last.T + bias
-
-
-def _relu(x):
-    return np.maximum(x, np.float32(0.0))
+    """Output of hidden layers with rectified units and of a last, linear one."""
+    *hidden, (last, bias) = layers
+    for weight, b in hidden:
+        x = np.maximum(x @ weight.T + b, np.float32(0.0))
+    return x @ last.T + bias

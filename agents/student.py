@@ -111,8 +111,7 @@ def teach(
 def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
     """Squared errors of the accelerations, and logistic loss of the choices."""
     action, weight, choosing = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight, kept.choosing))
-    seen = torch.from_numpy(env.normalize_obs(kept.seen[at]))
-    mean = policy.get_distribution(seen).distribution.mean
+    mean = policy.get_distribution(torch.from_numpy(env.normalize_obs(kept.seen[at]))).distribution.mean
     choice = CHOICE * functional.softplus(-SLOPE * mean * action)
     loss = torch.where(choosing[:, None], choice, (mean - action).square())
     return (weight * loss.mean(dim=1)).mean()

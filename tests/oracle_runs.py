@@ -23,9 +23,7 @@ def world(effects: dict, law=(), **soil) -> WheelSoilModel:
 def make(maker=gymnasium.make, gravity=9.81, **options):
     """The environment of the keyword arguments."""
     return maker(
-        "soil_env:SoilWheel-v0",
-        **{"action": "torque", "scenario": "mixed", "scaled": False} | options,
-        gravity=gravity,
+        "soil_env:SoilWheel-v0", **{"action": "torque", "scenario": "mixed", "scaled": False} | options, gravity=gravity
     )
 
 

@@ -135,10 +135,8 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
     for part, teacher in teachers.parts:
         top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
         assert teacher.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
-        assert (teacher.settings["acceleration"], teacher.share) == (
-            part.teacher["acceleration"],
-            part.teacher["share"],
-        )
+        assert teacher.settings["acceleration"] == part.teacher["acceleration"]
+        assert teacher.share == part.teacher["share"]
     action, choosing, weight = teachers.lesson(np.ones(12, dtype=bool))
     assert action.shape == (12, 1) and choosing.shape == weight.shape == (12,)
 

@@ -82,18 +82,13 @@ def test_a_rover_has_a_student():
     assert model.predict(model.get_env().reset())[0].shape == (16, 3)
 
 
-def test_the_same_seed_gives_the_same_student():
-    models = [ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0) for _ in range(2)]
-    for model in models:
-        student.teach(model, 2 * student.ROUND * 16, 0)
-    assert all(torch.equal(a, b) for a, b in zip(*(m.policy.state_dict().values() for m in models), strict=True))
-
-
-def test_ppo_keeps_the_choice_of_a_line():
-    model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
-    student.teach(model, student.ROUND * 16, 0)
+def test_the_same_seed_gives_the_same_student_and_ppo_keeps_its_choice_of_a_line():
+    model, other = (ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0) for _ in range(2))
+    for one in (model, other):
+        student.teach(one, 2 * student.ROUND * 16, 0)
+    before = other.policy.state_dict()
+    assert all(torch.equal(x, before[name]) for name, x in model.policy.state_dict().items())
     ppo.keep_choice(model)
-    before = {name: x.clone() for name, x in model.policy.state_dict().items()}
     model.learn(256)
     changed = {name for name, x in model.policy.state_dict().items() if not torch.equal(x, before[name])}
     assert "action_net.weight" in changed and not any("line_net" in name for name in changed)

@@ -200,11 +200,7 @@ def test_bulldozing_by_hand():
         ("crescent", (0.12 + z) * (0.5 * 15696.0 * z**2 * 3.0 + 2.0 * 1500.0 * z * math.sqrt(3.0)), 1e-9),
         ("terzaghi", wedge * (2.0 * z * 1500.0 * k_c + 15696.0 * z**2 * k_gamma), 0.02),
     ):
-        np.testing.assert_allclose(
-            table()[1] - table(hidden(name, 1.0, crescent=1.0))[1],
-            force,
-            rtol=scale,
-        )
+        np.testing.assert_allclose(table()[1] - table(hidden(name, 1.0, crescent=1.0))[1], force, rtol=scale)
 
 
 # --- forms that are the base world on another soil, wheel or condition ------------------------------------------------

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-RUNS = {  # script -> (arguments, pattern of the output, module it needs)
-    "record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags"),
-}
+#: Script -> (arguments, pattern of the output, module it needs).
+RUNS = {"record_bag": ("--steps 200", r"200 sets of readings.*\n.*drive: \d\.\de-0[5-9]", "rosbags")}
 
 
 @pytest.mark.documents
