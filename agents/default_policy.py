@@ -39,8 +39,8 @@ class DefaultPolicy:
             self.history = History(names, int(self.made["history"]))
             self.mean, self.sd = arrays["mean"], arrays["sd"]
             self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
-            finite = all(np.isfinite(values).all() for values in arrays.values())
-            if self.mean.size != len(names) + self.history.size or not finite:
+            good = all(np.isfinite(values).all() for values in arrays.values()) and (self.sd > 0.0).all()
+            if not good or not self.mean.shape == self.sd.shape == (len(names) + self.history.size,):
                 raise ValueError
         except OSError as error:
             raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected an .npz") from None

@@ -35,8 +35,7 @@ BLIND = [entry.name for entry in layout("blind")]
 
 def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):
     """One soil everywhere, one grade [deg], no halts."""
-    course = {"length": length, "halt_time": 0.0, "margin": [0.0, 0.0]}
-    course |= {"grade_deg": [grade, grade], "payload": [payload, payload]}
+    course = {"length": length, "halt_time": 0.0, "margin": [0, 0], "grade_deg": [grade] * 2, "payload": [payload] * 2}
     changes = {"soils": {soil: 1.0}, "spread": EVEN, "noise": noise, "control": {"action": action}, "course": course}
     return load_scenario("mixed", changes)
 

@@ -105,9 +105,10 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
         DefaultPolicy("mixed", tmp_path / "none.npz")
     with np.load(WEIGHTS, allow_pickle=False) as archive:
         arrays = dict(archive)
-    for name in LAYERS:
-        np.savez(bad, **arrays | {f"{name}_weight": arrays[f"{name}_weight"][:-1]})
-        with pytest.raises(ParameterError, match=r"shapes do not fit each other: .*\.generalist"):
+    wrong = [(f"{name}_weight", arrays[f"{name}_weight"][:-1]) for name in LAYERS]
+    for name, value in [*wrong, ("sd", arrays["sd"][:5]), ("sd", 0.0 * arrays["sd"])]:
+        np.savez(bad, **arrays | {name: value})
+        with pytest.raises(ParameterError, match=r"expected an .npz of .*\.generalist"):
             DefaultPolicy("mixed", bad)
 
 
