@@ -111,8 +111,7 @@ def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) 
 def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     """The content of the weights' file of a trained model."""
     env, policy = model.get_vec_normalize_env(), model.policy
-    own = policy.mlp_extractor
-    modules = [own.policy_net[0], own.policy_net[2], policy.action_net, *own.line_net[::2]]
+    modules = [*policy.mlp_extractor.policy_net[::2], policy.action_net, *policy.mlp_extractor.line_net[::2]]
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
         out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
