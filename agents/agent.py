@@ -90,8 +90,11 @@ class ChoosingExtractor(MlpExtractor):
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n, D]."""
-        ahead, beside = (self.line_net(features[:, columns]) for columns in self.lines)
+        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n, D].
+
+        The scores are learned apart (`agents.choice`), so no gradient goes to them.
+        """
+        ahead, beside = (self.line_net(features[:, columns]).detach() for columns in self.lines)
         return torch.cat([self.policy_net(features), ahead - beside, features[:, [self.choice]]], dim=1)
 
 

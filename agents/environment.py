@@ -16,6 +16,7 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
 from . import common_layout
+from .choice import ChoiceVecEnv
 from .config import PPOConfig
 from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
@@ -48,8 +49,12 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
     wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
+    names = list(parts[0].observation_names)
+    lines = lines_of(names, config.history)
+    if "choice" in names:
+        wheels = ChoiceVecEnv(wheels, names.index("choice"), lines)
     env = VecNormalize(wheels, gamma=config.gamma)
-    env.obs_rms = Moments(env.observation_space.shape, lines_of(parts[0].observation_names, config.history))
+    env.obs_rms = Moments(env.observation_space.shape, lines)
     env.seed(seed)
     return env
 

@@ -25,6 +25,7 @@ from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
+from .choice import Chooser
 from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
@@ -132,9 +133,9 @@ def command(config: Path | None, out: Path) -> None:
         student.teach(model, asked.taught, asked.seed, bar.update, asked.kept)
     with Bar("PPO", asked.improved, "steps") as bar:
         if asked.improved:
-            ppo.keep_choice(model)
+            chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
             watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
-            model.learn(asked.improved, callback=[ppo.Exploration(asked.ppo), watch])
+            model.learn(asked.improved, callback=[ppo.Exploration(asked.ppo), chooser, watch])
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())

@@ -54,12 +54,6 @@ def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path |
     return model
 
 
-def keep_choice(model: PPO) -> None:
-    """Keep the choice of a line as it is learned so far: PPO improves the drive only."""
-    if hasattr(model.policy.mlp_extractor, "line_net"):
-        model.policy.mlp_extractor.line_net.requires_grad_(False)
-
-
 class Exploration(BaseCallback):
     """Exploration noise whose logarithm falls linearly over a training, from `log_std_init` to `log_std_final`."""
 

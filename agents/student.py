@@ -2,11 +2,9 @@
 
 The teacher is `best_slip_true`: it knows the true soil under the wheel and that of the lines ahead (privileged teacher:
 Lee et al. 2020, Science Robotics 5:eabc5986; Kumar et al. 2021, RSS). The student drives by its own observation. It
-learns the action of the teacher in every state that it comes to itself (DAgger: Ross, Gordon & Bagnell 2011, AISTATS):
-the acceleration by least squares, the choice of a line as a classifier whose errors cost what the margins differ. So
-where the soil is not known it learns the mean of the actions, and the line that is more probably the better one.
-
-Its value network learns the returns of the last rounds, so that PPO can go on from here.
+learns the acceleration of the teacher in every state that it comes to itself, by least squares (DAgger: Ross, Gordon &
+Bagnell 2011, AISTATS). So where the soil is not known it learns the mean. The choice of a line it learns from what
+becomes of it (`agents.choice`). Its value network learns the returns of the last rounds, so that PPO can go on from here.
 """
 
 import math
@@ -18,6 +16,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 from torch.nn import functional
 
+from .choice import Chooser
 from .teachers import Teachers
 
 ROUND = 64  # steps of each wheel
@@ -25,9 +24,7 @@ KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
 BATCH, RATE = 2048, 2e-3
 NOISE, MEMORY = 0.2, 0.8  # of the action: its sd, and its correlation from step to step
-FLIPPED = 0.1  # share of the choices turned round, so that dead ends are met
-SLOPE = 1.0  # of the logit of a choice over the mean action
-CHOICE = 0.3  # weight of the choices beside the accelerations
+FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 VALUE_STEPS = 600  # of the value network
 
 
@@ -38,7 +35,7 @@ class Lessons:
         self.seen = np.zeros((steps, wheels, entries), dtype=np.float32)
         self.action = np.zeros((steps, wheels, actions), dtype=np.float32)
         self.weight, self.reward = np.zeros((2, steps, wheels), dtype=np.float32)
-        self.choosing, self.done = np.zeros((2, steps, wheels), dtype=bool)
+        self.done = np.zeros((steps, wheels), dtype=bool)
         self.count = 0
 
     def add(self, **row: np.ndarray) -> None:
@@ -80,16 +77,16 @@ def teach(
     teachers, fresh = Teachers(env.unwrapped), np.ones(wheels, dtype=bool)
     seen, wander = env.reset(), np.zeros((wheels, *env.action_space.shape))
     kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, most // (ROUND * wheels))) * ROUND, wander.shape[1])
-    optimizer = torch.optim.Adam(policy.parameters(), RATE)
+    optimizer, chooser = torch.optim.Adam(policy.parameters(), RATE), Chooser(model, rng)
     for k in range(rounds):
         for _ in range(ROUND):
-            action, choosing, weight = teachers.lesson(fresh)
-            row = {"seen": env.get_original_obs(), "action": action, "choosing": choosing, "weight": weight}
+            action, weight = teachers.lesson(fresh)
+            row = {"seen": env.get_original_obs(), "action": action, "weight": weight}
             if k > 0:
                 action = model.predict(seen, deterministic=True)[0]
             wander = MEMORY * wander + np.sqrt(1.0 - MEMORY**2) * rng.normal(size=wander.shape)
-            turned = np.where(rng.random((wheels, 1)) < FLIPPED, -action, action)
-            action = np.where(choosing[:, None], turned, np.clip(action + NOISE * wander, -1.0, 1.0))
+            turned = np.where(rng.random((wheels, 1)) < max(0.5 * (1.0 - k / rounds), FLIPPED), -action, action)
+            action = np.where(chooser.choosing, turned, np.clip(action + NOISE * wander, -1.0, 1.0))
             seen, _, fresh, _ = env.step(action.astype(np.float32))
             kept.add(**row, reward=env.get_original_reward(), done=fresh)
         last = k == rounds - 1
@@ -98,6 +95,7 @@ def teach(
             share = 0.3 * (1.0 - i / updates) if last else 1.0 - k / rounds
             optimizer.param_groups[0]["lr"] = RATE * max(share, 0.02)
             _descend(optimizer, _lesson_loss(policy, env, kept, kept.drawn(rng)))
+        chooser.learn(1.0 - k / rounds)
         progress((k + 1) * ROUND * wheels)
     returns, ended = kept.returns(model.gamma)
     returns /= np.sqrt(env.ret_rms.var + env.epsilon)
@@ -109,12 +107,10 @@ def teach(
 
 
 def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
-    """Squared errors of the accelerations, and logistic loss of the choices."""
-    action, weight, choosing = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight, kept.choosing))
+    """Squared errors of the accelerations."""
+    action, weight = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight))
     mean = policy.get_distribution(torch.from_numpy(env.normalize_obs(kept.seen[at]))).distribution.mean
-    choice = CHOICE * functional.softplus(-SLOPE * mean * action)
-    loss = torch.where(choosing[:, None], choice, (mean - action).square())
-    return (weight * loss.mean(dim=1)).mean()
+    return (weight * (mean - action).square().mean(dim=1)).mean()
 
 
 def _descend(optimizer: torch.optim.Optimizer, loss: torch.Tensor) -> None:

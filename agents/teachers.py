@@ -11,7 +11,6 @@ from soil_env.vehicle import RoverScenario
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 
-SURE = 0.1  # [of load] difference of margins that counts in full
 #: Of the teacher: start and speed [of the top rim speed], acceleration [m/s2], share of the best slip as its limit.
 #: Found with 36 trials a scenario on 700 development courses each; where they were alike they are one.
 SETTINGS = {"start": 0.08, "acceleration": 0.25, "speed": 0.54, "share": 1.05}
@@ -60,15 +59,9 @@ class Teacher(BestSlipTrue):
         return self.share * super().target_slip(observation, state)
 
     def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, 1] of the teacher, mask [n] of choices, weight [n] of each row, state) for true observations."""
+        """(actions [n, 1] of the teacher, weight [n] of each row, state) for true observations."""
         action, state = self.predict(batch, state, fresh)
-        weight = 1.0 - batch[:, self.column["halted"]]
-        choosing = np.zeros(len(batch), dtype=bool)
-        if "choice" in self.column:
-            choosing = batch[:, self.column["choice"]] > 0.5
-            apart = np.abs(batch[:, self.column["ahead_margin"]] - batch[:, self.column["beside_margin"]])
-            weight = np.where(choosing, np.minimum(apart / SURE, 1.0), weight)
-        return np.where(choosing[:, None], np.sign(action), action), choosing, weight, state
+        return action, 1.0 - batch[:, self.column["halted"]], state
 
 
 class _OfWheels(Teacher):
@@ -92,9 +85,9 @@ class RoverTeacher(RoverController):
         self.own.shares = manner.shares
 
     def lesson(self, batch: np.ndarray, state, fresh):
-        """(actions [n, axles], no choices [n], weight [n] of each row, state) for true observations."""
+        """(actions [n, axles], weight [n] of each row, state) for true observations."""
         action, state = self.predict(batch, state, fresh)
-        return action, np.zeros(len(batch), dtype=bool), 1.0 - batch[:, self.column["halted"]], state
+        return action, 1.0 - batch[:, self.column["halted"]], state
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
@@ -118,7 +111,7 @@ class Teachers:
         self.starts = np.cumsum([part.num_envs for part, _ in self.parts])[:-1]
 
     def lesson(self, fresh: np.ndarray) -> tuple[np.ndarray, ...]:
-        """(actions, mask of choices, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins."""
+        """(actions, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins."""
         out = []
         for k, ((part, teacher), new) in enumerate(zip(self.parts, np.split(fresh, self.starts), strict=True)):
             *lesson, self.states[k] = teacher.lesson(part.true_soil(), self.states[k], new)

@@ -17,6 +17,7 @@ from soil_env.vehicle import RoverScenario, load_rover
 
 from . import ppo, student
 from .agent import Agent, load_agent
+from .choice import Chooser
 from .config import TrainConfig, load_config
 from .environment import hidden_worlds
 from .progress import Bar, show
@@ -133,9 +134,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
-            if config.student > 0.0:
-                ppo.keep_choice(model)
-            calls = [ppo.Exploration(config.ppo), _Watch(folder, config.checkpoint_every, bar)]
+            chooser = Chooser(model, np.random.default_rng([config.seed, model.num_timesteps, 13]))
+            calls = [ppo.Exploration(config.ppo), chooser, _Watch(folder, config.checkpoint_every, bar)]
             try:
                 model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:

@@ -138,8 +138,8 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
         top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
         assert own.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
         assert own.settings["acceleration"] == part.teacher["acceleration"] and own.share == part.teacher["share"]
-    action, choosing, weight = teachers.lesson(np.ones(12, dtype=bool))
-    assert action.shape == (12, 1) and choosing.shape == weight.shape == (12,)
+    action, weight = teachers.lesson(np.ones(12, dtype=bool))
+    assert action.shape == (12, 1) and weight.shape == (12,)
 
 
 def test_the_teacher_of_a_softening_world_starts_gently():

@@ -1,0 +1,103 @@
+"""Choice of a line ahead, learned from what became of the lines that were taken.
+
+The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end of the course. It is
+a logistic regression by the network `ChoosingExtractor.line_net` on the entries of the line. Neither a rule nor PPO
+tells it which line is better. The reserve of pull, by which the rules choose, leaves out that a wheel may dig in on a
+line that it could climb (docs/results.md).
+"""
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from torch.nn import functional
+
+KEPT = 400_000  # newest choices that are learned from
+BATCH, RATE = 2048, 2e-3
+PASSES = 20  # over the choices that are new, drawn from all that are kept
+
+
+class ChoiceVecEnv(VecEnvWrapper):
+    """A vector environment that keeps the lines taken, and whether the wheel came over them."""
+
+    def __init__(self, venv: VecEnv, choice: int, lines: list[list[int]]):
+        super().__init__(venv)
+        self.choice, self.lines = choice, lines
+        self.taken = np.zeros((KEPT, len(lines[0])), dtype=np.float32)
+        self.passed = np.zeros(KEPT, dtype=np.float32)
+        self.count = 0  # of the choices whose end is known
+        self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
+        self.on = np.zeros((self.num_envs, len(lines[0])), dtype=np.float32)  # the line that each wheel took last
+        self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
+
+    @property
+    def choosing(self) -> np.ndarray:
+        """Mask [wheels] of those whose next action chooses a line."""
+        return self.seen[:, self.choice] > 0.5
+
+    def reset(self) -> np.ndarray:
+        self.seen = self.venv.reset()
+        self.under_way[:] = self.chose[:] = False
+        return self.seen
+
+    def step_async(self, actions: np.ndarray) -> None:
+        choosing = self.choosing
+        self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
+        ahead, beside = (self.seen[:, columns] for columns in self.lines)
+        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]  # in a halt the last action decides
+        self.under_way |= choosing
+        self.chose = choosing
+        self.venv.step_async(actions)
+
+    def step_wait(self):
+        self.seen, rewards, dones, infos = self.venv.step_wait()
+        ended = np.flatnonzero(dones & self.under_way)
+        self._keep(ended, [float(infos[k]["cause"] == "FINISHED") for k in ended])
+        self.under_way[dones] = self.chose[dones] = False
+        return self.seen, rewards, dones, infos
+
+    def _keep(self, wheels: np.ndarray, passed) -> None:
+        rows = np.arange(self.count, self.count + wheels.size) % KEPT
+        self.taken[rows], self.passed[rows] = self.on[wheels], passed
+        self.count += wheels.size
+
+
+class Chooser(BaseCallback):
+    """The regression, continued after each rollout of PPO; as a student learns, `learn` is called."""
+
+    def __init__(self, model: PPO, rng: np.random.Generator):
+        super().__init__()
+        self.normalised, self.rng, self.learned = model.get_vec_normalize_env(), rng, 0
+        self.env = self.normalised.venv if isinstance(self.normalised.venv, ChoiceVecEnv) else None
+        if self.env is not None:
+            self.net = model.policy.mlp_extractor.line_net
+            self.optimizer = torch.optim.Adam(self.net.parameters(), RATE)
+
+    @property
+    def choosing(self) -> np.ndarray:
+        """Mask [wheels, 1] of those whose next action chooses a line."""
+        return np.zeros((self.normalised.num_envs, 1), bool) if self.env is None else self.env.choosing[:, None]
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self.learn(self.model._current_progress_remaining)
+
+    def learn(self, left: float, passes: float = PASSES) -> None:
+        """Go on for `passes` over the choices since the last call; `left`: share of the training that is left."""
+        if self.env is None or min(self.env.count, KEPT) < BATCH:
+            return
+        env, moments = self.env, self.normalised.obs_rms
+        mean, sd = moments.mean[env.lines[0]], np.sqrt(moments.var[env.lines[0]] + self.normalised.epsilon)
+        self.optimizer.param_groups[0]["lr"] = RATE * max(left, 0.02)
+        for _ in range(int(passes * (env.count - self.learned) / BATCH)):
+            at = self.rng.integers(min(env.count, KEPT), size=BATCH)
+            lines = np.clip((env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs)
+            score = self.net(torch.from_numpy(lines.astype(np.float32)))[:, 0]
+            loss = functional.binary_cross_entropy_with_logits(score, torch.from_numpy(env.passed[at]))
+            self.optimizer.zero_grad()
+            loss.backward()
+            self.optimizer.step()
+        self.learned = env.count

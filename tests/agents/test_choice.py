@@ -1,0 +1,81 @@
+"""Choice of a line: what is kept of the lines taken, and that the better line is learned."""
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from agents import choice, ppo
+from agents.config import PPOConfig
+from agents.sb3 import NativeVecEnv
+from soil_env.parameters import load_scenario
+
+CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
+
+
+class _Forks(NativeVecEnv):
+    """Two wheels that choose in every third step: entry 0 is `choice`, 1 and 2 are of the lines ahead and beside."""
+
+    def __init__(self):
+        box = spaces.Box(-10.0, 10.0, (3,), np.float32)
+        super().__init__(2, box, spaces.Box(-1.0, 1.0, (1,), np.float32))
+        self.step_count = 0
+
+    def seen(self):
+        choosing, k = float(self.step_count % 3 == 0), self.step_count
+        return np.array([[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]], dtype=np.float32)
+
+    def reset(self):
+        return self.seen()
+
+    def step_async(self, actions):
+        self.step_count += 1
+
+    def step_wait(self):
+        ends = {4: (0, "FINISHED"), 8: (1, "BOGGED")}.get(self.step_count)
+        dones, infos = np.zeros(2, dtype=bool), [{}, {}]
+        if ends:
+            dones[ends[0]], infos[ends[0]] = True, {"cause": ends[1]}
+        return self.seen(), np.zeros(2), dones, infos
+
+
+def test_lines_taken_are_kept_with_what_became_of_them():
+    """A line is passed at the next choice or the end of the course, and not where the wheel is immobilised before."""
+    env = choice.ChoiceVecEnv(_Forks(), 0, [[1], [2]])
+    env.reset()
+    for action in ([0.5, -0.5], [0.3, 0.3], [-0.3, 0.3], [-0.1, 0.1], [0.0, 0.0], [0.0, 0.0], [0.2, -0.2], [0, 0]):
+        env.step(np.array(action, dtype=np.float32)[:, None])
+    taken, passed = env.taken[: env.count, 0], env.passed[: env.count]
+    # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of wheel 0 is open.
+    kept = [(0.1, 1.0), (0.4, 1.0), (3.2, 1.0), (3.3, 1.0), (6.4, 0.0)]
+    assert [(pytest.approx(float(x)), y) for x, y in zip(taken, passed, strict=True)] == kept
+
+
+def test_the_line_that_is_passed_more_often_gets_the_higher_score():
+    model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
+    chooser, rng = choice.Chooser(model, np.random.default_rng(0)), np.random.default_rng(1)
+    env = chooser.env
+    env.reset()
+    size = len(env.lines[0])
+    rows = rng.normal(size=(4000, size)).astype(np.float32)
+    env.taken[:4000], env.count = rows, 4000
+    env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
+    before = {name: x.clone() for name, x in model.policy.state_dict().items()}
+    chooser.learn(1.0, passes=60)
+    moved = {name for name, x in model.policy.state_dict().items() if not x.equal(before[name])}
+    assert moved and all("line_net" in name for name in moved)
+    seen = rng.normal(size=(500, env.observation_space.shape[0])).astype(np.float32)
+    seen[:, env.choice] = 1.0
+    action = model.predict(seen)[0][:, 0]
+    ahead, beside = (seen[:, columns[2]] for columns in env.lines)
+    apart = np.abs(ahead - beside) > 0.5
+    assert np.mean((action > 0.0)[apart] == (ahead > beside)[apart]) > 0.9
+    kept = {name: x.clone() for name, x in model.policy.state_dict().items() if "line_net" in name}
+    model.learn(512)  # of PPO alone: it leaves the choice as it is
+    assert all(x.equal(kept[name]) for name, x in model.policy.state_dict().items() if name in kept)
+
+
+def test_where_nothing_is_chosen_nothing_is_learned():
+    model = ppo.build(load_scenario("mixed"), "identified", CONFIG, 0)
+    chooser = choice.Chooser(model, np.random.default_rng(0))
+    chooser.learn(1.0)
+    assert chooser.env is None and chooser.choosing.shape == (16, 1) and not chooser.choosing.any()
