@@ -197,9 +197,10 @@ def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = 
     expected, found = [e.name for e in entries_of(scenario, info.observation)], list(info.observation_names)
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
+        more = len(differing) - 4
         raise ParameterError(
             f"{where}: trained on another observation layout: {len(found)} numbers, here {info.observation!r} has "
-            f"{len(expected)}; differing: {', '.join(differing)}"
+            f"{len(expected)}; differing: {', '.join(differing[:4])}{f' and {more} more' if more > 0 else ''}"
         )
 
 

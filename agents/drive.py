@@ -28,25 +28,18 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 
 
 @click.command("drive")
-@click.option(
-    "--controller",
-    "--policy",
-    "controller",
-    default="best_slip_identified",
-    metavar="NAME",
-    show_default=True,
-    help="Or default, run folder, .onnx, m:Class; or several.",
-)
+@click.option("--controller", metavar="NAME", help="Or a policy; or several (default best_slip_identified).")
+@click.option("--policy", metavar="NAME", help="default, a run folder, .onnx or m:Class; or several.")
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @click.option("--rover", metavar="NAME", help="A rover or its YAML, in place of a scenario.")
 @seed_option("the course")
 @click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
 @click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")
 @click.option("--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy).")
-@controllers_as("--controller")
 def command(
-    controller: str, scenario: str, rover: str | None, seed: int, frame: int | None, every: int, out: Path | None
-) -> None:
+    controller: str | None, policy: str | None, scenario: str, rover: str | None,
+    seed: int, frame: int | None, every: int, out: Path | None,
+) -> None:  # fmt: skip
     """Drive one course and save a picture or a video.
 
     \b
@@ -67,8 +60,11 @@ def command(
     if rover is not None and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT:
         raise ParameterError(f"--scenario {scenario}: expected none beside --rover, whose file has its own")
     task = load_scenario(scenario) if rover is None else load_rover(rover)
-    contestants = parse(controller, known=controllers_of(task)[0]).values()
-    drivers = {c.name: load(c, task) for c in contestants}
+    if policy is not None and controller is not None:
+        raise ParameterError(f"--policy {policy}: expected none beside --controller {controller}; several are one list")
+    with controllers_as("--controller" if policy is None else "--policy"):
+        named = controller or policy or "best_slip_identified"
+        drivers = {c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()}
     make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
     if rover is not None:
         make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full")
@@ -122,7 +118,7 @@ def _drive(
             action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
             if not np.isfinite(action).all():
                 given = f"{action[0].tolist()} in control period {steps}"
-                raise ParameterError(f"controllers: {name}: predict gave {given}: expected finite numbers")
+                raise ParameterError(f"{name}: predict gave {given}: expected finite numbers")
         observation, _, terminated, truncated, info = env.step(action[0])
         over, steps = terminated or truncated, steps + 1
         if every and (steps % every == 0 or over):

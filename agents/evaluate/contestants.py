@@ -139,6 +139,9 @@ def model_bytes(path: str) -> bytes:
     try:
         return Path(path).read_bytes()
     except OSError as error:
+        if (Path(path).parent / "config.yaml").is_file():
+            unfinished = f"its training is not done: soil-env train --resume {Path(path).parent}"
+            raise ParameterError(f"controllers: {path}: missing; {unfinished}") from None
         expected = "expected a model, .zip, or a run folder"
         raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); {expected}") from None
 

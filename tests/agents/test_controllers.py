@@ -284,6 +284,8 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     assert main(["drive", *rover, "--frame", "30", "--out", str(out)]) == 0
     assert re.search(r"equal_speed: RUNNING at 0\.\d+ m.*\ntorque_by_load: RUNNING", capsys.readouterr().out)
     assert np.std(matplotlib.image.imread(out)[..., :3]) > 0.02  # something is drawn
+    assert main(["drive", "--policy", "default", "--controller", "soft_start"]) == 2
+    assert "--policy default: expected none beside --controller soft_start" in capsys.readouterr().err
     assert main(["drive", *rover, "--scenario", "mixed"]) == 2 and "beside --rover" in capsys.readouterr().err
     assert main(["drive", "--rover", "mars_rover", "--controller", "default"]) == 2
     assert "--controller: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
@@ -310,5 +312,5 @@ def test_a_drive_with_an_action_that_is_not_finite_is_refused(tmp_path, capsys, 
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert main(["drive", "--controller", "lost:Lost"]) == 2
-    said = "--controller: lost:Lost: predict gave [nan] in control period 0: expected finite numbers\n"
+    said = "lost:Lost: predict gave [nan] in control period 0: expected finite numbers\n"
     assert capsys.readouterr().err.endswith(said)
