@@ -20,6 +20,7 @@ from .choice import ChoiceVecEnv
 from .config import PPOConfig
 from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
+from .teachers import Teachers
 
 #: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
 World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
@@ -45,8 +46,8 @@ def normalised(
 
 
 def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) -> VecNormalize:
-    """The `parts`, of one observation layout, with history and running normalisation."""
-    wheels = parts[0] if len(parts) == 1 else SeveralWorlds(parts)
+    """The `parts`, of one observation layout, with penalty, history and running normalisation."""
+    wheels = TeacherPenalty(parts[0] if len(parts) == 1 else SeveralWorlds(parts))
     if config.history:
         wheels = HistoryVecEnv(wheels, History(parts[0].observation_names, config.history))
     names = list(parts[0].observation_names)
@@ -112,6 +113,34 @@ class SeveralWorlds(NativeVecEnv):
         observation, rewards, dones, infos = zip(*(p.step_wait() for p in self.parts), strict=True)
         together = [info for some in infos for info in some]
         return np.concatenate(observation), np.concatenate(rewards), np.concatenate(dones), together
+
+
+class TeacherPenalty(VecEnvWrapper):
+    """Rewards less a penalty for leaving the teacher: a weight times the squared difference of the actions."""
+
+    def __init__(self, venv: VecEnv):
+        super().__init__(venv)
+        self.penalty_weight, self.penalty = 0.0, 0.0
+
+    def penalise(self, weight: float) -> None:
+        """Set the weight, of the actions to come."""
+        self.penalty_weight, self.penalty = weight, 0.0
+
+    def reset(self) -> np.ndarray:
+        self.teachers, self.fresh = Teachers(self.unwrapped), np.ones(self.num_envs, dtype=bool)
+        return self.venv.reset()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        if self.penalty_weight > 0.0:
+            taught, counted = self.teachers.lesson(self.fresh)
+            self.penalty = self.penalty_weight * counted * np.square(actions - taught).mean(axis=1)
+            self.fresh[:] = False
+        self.venv.step_async(actions)
+
+    def step_wait(self):
+        observation, rewards, dones, infos = self.venv.step_wait()
+        self.fresh |= dones
+        return observation, (rewards - self.penalty).astype(np.float32), dones, infos
 
 
 class HistoryVecEnv(VecEnvWrapper):

@@ -54,20 +54,26 @@ def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path |
     return model
 
 
-class Exploration(BaseCallback):
-    """Exploration noise whose logarithm falls linearly over a training, from `log_std_init` to `log_std_final`."""
+class Schedules(BaseCallback):
+    """What falls linearly over a training: the exploration noise and the penalty for leaving the teacher.
 
-    def __init__(self, config: PPOConfig):
+    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the penalty from `penalty` to
+    0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.
+    """
+
+    def __init__(self, config: PPOConfig, penalty: float = 0.0):
         super().__init__()
-        self.first, self.last = config.log_std_init, config.log_std_final
+        self.config, self.penalty = config, penalty
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        if self.last is not None:
-            done = self.model.num_timesteps / self.model._total_timesteps
-            self.model.policy.log_std.requires_grad_(False).fill_(self.first + done * (self.last - self.first))
+        done, config = self.model.num_timesteps / self.model._total_timesteps, self.config
+        if config.log_std_final is not None:
+            log_std = config.log_std_init + done * (config.log_std_final - config.log_std_init)
+            self.model.policy.log_std.requires_grad_(False).fill_(log_std)
+        self.model.get_vec_normalize_env().penalise(self.penalty * max(0.0, 1.0 - 2.0 * done))
 
 
 def save(model: PPO, path: Path) -> None:

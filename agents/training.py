@@ -135,7 +135,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
         left = config.timesteps - model.num_timesteps
         if left > 0:
             chooser = Chooser(model, np.random.default_rng([config.seed, model.num_timesteps, 13]))
-            calls = [ppo.Exploration(config.ppo), chooser, _Watch(folder, config.checkpoint_every, bar)]
+            schedules = ppo.Schedules(config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0)
+            calls = [schedules, chooser, _Watch(folder, config.checkpoint_every, bar)]
             try:
                 model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")
             except KeyboardInterrupt:

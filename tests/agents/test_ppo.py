@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import ConvertCallback
 from agents.agent import INFO, load_agent, read_info
 from agents.config import PPOConfig
 from agents.evaluate.models import load_model
-from agents.ppo import Exploration, build, resume, save
+from agents.ppo import Schedules, build, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import load_scenario
@@ -86,7 +86,7 @@ def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, 
     model = build(scenario, "identified", config, 0)
     model.num_timesteps = ROLLOUT  # as after a student
     watch = ConvertCallback(lambda *_: seen.append(model.policy.log_std.item()) or True)
-    model.learn(3 * ROLLOUT, callback=[Exploration(config), watch], reset_num_timesteps=False)
+    model.learn(3 * ROLLOUT, callback=[Schedules(config), watch], reset_num_timesteps=False)
     assert seen[:: TINY.n_steps] == pytest.approx([-1.0 - falls * k / 4 for k in (1, 2, 3)], abs=0.0 if falls else 0.1)
     assert len(set(seen)) == 3 and model.policy.log_std.requires_grad == (final is None)
 

@@ -1,7 +1,9 @@
 """Student of the true-soil rule: what it is taught, what its value network learns, and that it drives."""
 
 import numpy as np
+import pytest
 import torch
+from stable_baselines3.common.callbacks import ConvertCallback
 
 from agents import ppo, student
 from agents.config import PPOConfig
@@ -86,3 +88,30 @@ def test_the_same_seed_gives_the_same_student():
         student.teach(model, 2 * student.ROUND * 16, 0)
     own, other = (model.policy.state_dict() for model in models)
     assert all(torch.equal(x, other[name]) for name, x in own.items())
+
+
+def test_leaving_the_teacher_costs_the_square_of_the_difference_of_action():
+    """Rewards of the same drive, with the penalty and without; courses end on the way, some in hidden worlds."""
+    scenario, rng = load_scenario("two_lines", {"course": {"length": 1.0}}), np.random.default_rng(0)
+    envs = [normalised(scenario, "identified", CONFIG, 3, hidden_worlds(scenario, 2, 0)) for _ in range(2)]
+    teachers, fresh, ends = Teachers(envs[0].unwrapped), np.ones(16, bool), 0
+    for env, weight in zip(envs, (0.0, 0.5), strict=True):
+        env.reset()
+        env.penalise(weight)
+    for _ in range(150):
+        actions = rng.uniform(-0.2, 0.8, (16, 1)).astype(np.float32)
+        taught, counted = teachers.lesson(fresh)
+        (_, _, fresh, _), (_, _, again, _) = (env.step(actions) for env in envs)
+        paid = envs[0].get_original_reward() - envs[1].get_original_reward()
+        np.testing.assert_allclose(paid, 0.5 * counted * (actions - taught)[:, 0] ** 2, atol=1e-5)
+        assert (fresh == again).all()
+        ends += fresh.sum()
+    assert ends > 3
+
+
+def test_the_penalty_fades_until_half_of_the_training():
+    model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
+    env, weights = model.get_vec_normalize_env(), []
+    watch = ConvertCallback(lambda *_: weights.append(env.penalty_weight) or True)
+    model.learn(8 * 256, callback=[ppo.Schedules(CONFIG, 0.4), watch])
+    assert weights[::16] == pytest.approx([0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0, 0.0])
