@@ -14,9 +14,6 @@ from soil_env.vehicle import RoverScenario
 #: Name of the agent of each observation variant in tables and files.
 NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": "agent_true"}
 
-#: Penalty for leaving the teacher: of the squared difference of the actions, in the reward of a step, as PPO begins.
-TEACHER_PENALTY = 0.02
-
 
 def _text(default: str, doc: str):
     """A dataclass field of text."""
@@ -99,7 +96,7 @@ class TrainConfig(OfWorld):
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
     timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
     student: float = quantity("", 0.0, 1.0, default=0.225, doc="share of them as a student of best_slip_true, then PPO")
-    teacher_penalty: float = quantity("", 0.0, 100.0, default=TEACHER_PENALTY, doc="for leaving the teacher, at first")
+    teacher_penalty: float = quantity("", 0.0, 100.0, default=0.02, doc="for leaving the teacher, at first")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
     courses: int = quantity("", 1, 100_000, default=1000, doc="held-out courses of the comparison")
     tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")

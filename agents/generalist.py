@@ -26,7 +26,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
 from .choice import Chooser
-from .config import TEACHER_PENALTY, PPOConfig
+from .config import PPOConfig
 from .environment import HIDDEN, CommonVecEnv, hidden_worlds, side_by_side
 from .evaluate.driving import run_courses
 from .progress import Bar, show
@@ -58,7 +58,7 @@ class Generalist(Checked):
     taught: int = quantity("steps as a student", 1, 10**12, default=3_000_000)
     kept: int = quantity("newest steps that the student learns from", 1, 10**9, default=2_000_000)
     improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
-    teacher_penalty: float = quantity("", 0.0, 100.0, default=TEACHER_PENALTY)
+    teacher_penalty: float = quantity("", 0.0, 100.0, default=0.0, doc="as of a TrainConfig; no gain here")
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
     effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
