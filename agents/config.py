@@ -94,7 +94,7 @@ class TrainConfig(OfWorld):
     name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
-    timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps of the training")
+    timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps, in whole rollouts")
     student: float = quantity("", 0.0, 1.0, default=0.225, doc="share of them as a student of best_slip_true, then PPO")
     teacher_penalty: float = quantity("", 0.0, 100.0, default=0.02, doc="for leaving the teacher, at first")
     checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")

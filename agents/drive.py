@@ -29,7 +29,7 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 
 @click.command("drive")
 @click.option("--controller", metavar="NAME", help="Or a policy; or several (default best_slip_identified).")
-@click.option("--policy", metavar="NAME", help="default, a run folder, .onnx or m:Class; or several.")
+@click.option("--policy", metavar="NAME", help="default, a run folder, .npz, .onnx or m:Class; or several.")
 @click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
 @click.option("--rover", metavar="NAME", help="A rover or its YAML, in place of a scenario.")
 @seed_option("the course")

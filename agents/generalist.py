@@ -58,7 +58,6 @@ class Generalist(Checked):
     taught: int = quantity("steps as a student", 1, 10**12, default=3_000_000)
     kept: int = quantity("newest steps that the student learns from", 1, 10**9, default=2_000_000)
     improved: int = quantity("steps of PPO after that", 0, 10**12, default=0)
-    teacher_penalty: float = quantity("", 0.0, 100.0, default=0.0, doc="as of a TrainConfig; no gain here")
     hidden: int = quantity("worlds with a hidden effect on each ground", 0, 1000, default=6)
     effects: tuple[str, ...] = HIDDEN  # of these worlds, in turn
     ppo: PPOConfig = PPOConfig()  # but for its num_envs
@@ -136,7 +135,7 @@ def command(config: Path | None, out: Path) -> None:
         if asked.improved:
             chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
             watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
-            model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo, asked.teacher_penalty), chooser, watch])
+            model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
     stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())

@@ -57,7 +57,10 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
             mapping, where = config_mapping(config), f"{config}, command line"
             load_config(mapping, str(config))  # errors of the file alone name the file alone
         settings = load_config(merge(mapping, changes), where)
-        scenario = training.scenario_of(settings)
+        try:
+            scenario = training.scenario_of(settings)
+        except ParameterError as error:
+            raise ParameterError(f"{where}: {error}" if config else str(error)) from None
         folder = training.make_run_folder(settings, scenario)
     with continued_by(f"soil-env train --resume {folder}"):
         show(f"Run folder: {folder}")

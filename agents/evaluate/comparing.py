@@ -41,7 +41,10 @@ def comparison(
     samples = {n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names} for n in runs}
 
     def difference(a: str, b: str, m: str) -> dict:
-        return st.bounds(st.mean(scores[a][m]) - st.mean(scores[b][m]), samples[a][m] - samples[b][m])
+        x, y, drawn_ones = scores[a][m], scores[b][m], samples[a][m] - samples[b][m]
+        if m in RATES:
+            return st.difference_bounds(x, y, drawn_ones)
+        return st.bounds(st.mean(x) - st.mean(y), drawn_ones)
 
     def iqm(name: str) -> dict:
         own = scores[name]["return"]

@@ -41,6 +41,7 @@ class Contestant:
 
 
 _NAME = re.compile(r"[\w.+-]+")
+MODELS = (".zip", ".onnx", ".npz")  # of Stable-Baselines3, exported, of a default policy
 #: Policy that comes with the package: its names in a list, and its class.
 SHIPPED, SHIPPED_CLASS = ("default_policy", "default"), f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -87,7 +88,7 @@ def parse(
     classical = {c.name for c in out.values() if c.kind == "classical"}
     for name in settings:
         if name not in classical:
-            raise unknown_key(name, classical, "settings")
+            raise unknown_key(name, classical, "--settings")
     return out
 
 
@@ -105,7 +106,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
             raise ParameterError(f"controllers: {spec}: no model matches; expected .zip files or run folders")
         return "model", [str(_file_of(Path(p))) for p in found]
     path = Path(spec)
-    if path.suffix in (".zip", ".onnx") or path.is_dir() or ("/" in spec and not path.is_file()):
+    if path.suffix in MODELS or path.is_dir() or ("/" in spec and not path.is_file()):
         return "model", [str(_file_of(path))]
     if path.is_file():
         expected = "a run folder, a model.zip, a policy.onnx, module:Class, or the name of a controller"
@@ -115,7 +116,7 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
 
 
 def _is_model(path: Path) -> bool:
-    return path.suffix in (".zip", ".onnx") or _file_of(path).is_file()
+    return path.suffix in MODELS or _file_of(path).is_file()
 
 
 def _file_of(path: Path) -> Path:

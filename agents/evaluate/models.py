@@ -19,6 +19,7 @@ from soil_env.simulation.task.scaling import Scaling
 
 from .. import PACKAGE_NAMES
 from ..common_layout import CommonScaling
+from ..default_policy import DefaultPolicy
 from ..exported import ExportedAgent
 
 try:
@@ -46,13 +47,15 @@ _ALGORITHMS = (
 def load_model(path: Path, scenario: Scenario):
     """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
 
-    A policy.onnx of `agents.export` is run by onnxruntime. A zip of train.py (soil_env.json inside) has its
-    normalisation and is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its observation
-    space gives the variant. It may have been trained with `LineAction`, but not with VecNormalize.
+    A policy.onnx of `agents.export` is run by onnxruntime; an .npz is a default policy. A zip of train.py
+    (soil_env.json inside) is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its
+    observation space gives the variant. It may have been trained with `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
     if path.suffix == ".onnx":
         return _exported(path, scenario)
+    if path.suffix == ".npz":
+        return DefaultPolicy(scenario, path)
     if saved is None:
         raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
     torch.set_num_threads(1)  # so that results do not depend on the number of cores
@@ -91,11 +94,8 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
         constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
         if not np.allclose(constants, asked_for):
-            print(
-                f"warning: {path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
-                f"soil-env export default --scenario {scenario.name}",
-                file=sys.stderr,
-            )
+            _warn(f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
+                  f"soil-env export default --scenario {scenario.name}")  # fmt: skip
     return agent
 
 
@@ -116,7 +116,7 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         raise ParameterError(f"{path}: a {algorithm} model needs {package.replace('_', '-')}") from None
     if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
         raise ParameterError(f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead")
-    _warn(str(path))
+    _warn(f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load only what you trust")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -134,11 +134,10 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
 
 
 @cache
-def _warn(path: str) -> None:
-    """Warn once for each file, on stderr and not in worker processes, that loading it runs what is pickled in it."""
+def _warn(line: str) -> None:
+    """Warn once, on stderr and not in worker processes."""
     if multiprocessing.parent_process() is None:
-        said = "not written by train.py, so parts of it are unpickled, which runs its code: load only what you trust"
-        print(f"warning: {path}: {said}", file=sys.stderr)
+        print(f"warning: {line}", file=sys.stderr)
 
 
 def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:

@@ -43,8 +43,7 @@ def settings(result: Mapping) -> list[str]:
     for chosen, title in _CHOSEN.items():
         own = [f"{name} {_values(result['settings'][name])}" for name, how in result["chosen"].items() if how == chosen]
         if own:
-            hint = ". Tuned they do better: --tuning-courses 200" if chosen == "untuned" else ""
-            lines.append(f"{title.format(courses=result['tuning_courses'])}: {'; '.join(own)}{hint}")
+            lines.append(f"{title.format(courses=result['tuning_courses'])}: {'; '.join(own)}")
     return lines
 
 

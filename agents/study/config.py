@@ -20,6 +20,8 @@ from ..cli import config_mapping
 from ..config import OfTask, OfWorld, TrainConfig
 from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of
+from ..evaluate import loading
+from ..evaluate.contestants import SHIPPED, SHIPPED_CLASS, Contestant
 from ..evaluate.driving import HELD_OUT_SET
 
 #: Keys of the training's config that the study sets.
@@ -52,6 +54,11 @@ class Arm(Checked):
     settings: dict = field(default_factory=dict)  # of a classical controller; empty: tuned
     world: str = ""  # that it is made in; empty: that of its scenario
 
+    def __post_init__(self):
+        super().__post_init__()
+        if self.controller in SHIPPED:
+            object.__setattr__(self, "controller", SHIPPED_CLASS)
+
 
 @dataclass(frozen=True)
 class Study(Checked):
@@ -76,14 +83,14 @@ class Study(Checked):
                 raise ParameterError(f"{name!r}: expected the name of a scenario or an arm without - and /")
         for name, target in self.targets.items():
             if target.trained_on and target.trained_on not in sources:
-                raise unknown_key(target.trained_on, sources, f"targets.{name}: trained_on")
+                raise unknown_value(target.trained_on, sources, f"targets.{name}: trained_on")
         if not sources or not self.arms:
             raise ParameterError("expected at least one scenario to train on and one arm")
         if self.baseline and self.baseline not in self.arms:
-            raise unknown_key(self.baseline, self.arms, "baseline")
+            raise unknown_value(self.baseline, self.arms, "baseline")
         for name, arm in self.arms.items():
             if arm.world and arm.world not in self.worlds:
-                raise unknown_key(arm.world, self.worlds, f"arms.{name}: world")
+                raise unknown_value(arm.world, self.worlds, f"arms.{name}: world")
             for source in sources:
                 self._check(name, arm, self.targets[source].scenario)
 
@@ -98,8 +105,10 @@ class Study(Checked):
         if arm.train:
             raise ParameterError(f"arms.{name}: expected controller or train, not both")
         known, _ = controllers_of(scenario)
-        if arm.controller not in known and ":" not in arm.controller:
-            raise unknown_value(arm.controller, known, f"arms.{name}: controller")
+        if ":" in arm.controller:
+            loading.load(Contestant(name, 0, "class", arm.controller), scenario)
+        elif arm.controller not in known:
+            raise unknown_value(arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller")
         if arm.controller in CONTROLLERS and known is CONTROLLERS:
             checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
 

@@ -57,8 +57,8 @@ def table(content: dict, bounds: bool = True) -> Table:
         header = ("scenario", "arm", "seeds", "immobilised [%]", "finished [%]", "return (IQM)",
                   f"finished - {base} [points]", "P(return higher)")  # fmt: skip
         return Table(header, rows, caption)
-    header = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "return", "difference")
-    return Table(header, [row[:-1] for row in rows], f"{caption}; difference: finished - {base} [points]")
+    header = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "IQM", "difference")
+    return Table(header, [row[:-1] for row in rows], f"{caption}; IQM of the return; difference: finished - {base}")
 
 
 def write(content: dict, folder: Path) -> list[str]:

@@ -5,7 +5,6 @@
     python -m benchmarks.discovery run --group instrument-rich-10 --entrant workflow --out DIR
     python -m benchmarks.discovery run --set ten --held-out ...                               the final run
     python -m benchmarks.discovery score --out DIR --publish docs/results                     all answers in DIR
-    python -m benchmarks.discovery list                                                       sets, groups, forms
 
 An entrant is `workflow` or module:function, from the paths of data.csv and setup.yaml to a
 benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Develop with seeds from
@@ -37,8 +36,6 @@ import soil_env
 from benchmarks.discovery import score
 from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
-from benchmarks.discovery.forms import FORMS
-from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
 from soil_env.cli.running import PATH, WholeNumber, leave, run
@@ -182,16 +179,6 @@ def run_command(who, label, publish, of, seed, jobs, out, limit, groups, held_ou
 
 
 command.command("score", help="Score the answers in a folder.")(_of_cases(publish_scores))
-
-
-@command.command("list")
-def list_command() -> None:
-    """List sets, groups and forms."""
-    for name, groups in SETS.items():
-        print(f"set {name}: {sum(g.count for g in groups)} cases")
-        print("\n".join(f"  {g.name:28s} {g.count:4d}" for g in groups))
-    for form in (*FORMS, *UNLISTED, *INSTRUMENT):
-        print(f"{form.effect:20s} {form.name:24s} {form.source.splitlines()[0]}")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -100,7 +100,8 @@ def unknown_key(key, known, where: str) -> ParameterError:
 
 def unknown_value(value, known, where: str = "") -> ParameterError:
     """Error for a value that is none of the known ones, with the nearest of them."""
-    return ParameterError(f"{where}: unknown value {value!r}{nearest(value, known)} (expected one of {_sorted(known)})")
+    expected = f"one of {_sorted(known)}" if known else "none"
+    return ParameterError(f"{where}: unknown value {value!r}{nearest(value, known)} (expected {expected})")
 
 
 class UnknownKeyword(ParameterError, TypeError):

@@ -153,7 +153,7 @@ def _alone(lock: Path | None):
                 try:
                     held.enter_context(FileLock(lock, timeout=0))
                 except Timeout:
-                    _tell("another process compiles into the same cache; waiting for it")
+                    _tell("a second process compiles at the same time; waiting for it")
                     held.enter_context(FileLock(lock))
         yield
 

@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 
 from soil_env._numba.cache import place
+from soil_env.env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.effects import excavation_rate, sliding_speed
@@ -41,9 +42,10 @@ def warm_up() -> None:
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
     for world in (None, model):
         _drive("SoilWheel-v0", 0.4, model=world)
-        envs = gymnasium.make_vec("SoilWheel-v0", 64, "vector_entry_point", model=world)
+        envs = SoilWheelVectorEnv(64, model=world)
         envs.reset(seed=0)
         envs.step(np.full((64, 1), 0.4, dtype=np.float32))
+        envs.simulation.true_soils()
         envs.close()
     _drive("SoilRover-v0", 0.4)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])

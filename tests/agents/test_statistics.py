@@ -70,6 +70,21 @@ def test_two_way_draws_cover_the_luck_of_training():
     assert covered / trials > 0.85
 
 
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.05, 0.2])
+def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(share):
+    """`share`: of the courses that one finishes alone, and as many the other one."""
+    rng, covered, trials = np.random.default_rng(3), 0, 200
+    for t in range(trials):
+        u, both = rng.random((1, 60)), rng.random((1, 60)) < 0.8
+        a, b = (np.where(u < 2.0 * share, own, both).astype(float) for own in (u < share, u >= share))
+        (members, courses), (others, _) = drawn(a, 200, t), drawn(b, 200, t, "b")
+        samples = st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses)
+        got = st.difference_bounds(a, b, samples)
+        assert got["low"] < got["value"] < got["high"]
+        covered += got["low"] <= 0.0 <= got["high"]
+    assert covered / trials > 0.92
+
+
 @pytest.mark.parametrize("n", [1, 5, 20, 1000])
 def test_wilson_agrees_with_scipy(n):
     for k in sorted({0, 1, n // 3, n - 1, n}):

@@ -207,7 +207,8 @@ def test_the_shipped_configs_can_be_read(name):
         ({"arms": {"a-b": {}}}, "a-b"),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
-        ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown key 'nowhere'"),
+        ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown value 'nowhere' (expected none)"),
+        ({"arms": {"a": {"controller": "nomod:Thing"}}}, "nomod:Thing: cannot be imported"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
     ],
 )

@@ -1,35 +1,20 @@
-"""The site opened from the disk: no network, no server, formulas and search all the same, and no torch to build it.
-
-That a build needs no torch is checked by every build: `on_env` in mkdocs_hooks.py.
-"""
+"""The site opened from the disk: no network, no server, formulas and search all the same."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
-
 ROOT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.documents, pytest.mark.slow]
+BUILT = (ROOT / "site" / "search" / "search_index.js").is_file()  # written last
+pytestmark = [pytest.mark.documents, pytest.mark.skipif(not BUILT, reason="make docs builds the site")]
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """The site of `make docs`, which `make test` builds first; else one that is built here."""
-    if (ROOT / "site" / "search" / "search_index.js").is_file():  # written last
-        return ROOT / "site"
-    folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)], cwd=ROOT, text=True,
-        capture_output=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    return folder
+@pytest.fixture
+def site():
+    """The site of `make docs`, which `make test` builds first."""
+    return ROOT / "site"
 
 
 def test_nothing_is_loaded_from_elsewhere(site):

@@ -45,6 +45,7 @@ channels = "".join(f"  {n}: {{column: {n}}}\\n" for n in names)
 assert main(["logs", str(folder / "a.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "out")]) == 0
 envs = gymnasium.make_vec("SoilWheel-v0", 8, "vector_entry_point")
 observations, _ = envs.reset(seed=0)
+envs.unwrapped.simulation.true_soils()  # of a teacher
 for name in ("best_slip_identified", "best_slip_true"):
     make_controller(name, load_scenario("mixed")).predict(observations, None, np.ones(8, dtype=bool))
 env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array")
