@@ -1,7 +1,7 @@
 """Entrants: functions from (data.csv, setup.yaml) to an `Answer`.
 
 `workflow` is the discrepancy workflow of soil_env. The least-squares fits that docs/results.md compares it with are at
-commit 9bc4b7c.
+commit 723d8c2d.
 """
 
 from __future__ import annotations
