@@ -74,9 +74,7 @@ def api_pages() -> dict[str, tuple[str, str]]:
         page = "agents" if parts[0] == "agents" else parts[1] if own_page else "soil_env"
         sections[page].append(module)
     pages = {}
-    for page, names in sorted(
-        sections.items(), key=lambda entry: (entry[0] != "soil_env", entry[0] == "agents", entry)
-    ):
+    for page, names in sorted(sections.items(), key=lambda e: (e[0] != "soil_env", e[0] == "agents", e)):
         title = page if page in PACKAGES else f"soil_env.{page}"
         blocks = [
             f"## {name}\n\n::: {name}\n    options: {{show_root_heading: false, show_root_toc_entry: false}}\n"
@@ -100,9 +98,7 @@ def definitions() -> dict[str, list[str]]:
 def resolve(name: str) -> str:
     """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one module defines it."""
     *tail, last = name.split(".")
-    homes = [
-        home for home in definitions().get(last, []) if home.split(".")[len(home.split(".")) - len(tail) :] == tail
-    ]
+    homes = [h for h in definitions().get(last, []) if h.split(".")[len(h.split(".")) - len(tail) :] == tail]
     if len(homes) != 1:
         raise LookupError(f"{name}: expected one module that defines it, found {homes or 'none'}")
     return f"{homes[0]}.{last}"

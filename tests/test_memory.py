@@ -25,7 +25,6 @@ def resident() -> float:
 
 @pytest.mark.parametrize("many", [True, False])
 def test_an_environment_keeps_its_size(many):
-    """256 wheels; and a single one with effects and pictures."""
     if many:
         env = SoilWheelVectorEnv(256, course={"length": 4.0})
     else:

@@ -1,8 +1,6 @@
 """Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on soil?
 
     python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16   draw, ask, score
-    python -m benchmarks.discovery run --set ten --entrant workflow --out DIR --limit 100     the first 100
-    python -m benchmarks.discovery run --group instrument-rich-10 --entrant workflow --out DIR
     python -m benchmarks.discovery run --set ten --held-out ...                               the final run
     python -m benchmarks.discovery score --out DIR --publish docs/results                     all answers in DIR
 

@@ -299,7 +299,7 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     names = (*levels, *WHEEL)
     value = dict(zip(names, points.T, strict=True))
     always = ("slip", "load", "speed") if timed else ("slip", "load")
-    return Grid(value, tuple(n for n in names if n in always or n in varied or np.ptp(value[n]) > 0.0))
+    return Grid(value, tuple(n for n in names if n in always or n in varied or np.ptp([*value[n], *column[n]]) > 0.0))
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:

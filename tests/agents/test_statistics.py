@@ -70,13 +70,12 @@ def test_two_way_draws_cover_the_luck_of_training():
     assert covered / trials > 0.85
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.05, 0.2])
-def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(share):
-    """`share`: of the courses that one finishes alone, and as many the other one."""
+@pytest.mark.parametrize("alone", [0.0, 0.01, 0.05, 0.2])
+def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone):
     rng, covered, trials = np.random.default_rng(3), 0, 200
     for t in range(trials):
         u, both = rng.random((1, 60)), rng.random((1, 60)) < 0.8
-        a, b = (np.where(u < 2.0 * share, own, both).astype(float) for own in (u < share, u >= share))
+        a, b = (np.where(u < 2.0 * alone, own, both).astype(float) for own in (u < alone, u >= alone))
         (members, courses), (others, _) = drawn(a, 200, t), drawn(b, 200, t, "b")
         samples = st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses)
         got = st.difference_bounds(a, b, samples)

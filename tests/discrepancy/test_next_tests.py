@@ -108,8 +108,9 @@ def test_a_rig_is_asked_for_what_it_has_and_for_what_costs_little(case):
     rig = {"slips": (0.2, 0.4), "loads": (90.0, last["load"]), "speeds": (0.02,), "wheels": wheels}
     runs = proposed(with_rig(p, **rig), candidates, (0.6, 0.4))
     assert {t.conditions["slip"] for t in runs} <= {0.2, 0.4} and {t.conditions["load"] for t in runs} <= {90.0, 150.0}
-    assert {t.conditions["speed"] for t in runs} == {0.02}
-    assert 0.2 in {t.conditions["wheel_radius"] for t in runs}
+    assert {t.conditions["speed"] for t in runs} == {0.02} and 0.2 in {t.conditions["wheel_radius"] for t in runs}
+    runs = proposed(with_rig(p, **rig | {"wheels": wheels[1:]}), candidates, (0.6, 0.4))
+    assert {t.conditions["wheel_radius"] for t in runs} == {0.2}  # named, as the table has another
     dear = proposed(with_rig(p, **rig, cost={"wheel": 100.0}), candidates, (0.6, 0.4))
     kept = {t.conditions["wheel_radius"] for t in dear if t.cost == 1.0}
     assert kept <= {last["wheel_radius"]} and sum(t.cost for t in dear) <= 104.0

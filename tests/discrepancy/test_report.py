@@ -13,7 +13,7 @@ from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Gap
-from soil_env.discrepancy.report import equations, sentences
+from soil_env.discrepancy.report import equations, sentences, words
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
 KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests", "remainder",
@@ -37,6 +37,11 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     empty = drawn.content(nothing)
     assert set(KEYS) <= set(empty) and empty["verdict"] == "none" and empty["closed"] is None
     assert empty["effects"] == empty["where"] == [] and empty["probability"]["none"] > 0.5
+
+
+def test_a_misfit_without_a_name_is_no_agreement(nothing):
+    missed = dataclasses.replace(nothing, gap=nothing.gap | {"torque": Gap(2.0, 2.0, 1.0)})
+    assert "agrees" in words.conclusion(nothing) and "misses these runs" in words.conclusion(missed)
 
 
 def test_the_page_escapes_what_a_file_name_brings(tmp_path):

@@ -69,7 +69,7 @@ def gap(report: Report) -> Table:
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
     rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
-    return Table(("effect", "makes the table more probable", "probability"), rows)
+    return Table(("effect", "best set with it, over none", "probability"), rows)
 
 
 def next_runs(report: Report) -> Table:
@@ -92,8 +92,8 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
             for name in report.channels:
                 j, scale = CHANNELS.index(name), UNITS[name][1]
                 cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
-            rows.append((k, title(p.name).replace(" and ", " + "), fixed(p.probability, 2), *cells))
-    channels = (f"{TITLES[n].split()[-1]} [{UNITS[n][0]}]" for n in report.channels)
+            rows.append((k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells))
+    channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "just these effects", "p", *channels), rows)
 
 

@@ -3,7 +3,7 @@
 from soil_env.discrepancy.instrument import INSTRUMENT
 from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report.sentences import listed, runs_help, title
-from soil_env.discrepancy.result import Report
+from soil_env.discrepancy.result import LEFT, Report
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
@@ -46,6 +46,8 @@ def conclusion(report: Report) -> str:
         rest = f": {listed(near, 'or')} would explain them" if near else ""
         return f"These runs do not decide what is missing, if anything{rest}."
     if report.verdict == "none":
+        if any(gap.over_noise[0] > LEFT for gap in report.gap.values()):
+            return "The simulation misses these runs, but by no more than laws of the soil may err; none is named."
         return "The simulation agrees with these runs as well as the laws of the soil allow."
     return "These runs are too few to decide if anything is missing."
 
