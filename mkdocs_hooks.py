@@ -4,12 +4,13 @@
 * A line of a page that begins with "Code:" names functions and classes; each name becomes a link to its API entry.
 * Formulas become MathML. The worker that searches the index is in docs/vendor.
 
-The pages are made from the sources, none of which is imported.
+The pages are made from the sources, none of which is imported. The build fails if a heavy module was imported.
 """
 
 import ast
 import html
 import re
+import sys
 from collections import defaultdict
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,8 @@ from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
+#: Modules that a build must not import: the extra `docs` alone is enough.
+UNNEEDED = ("soil_env", "agents", "torch", "stable_baselines3", "gymnasium", "numba", "numpy")
 ROOT = Path(__file__).resolve().parent
 PACKAGES = ("soil_env", "agents")
 
@@ -48,6 +51,12 @@ def on_page_markdown(markdown: str, page, **_: object) -> str:
 def on_page_content(content: str, **_: object) -> str:
     """HTML of a page with formulas as MathML; a shape after a unit, [m] [n, 3], is no link."""
     return _NO_LINK.sub(r"[\2] [\1]", _FORMULA.sub(_mathml, content))
+
+
+def on_env(env: object, **_: object) -> None:
+    """Raise PluginError if the build has imported a module that it must not need."""
+    if imported := [name for name in UNNEEDED if name in sys.modules]:
+        raise PluginError(f"the build imported {', '.join(imported)}: expected pages made from the sources alone")
 
 
 @cache

@@ -55,7 +55,7 @@ def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path |
 
 
 class Schedules(BaseCallback):
-    """What falls linearly over a training: the exploration noise and the penalty for leaving the teacher.
+    """Schedules that fall linearly over a training: the exploration noise and the penalty for leaving the teacher.
 
     The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the penalty from `penalty` to
     0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.

@@ -42,9 +42,7 @@ def comparison(
 
     def difference(a: str, b: str, m: str) -> dict:
         x, y, drawn_ones = scores[a][m], scores[b][m], samples[a][m] - samples[b][m]
-        if m in RATES:
-            return st.difference_bounds(x, y, drawn_ones)
-        return st.bounds(st.mean(x) - st.mean(y), drawn_ones)
+        return st.difference_bounds(x, y, drawn_ones) if m in RATES else st.bounds(st.mean(x) - st.mean(y), drawn_ones)
 
     def iqm(name: str) -> dict:
         own = scores[name]["return"]

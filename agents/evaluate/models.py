@@ -52,10 +52,8 @@ def load_model(path: Path, scenario: Scenario):
     observation space gives the variant. It may have been trained with `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
-    if path.suffix == ".onnx":
-        return _exported(path, scenario)
-    if path.suffix == ".npz":
-        return DefaultPolicy(scenario, path)
+    if path.suffix in (".onnx", ".npz"):
+        return _exported(path, scenario) if path.suffix == ".onnx" else DefaultPolicy(scenario, path)
     if saved is None:
         raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
     torch.set_num_threads(1)  # so that results do not depend on the number of cores

@@ -83,8 +83,9 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
 
     Theirs (2005, Statistics in Medicine 24:729, Wald + 2) is no point where no course differs.
     """
-    won, lost = ((better.mean(axis=(0, 1)).sum() + 0.5) / (a.shape[1] + 2.0) for better in (_more(a, b), _more(b, a)))
-    half = _NORMAL * math.sqrt((won + lost - (won - lost) ** 2) / (a.shape[1] + 2.0))
+    n = a.shape[1] + 2.0
+    won, lost = (((x[:, None] > y[None]).mean(axis=(0, 1)).sum() + 0.5) / n for x, y in ((a, b), (b, a)))
+    half = _NORMAL * math.sqrt((won + lost - (won - lost) ** 2) / n)
     out = bounds(mean(a) - mean(b), samples)
     return out | {"low": min(out["low"], won - lost - half), "high": max(out["high"], won - lost + half)}
 
@@ -120,13 +121,9 @@ def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) ->
     return np.concatenate(out) / (n - 2 * cut)
 
 
-def _more(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[:, None] > b[None]  # [members of a, members of b, courses]
-
-
 def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """[members of a, members of b, courses]: 1 where a is better than b on the course, 1/2 where equal, else 0."""
-    return _more(a, b) + 0.5 * (a[:, None] == b[None])
+    return (a[:, None] > b[None]) + 0.5 * (a[:, None] == b[None])
 
 
 def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> float:

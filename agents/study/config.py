@@ -54,11 +54,6 @@ class Arm(Checked):
     settings: dict = field(default_factory=dict)  # of a classical controller; empty: tuned
     world: str = ""  # that it is made in; empty: that of its scenario
 
-    def __post_init__(self):
-        super().__post_init__()
-        if self.controller in SHIPPED:
-            object.__setattr__(self, "controller", SHIPPED_CLASS)
-
 
 @dataclass(frozen=True)
 class Study(Checked):
@@ -179,6 +174,8 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     for name, arm in (content.get("arms") or {}).items():
         if isinstance(arm, dict) and "controller" not in arm:
             arm = {**arm, "train": merge(shared, arm.get("train") or {})}
+        elif isinstance(arm, dict) and arm["controller"] in SHIPPED:
+            arm = {**arm, "controller": SHIPPED_CLASS}
         arms[name] = arm
     worlds = {name: entry or {} for name, entry in (content.get("worlds") or {}).items()}
     for name, entry in worlds.items():

@@ -162,8 +162,7 @@ def test_it_is_a_contestant_and_drives_from_the_command(capsys):
     assert load(contestant, scenario).variant == DefaultPolicy("mixed").variant == "identified"
     assert soil_env(["drive", "--policy", "default", "--scenario", "loose_slopes", "--seed", "2"]) == 0
     assert capsys.readouterr().out.startswith("default_policy: ")
-    (own,) = parse(str(WEIGHTS)).values()
-    assert load(own, scenario).made == DefaultPolicy("mixed").made
+    assert load(parse(str(WEIGHTS))["default_policy/0"], scenario).made == DefaultPolicy("mixed").made
 
 
 def test_it_is_exported_to_onnx(tmp_path, capsys):

@@ -77,8 +77,7 @@ def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone)
         u, both = rng.random((1, 60)), rng.random((1, 60)) < 0.8
         a, b = (np.where(u < 2.0 * alone, own, both).astype(float) for own in (u < alone, u >= alone))
         (members, courses), (others, _) = drawn(a, 200, t), drawn(b, 200, t, "b")
-        samples = st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses)
-        got = st.difference_bounds(a, b, samples)
+        got = st.difference_bounds(a, b, st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses))
         assert got["low"] < got["value"] < got["high"]
         covered += got["low"] <= 0.0 <= got["high"]
     assert covered / trials > 0.92

@@ -69,7 +69,7 @@ def gap(report: Report) -> Table:
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
     rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
-    return Table(("effect", "best set with it, over none", "probability"), rows)
+    return Table(("effect", "evidence of the best set with it over no effect", "probability"), rows)
 
 
 def next_runs(report: Report) -> Table:

@@ -47,7 +47,7 @@ def conclusion(report: Report) -> str:
         return f"These runs do not decide what is missing, if anything{rest}."
     if report.verdict == "none":
         if any(gap.over_noise[0] > LEFT for gap in report.gap.values()):
-            return "The simulation misses these runs, but by no more than laws of the soil may err; none is named."
+            return "The simulation misses these runs, as laws of the soil that err could explain; no effect is named."
         return "The simulation agrees with these runs as well as the laws of the soil allow."
     return "These runs are too few to decide if anything is missing."
 
