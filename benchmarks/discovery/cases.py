@@ -20,9 +20,10 @@ import yaml
 
 from benchmarks.common import short
 from benchmarks.discovery.forms import MECHANISMS, VARIES, forms_of
+from benchmarks.discovery.fresh import FRESH
 from benchmarks.discovery.hidden import CHANNELS, Form, Hidden
 from benchmarks.discovery.laws import log_slip, regimes, smooth
-from benchmarks.discovery.plan import HELD_BACK, PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
+from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
@@ -61,8 +62,7 @@ class Group:
         if self.kind == "none":
             return []
         if self.kind in ("unlisted", "instrument"):
-            kinds = [f for f in UNLISTED if (f.name in HELD_BACK) == (self.sort == "held")]
-            kinds = INSTRUMENT if self.kind == "instrument" else kinds
+            kinds = INSTRUMENT if self.kind == "instrument" else FRESH if self.sort == "held" else UNLISTED
             return [kinds[index % len(kinds)]]
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
@@ -94,7 +94,7 @@ SETS: dict[str, list[Group]] = {
     ],
     "ten": [  # law errors of 10 % of all three kinds
         group
-        for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 7),
+        for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 8),
                                   ("unlisted", "held", 12), ("instrument", "", 18))
         for of_slip in (smooth, log_slip, regimes)
         for group in _groups(kind, {0.1: count}, sort=sort, of_slip=of_slip)
@@ -135,7 +135,7 @@ def task_of(name: str) -> Task:
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
-    names = ("cases", "forms", "hidden", "laws", "plan", "unlisted", "world")
+    names = ("cases", "forms", "fresh", "hidden", "laws", "plan", "unlisted", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
 
 
@@ -240,7 +240,7 @@ def _described(measure: Measure, effects, sizes) -> dict:
             "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
             "size": measure.size(effect, others), "rival": best, "rival_left": rivals[best] if best else None,
         })  # fmt: skip
-        seen = out[-1]["rival_left"] if effect.form in UNLISTED else sizes[k]
+        seen = out[-1]["rival_left"] if effect.form in (*UNLISTED, *FRESH) else sizes[k]
         counts = counts and seen >= 0.97 * LEAST
     return {"effects": out, "counts": bool(counts)}
 

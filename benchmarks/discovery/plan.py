@@ -37,9 +37,6 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-#: Kinds of `unlisted` in the order of the CRC-32 of their names: every second one is held back from development.
-DEVELOPMENT = ("uneven_beds", "rising_moisture", "saturating_torque", "hard_floor", "rut_sidewall", "rim_adhesion")
-HELD_BACK = ("toed_wheel", "warming_seal", "carried_soil", "slack_load_cell", "soft_layer", "wheel_out_of_round")
 WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
 SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
 LEVEL, POWER = 0.01, 0.95

@@ -1,7 +1,7 @@
 """Mechanisms in no catalogue, and errors of the instrument that a table may hold besides the soil.
 
-`plan.HELD_BACK` names the half of the kinds that no development may use. Every kind says what separates it from the
-listed mechanisms.
+Development may use these kinds; those of `fresh` are held back. Every kind says what separates it from the listed
+mechanisms.
 """
 
 from dataclasses import replace

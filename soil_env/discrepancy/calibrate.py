@@ -22,15 +22,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, nuisances, reading, true_rows
+from soil_env.discrepancy.instrument import LAWS, LISTED, Choice, nuisances, reading, true_rows
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
+from soil_env.discrepancy.unnamed import changed, loaded
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process, compressed, stress_changes, whitened
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects import NO_EFFECTS, Effects, sliding_speed
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
@@ -146,7 +147,7 @@ class Problem:
         """Form errors over the conditions of the table, and the size of each channel."""
         at = self.data.conditions | self.data.elapsed
         self.law_processes: list[Process] = [Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS]
-        own = {e.conditions for e in LISTED.values()}
+        own = {e.conditions for e in LAWS.values()}
         self.effect_processes: dict[tuple[str, ...], Process] = {
             more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
         }
@@ -186,7 +187,7 @@ class Problem:
         out = list(self.soil)
         for choice in choices:
             for full in choice.free:
-                p = LISTED[choice.effect].parameter(full[len(choice.effect) + 1 :])
+                p = LAWS[choice.effect].parameter(full[len(choice.effect) + 1 :])
                 low, high = p.low, p.high
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
@@ -206,7 +207,7 @@ class Problem:
     def effects(self, choices: tuple[Choice, ...], values: dict[str, float]) -> Effects:
         """The effects of a set of parameters."""
         fx = self.neutral
-        for choice in (c for c in choices if c.effect not in INSTRUMENT):
+        for choice in (c for c in choices if c.effect in CATALOGUE):
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
@@ -219,11 +220,12 @@ class Problem:
         fx = self.effects(choices, values)
         fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
         soil, weight = self.known | values, self.density * GRAVITY
-        wrong = {name: values[name] for c in choices if c.effect in INSTRUMENT for name in c.free}
+        wrong = {name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free}
         if "tilt_angle_deg" in wrong:
             soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
         rows = true_rows(rows or self.data.rows, wrong)
-        out = reading(predict_table(self.data.setup, rows, soil, weight, fx, guess), wrong)
+        out = predict_table(self.data.setup, loaded(rows, wrong), soil, weight, fx, guess)
+        out = reading(changed(out, rows, wrong, self.bench), wrong)
         return out if self.offset is None else out + self.offset
 
     def sinkage_guess(self, fit: Fit) -> np.ndarray:
@@ -342,8 +344,8 @@ class Problem:
         blocks = [np.zeros((*stresses[0].shape, 0))]
         for choice, factor in zip(choices, added, strict=True):
             own = functions(self.effect_process(choice))
-            moved = np.array([name in LISTED[choice.effect].moves for name in CHANNELS])
-            units = [ANY_FORM * moved] if LISTED[choice.effect].any_form else np.eye(3)[moved]
+            moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
+            units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [_in_channel(own, factor * unit) for unit in units]
         return (
             [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law],
@@ -352,7 +354,7 @@ class Problem:
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
-        return self.effect_processes[LISTED[choice.effect].conditions]
+        return self.effect_processes[LAWS[choice.effect].conditions]
 
     def block(self, errors: np.ndarray) -> np.ndarray:
         """[M, R] of form errors [N, 3, R], whitened, of the values in use."""

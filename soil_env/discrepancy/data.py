@@ -70,6 +70,12 @@ class Data:
         return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
     @property
+    def beds(self) -> np.ndarray:
+        """[N] number of the bed of soil of each row, another one where a run begins on fresh soil."""
+        fresh = (self.table.run[1:] != self.table.run[:-1]) & (self.rows.conditions[1:, 1] <= 1.0)
+        return np.concatenate([[0], np.cumsum(fresh)])
+
+    @property
     def elapsed(self) -> dict[str, np.ndarray]:
         """{"elapsed": time [N] over its span}; empty where the table does not have it or it does not vary."""
         time = self.table.time

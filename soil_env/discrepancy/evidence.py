@@ -8,8 +8,8 @@ its evidence the ratio of the posterior to the prior probability of being allowe
 Beside a fitted model there may be an *anonymous contribution*, which no catalogue lists. Three kinds are equally
 probable. *Smooth*: a function of all conditions and of the time in one channel or more.
 *Patterns*: a function of one condition, or of one and the slip, in a single place: one channel, or one of the stresses
-(`form_error.stress_changes`), as most mechanisms work; a stress may not change with what the base law knows, which is
-its form error. *Scatter*: every value by itself, as where each row has a soil of its own.
+(`form_error.stress_changes`), as most mechanisms work, or a value for each bed of soil; a stress may not change with
+what the base law knows, which is its form error. *Scatter*: every value by itself, as where each row has its own soil.
 """
 
 import math
@@ -292,6 +292,7 @@ _OWNED = {
     "drawbar_pull": ("pass", "grade_deg"),
     "sinkage": ("pass", "elapsed"),
 }
+FEWEST_BEDS, MOST_BEDS = 4, 60  # of a table that can show that each has a soil of its own
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
 
@@ -319,6 +320,10 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
                 continue
             errors = change[:, :, None] * functions[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
+    beds = np.eye(problem.data.beds[-1] + 1)[problem.data.beds]
+    shown = FEWEST_BEDS <= beds.shape[1] <= min(MOST_BEDS, len(beds) // 3)
+    for place, change in zip(_STRESSES[:2], moved, strict=False) if shown else ():
+        out[f"{place} with bed"] = problem.block(change[:, :, None] * beds[:, None, :])
     return out
 
 

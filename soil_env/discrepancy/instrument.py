@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
+from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
@@ -71,6 +72,8 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
 )})  # fmt: skip
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
+#: The same, and what has no name.
+LAWS: Mapping[str, Effect] = MappingProxyType({**LISTED, **UNNAMED})
 
 
 class Choice(NamedTuple):
@@ -82,12 +85,12 @@ class Choice(NamedTuple):
     @property
     def free(self) -> tuple[str, ...]:
         """Parameters of the form, `<effect>_<parameter>`."""
-        return tuple(f"{self.effect}_{p}" for p in LISTED[self.effect].forms[self.form].free)
+        return tuple(f"{self.effect}_{p}" for p in LAWS[self.effect].forms[self.form].free)
 
     @property
     def fixed(self) -> dict[str, float]:
         """Parameters that the form sets."""
-        return {f"{self.effect}_{p}": v for p, v in LISTED[self.effect].forms[self.form].fixed}
+        return {f"{self.effect}_{p}": v for p, v in LAWS[self.effect].forms[self.form].fixed}
 
 
 def _known(sd: Calibration) -> dict[str, float | None]:

@@ -19,6 +19,7 @@ from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL, Data
 from soil_env.terramechanics.model import Rows
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
+COMMON = 3.8  # [sd over root of their number] median of the others at a slip from which a deviation is no outlier
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
 LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
 LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
@@ -65,7 +66,7 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
             continue
         relative = data.relative_sd[:, j]
         e, weighted = (data.y[:, j] - model[:, j]) / relative, basis / relative[:, None]
-        used[:, j] = _without_outliers(weighted, e, used[:, j], given[j])
+        used[:, j] = _without_outliers(weighted, e, used[:, j], given[j], data.varied["slip"].level)
         alone |= used[:, j] & (_surface(weighted, e, used[:, j])[1] > ALONE)
         if origin[j] == "scatter":
             left, _ = _surface(weighted, e, used[:, j])
@@ -145,8 +146,13 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
     return np.where(np.isfinite(out), out, 0.0)
 
 
-def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None) -> np.ndarray:
-    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their scatter."""
+def _without_outliers(
+    basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None, slip: np.ndarray
+) -> np.ndarray:
+    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their scatter.
+
+    A value stays if the others at its level of `slip` [N] leave the surface the same way: that is no outlier.
+    """
     keep = used.copy()
     for _ in range(max(1, int(0.06 * keep.sum())) + 1):
         left, leverage = _surface(basis, e, keep)
@@ -163,6 +169,10 @@ def _without_outliers(basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: fl
     if sd is not None:  # values that a first outlier had masked come back
         left, leverage = _surface(basis, e, keep)
         keep |= used & (np.abs(left) <= OUTLIER * sd * np.sqrt(1.0 + leverage))
+    left = _surface(basis, e, keep)[0] / scale
+    for k in np.flatnonzero(used & ~keep):
+        others = left[used & (slip == slip[k]) & (np.arange(slip.size) != k)] * np.sign(left[k])
+        keep[k] = others.size > 1 and np.median(others) > COMMON / math.sqrt(others.size)
     return keep
 
 

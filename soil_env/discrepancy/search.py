@@ -19,8 +19,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Problem
+from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, resembling, settle
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
+from soil_env.discrepancy.unnamed import UNNAMED
 
 #: Prior odds that a listed effect, or an error of the instrument, is missing, each independent of the others: of 19
 #: none is missing with 33 %, one with 38 %. An error of the instrument is less probable where the setup states that the
@@ -28,6 +30,8 @@ from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, o
 ODDS = 0.06
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.
 UNLISTED_ODDS = 0.05
+#: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
+UNNAMED_ODDS = 0.03
 #: Odds that what moves the channels of listed effects under their conditions is none of them, but resembles them
 #: (`evidence.resembling`).
 ALIKE = 0.17
@@ -54,6 +58,11 @@ class Hypothesis:
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
     like: tuple[str, ...] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
+
+    @property
+    def law(self) -> str:
+        """Name of its anonymous law of few numbers (`unnamed`), "" if it has none."""
+        return next((name for name in self.evidence.names if name in UNNAMED), "")
 
 
 class Rank(NamedTuple):
@@ -206,6 +215,10 @@ def forms(problem: Problem, name: str) -> list[Choice]:
 # --- the search -------------------------------------------------------------------------------------------------------
 
 
+#: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log of the prior odds.
+Entry = tuple[tuple[str, ...], tuple[str, ...], bool, Evidence, float, float]
+
+
 class _Sets:
     """Evidence of sets of effects in the forms that were tried."""
 
@@ -244,7 +257,6 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             sets.add((choice,), base)
     _pairs(problem, names, sets, say)
     order = sorted(sets.found, key=lambda s: -(sets.log(s) / TEMPERATURE + prior(s)))
-    Entry = tuple[tuple[str, ...], tuple[str, ...], bool, Evidence, float, float]
     entries: list[Entry] = [(s, (), False, sets.best(s), sets.log(s), prior(s)) for s in order]
     say("with something that no catalogue lists")
     free: dict[tuple[str, ...], Evidence] = {(): anonymous(problem, base)}
@@ -260,6 +272,8 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             continue  # what resembles it has its name
         alike = resembling(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))
+    say("with a law that no catalogue lists")
+    entries += _unnamed(problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=()))
     total = [log / TEMPERATURE + odds_of for *_, log, odds_of in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
@@ -270,6 +284,14 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     usual = free[()] if rough else base
     seen = {n: detectable(problem, usual, forms(problem, n), threshold) for n in names if n not in INSTRUMENT}
     return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
+
+
+def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list[Entry]:
+    """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains most."""
+    seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
+    laws = [law for law in UNNAMED.values() if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen]
+    found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
+    return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
 
 
 def log_prior(names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})) -> float:

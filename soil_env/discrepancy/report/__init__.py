@@ -148,7 +148,8 @@ def content(report: Report) -> dict[str, Any]:
         "probability": {"none": report.finding.none, "unlisted": report.finding.unlisted,
                         "remainder": report.finding.remainder},
         "hypotheses": [
-            {"effects": h.names, "like": h.like, "unlisted": h.free, "probability": h.probability, "score": h.score}
+            {"effects": h.names, "like": h.like, "law": h.law, "unlisted": h.free, "probability": h.probability,
+             "score": h.score}
             for h in report.finding.hypotheses if h.probability >= LEAST
         ],
         "refuted": report.finding.refuted,

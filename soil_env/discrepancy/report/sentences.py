@@ -13,6 +13,7 @@ from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
 from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS
+from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
@@ -199,6 +200,7 @@ def summary(report: Report) -> str:
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
+        law=UNNAMED[law.law].title if (law := max(finding.hypotheses, key=lambda h: h.probability)).law else "",
         refuted=[title(" and ".join(n)) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
     return " ".join(text.split()).replace(" ,", ",")

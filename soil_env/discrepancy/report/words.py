@@ -58,14 +58,15 @@ def next_step(report: Report) -> str:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
     asked = {*beside, *report.finding.candidates} & {*INSTRUMENT}
-    checks = [c.work for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
-    done = ", ".join(n for c in CHECKS if c.work in checks for n in c.decides)
-    corrected = f"correct the columns, and write in the setup `checked: [{done}]`"
-    steps = ["; ".join((*checks, corrected))] if checks else []
+    checks = [c for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
+    done = ", ".join(n for c in checks for n in c.decides)
+    steps = [c.work for c in checks]
+    steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
     steps += ["make the next tests below, the first one first, and add their rows"] if runs_help(report) else []
+    steps += ["run this again"] if steps else []
+    said = " ".join(f"{step[:1].upper()}{step[1:]}." for step in steps)
     if steps and report.verdict not in ("named", "none"):
-        return f"{steps[0][:1].upper()}{'; then '.join(steps)[1:]}; then run this again."
+        return said
     if report.verdict in ("ambiguous", "undetermined"):
         return "Make more runs, at other slips, loads and speeds, add their rows and run this again."
-    use = "Simulate with model.yaml"
-    return f"{use}. To be surer: {'; then '.join(steps)}." if steps else f"{use}."
+    return "Simulate with model.yaml." + (f" To be surer: {said[:1].lower()}{said[1:]}" if steps else "")

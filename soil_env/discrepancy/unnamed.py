@@ -1,0 +1,73 @@
+"""Anonymous laws with few numbers: laws of no catalogue that listed effects are held against.
+
+A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the conditions
+(`evidence.patterns`). So a name must explain a table better than these laws do. W and z0 are the median load and
+sinkage of the table:
+
+    force        DP - a W (z/z0)^m,  T + b W r (z/z0)^m        soil at the sides of the wheel, or that sticks to it
+    rut_force    the same times 1 - 1/N                        the same in a rut
+    slip_force   DP - a W q,  T + b W r q,  q = 1 - exp(-i/k)  soil that the wheel moves as it slips
+    slip_load    W + a W q                                     the same, where it loads or lifts the wheel
+    torque_curve, pull_curve    y/(1 + s |y|/y0)               a sensor that is not linear; y0 = W r/2, W/5
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Channel, Effect, EffectParameter, Form
+from soil_env.terramechanics.model import Rows
+
+
+def _p(name: str, sd: float, low: float, high: float, centre: float | None = None) -> EffectParameter:
+    return EffectParameter(name, "", "", centre or 0.0, low, high, sd, "", centre=centre)
+
+
+def _law(
+    name: str, title: str, moves: tuple[Channel, ...], *parameters: EffectParameter, varies: str | None = None
+) -> Effect:
+    form = Form(name, tuple(p.name for p in parameters), "", "own assumption")
+    return Effect(name, title, moves, parameters, (form,), varies=varies)
+
+
+_BOTH: tuple[Channel, ...] = (PULL, TORQUE)
+_FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
+_POWER, _SLIP = _p("power", 0.35, 0.3, 4.0, 1.5), _p("slip", 0.5, 0.03, 1.0, 0.2)
+UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
+    _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),
+    _law("rut_force", "a force that goes with the sinkage in a rut", _BOTH, *_FORCE, _POWER, varies="pass"),
+    _law("slip_force", "a force that goes with the slip", _BOTH, *_FORCE, _SLIP),
+    _law("slip_load", "a load that goes with the slip", (SINKAGE, PULL, TORQUE), _p("load", 0.15, -0.8, 2.0), _SLIP),
+    _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _p("loss", 0.3, -0.4, 3.0)),
+    _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
+)})  # fmt: skip
+
+
+def _grown(rows: Rows, scale: float) -> np.ndarray:
+    return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
+
+
+def loaded(rows: Rows, values: Mapping[str, float]) -> Rows:
+    """Rows under the load of the anonymous law among `values`."""
+    if "slip_load_load" not in values:
+        return rows
+    return rows._replace(load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"])))
+
+
+def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
+    """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
+    out, size = out.copy(), bench.load * rows.wheels[:, 0]
+    for name in ("force", "rut_force", "slip_force"):
+        if f"{name}_pull" not in values:
+            continue
+        if name == "slip_force":
+            share = _grown(rows, values["slip_force_slip"])
+        else:
+            share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
+            share = share * (1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
+        out[:, 1] -= values[f"{name}_pull"] * bench.load * share
+        out[:, 2] += values[f"{name}_torque"] * size * share
+    for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
+        out[:, j] /= 1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale
+    return out

@@ -1,0 +1,54 @@
+"""Anonymous laws of few numbers: what they do, and that listed effects are held against them."""
+
+import numpy as np
+import pytest
+
+from soil_env.discrepancy import evidence, search
+from soil_env.discrepancy.instrument import CATALOGUE, INSTRUMENT, Choice
+from soil_env.discrepancy.unnamed import UNNAMED, changed, loaded
+from tests.discrepancy.tables import NOISE, problem, table
+
+STRENGTHS = {"pull": 0.1, "torque": 0.1, "power": 2.0, "slip": 0.2, "load": 0.2, "loss": 0.4}
+
+
+def values(law, **other):
+    return {f"{law}_{p.name}": other.get(p.name, STRENGTHS[p.name]) for p in UNNAMED[law].parameters}
+
+
+@pytest.mark.parametrize("law", list(UNNAMED))
+def test_an_anonymous_law_is_found_in_its_channels_and_absent_at_strength_zero(law):
+    clean = table(passes=(1, 2) if law == "rut_force" else (1,))
+    p = problem(clean, np.random.default_rng(0))
+    rows, off = clean.rows, values(law, pull=0.0, torque=0.0, load=0.0, loss=0.0)
+    assert changed(clean.y, rows, off, p.bench) == pytest.approx(clean.y)
+    assert loaded(rows, off).load == pytest.approx(rows.load)
+    there = p.predict(p.fit().parameters() | values(law), (Choice(law, 0),), np.zeros(len(clean.y)))
+    moved = there - p.predict(p.fit().parameters(), (), np.zeros(len(clean.y)))
+    assert {c for c, m in zip(("sinkage", "drawbar_pull", "torque"), moved.T, strict=True) if np.any(m)} == {
+        *UNNAMED[law].moves
+    }
+    q = problem(clean, np.random.default_rng(0), moved)
+    base = evidence.settle(q, ())
+    gain = {n: evidence.settle(q, (Choice(n, 0),), base).log - base.log for n in (law, "bulldozing", "tilt")}
+    assert gain[law] > 5.0 and gain[law] == max(gain.values())
+
+
+def test_a_force_at_the_side_of_the_wheel_is_not_called_bulldozing(monkeypatch):
+    """It takes pull, adds torque and grows with the buried segment: without the rival, bulldozing and a wrong soil."""
+    clean = table(speeds=(0.03, 0.12))
+    z, r = clean.y[:, 0], clean.rows.wheels[:, 0]
+    force = 15.0 * (z / z.mean()) ** 2.5
+    side = np.stack([0.0 * force, -force, 0.8 * force * r], axis=1)
+    finding = search.search(problem(clean, np.random.default_rng(1), side))
+    assert finding.verdict == "unlisted" and finding.share("bulldozing") < 0.05
+    monkeypatch.setattr(search, "UNNAMED", {})
+    assert search.search(problem(clean, np.random.default_rng(1), side)).share("bulldozing") > 0.2
+
+
+def test_bulldozing_keeps_its_name():
+    p = problem(table({"bulldozing": {"rankine": 0.6}}, speeds=(0.03, 0.12)), np.random.default_rng(2))
+    assert search.search(p).names == ("bulldozing",)
+
+
+def test_names_of_anonymous_laws_are_no_names_of_effects():
+    assert not {*UNNAMED} & {*CATALOGUE, *INSTRUMENT} and NOISE.size == 3
