@@ -77,9 +77,6 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
     return layout(variant, scenario.course)
 
 
-# --- networks ---------------------------------------------------------------------------------------------------------
-
-
 class ChoosingExtractor(MlpExtractor):
     """Hidden layers of the value network and of the drive, and one network that gives each line a score."""
 
@@ -130,9 +127,6 @@ def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
         lines = lines_of(names, config.history)
         return ChoosingPolicy, common | {"choice": list(names).index("choice"), "lines": lines}
     return ActorCriticPolicy, common
-
-
-# --- the file ---------------------------------------------------------------------------------------------------------
 
 
 def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
@@ -229,9 +223,6 @@ def load_agent(path: str | Path) -> Agent:
     load_weights(path, WEIGHTS, policy)
     policy.set_training_mode(False)
     return Agent(policy, info)
-
-
-# --- its actions ------------------------------------------------------------------------------------------------------
 
 
 @dataclass

@@ -37,9 +37,6 @@ _SINGLE_THREADED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (cell, result)
 
 
-# --- the folder -------------------------------------------------------------------------------------------------------
-
-
 @functools.cache
 def code_version() -> str:
     """Version of soil_env with a hash of its code and weights and of this package."""
@@ -111,9 +108,6 @@ def fill(work: Callable, cells: Iterable, folder: Path, engine: Engine, progress
         for cell, content in results:
             replace_file(cell_file(folder, cell), json.dumps(content, allow_nan=False))
             progress(cell)
-
-
-# --- engines ----------------------------------------------------------------------------------------------------------
 
 
 def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
@@ -195,9 +189,6 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
                 for child in set(multiprocessing.active_children()) - set(others):
                     child.terminate()
             pool.shutdown(cancel_futures=True)
-
-
-# --- Ray --------------------------------------------------------------------------------------------------------------
 
 
 def _check_ray(address: str | None) -> None:

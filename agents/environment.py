@@ -167,9 +167,6 @@ class HistoryVecEnv(VecEnvWrapper):
         return out, rewards, dones, infos
 
 
-# --- worlds with a hidden effect --------------------------------------------------------------------------------------
-
-
 def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 

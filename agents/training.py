@@ -59,9 +59,6 @@ class _Watch(BaseCallback):
             self.next_save = self.num_timesteps + self.every
 
 
-# --- the run folder ---------------------------------------------------------------------------------------------------
-
-
 def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     """The task of a config: its rover, if the config names one, else its scenario."""
     scenario = (load_rover if config.rover else load_scenario)(config.rover or config.scenario, config.changes)
@@ -99,9 +96,6 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
     config = load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
     load_task = load_rover if config.rover else load_scenario
     return config, load_task(folder / "scenario.yaml")
-
-
-# --- training ---------------------------------------------------------------------------------------------------------
 
 
 def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario) -> Agent:

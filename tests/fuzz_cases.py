@@ -168,9 +168,6 @@ def _noise(c: Random) -> dict:
     return {name: _log(c, 1e-6, 1e-2 if kind == "small" else most) for name, most in high.items()}
 
 
-# --- effects ----------------------------------------------------------------------------------------------------------
-
-
 def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
     """One to four effects with parameters of the size of their prior, or anywhere in their bounds."""
     w = scenario.wheel

@@ -68,9 +68,6 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
     assert not np.array_equal(make().reset()[0], make().reset()[0])
 
 
-# --- checkers and registration ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", [*scenario_names(), *rover_names()])
 def test_checkers(name, variant):
@@ -118,9 +115,6 @@ def test_the_length_of_an_episode_is_that_of_the_scenario():
     again = gymnasium.make(env.unwrapped.spec)
     assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
     assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
-
-
-# --- copies and returned data -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
@@ -178,9 +172,6 @@ def test_the_info_of_an_end_is_not_overwritten_by_the_next_step(make):
     assert np.all(info["final_info"]["state"]["x"] > 0.0)
 
 
-# --- actions ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("bad", [
     lambda shape: 0.5, lambda shape: [], lambda shape: "x", lambda shape: np.zeros((4, 4, *shape)),
     lambda shape: np.full(shape, math.nan), lambda shape: np.full(shape, math.inf), lambda shape: np.zeros((1, *shape)),
@@ -236,9 +227,6 @@ def test_halts_happen_and_ignore_the_action(make):
     assert np.all(rows[1:, actions[0]][here[:-1]] == 0.0) and np.all(rows[1:, actions[0]][~here[:-1]] == 0.5)
 
 
-# --- arguments --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("make", "arguments", "message"), [
     (SoilWheelEnv, {"cours": {}}, "unexpected keyword argument 'cours'; did you mean 'course'?"),
     (SoilWheelEnv, {"observation": "x"}, "observation: unknown value 'x'"),
@@ -282,9 +270,6 @@ def test_yaml_file_as_scenario(tmp_path):
         SoilWheelEnv(path)
 
 
-# --- ends -------------------------------------------------------------------------------------------------------------
-
-
 def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
     """One axle locked is dragged downhill by the others; all of them locked are stalled."""
     downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}
@@ -307,9 +292,6 @@ def test_the_deepest_wheel_is_bogged():
     assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
     rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
     assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
-
-
-# --- info -------------------------------------------------------------------------------------------------------------
 
 
 def test_info_is_as_documented():

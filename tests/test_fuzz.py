@@ -144,9 +144,6 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
     return {name: np.flatnonzero(wheels) for name, wheels in found.items() if wheels.any()}
 
 
-# --- driving ----------------------------------------------------------------------------------------------------------
-
-
 def commands(wheels: int, step: int, rng: np.random.Generator) -> np.ndarray:
     """Commands [wheels, 1] of every kind, the same kind for a wheel throughout."""
     a = rng.uniform(-1.3, 1.3, wheels)

@@ -52,9 +52,6 @@ class SoftStart(Ramped):
         return self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
 
 
-# --- by slip ----------------------------------------------------------------------------------------------------------
-
-
 class SlipFollower(Ramped):
     """Base: the rim speed V/(1 - i) of a target slip i, or that of the ramp where it is lower."""
 
@@ -144,9 +141,6 @@ class ExtremumSeeking(SlipFollower):
         state["best"] = np.clip(best + step, self.low, self.high)
         state["phase"] = state["phase"] + 2.0 * np.pi / self.swing_period * self.period
         return state["best"] + self.settings["swing"] * np.sin(state["phase"])
-
-
-# --- by soil ----------------------------------------------------------------------------------------------------------
 
 
 class BestSlipIdentified(SlipFollower):

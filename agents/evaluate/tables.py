@@ -85,9 +85,6 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
     replace_file(path, text.getvalue())
 
 
-# --- figures ----------------------------------------------------------------------------------------------------------
-
-
 def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
     """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each metric,
     points with their intervals from the bottom; those not defined are left out."""

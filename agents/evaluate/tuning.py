@@ -37,9 +37,6 @@ def trials_of(courses: int) -> int:
     return max(1, min(TRIALS, courses // _COURSES_A_TRIAL))
 
 
-# --- settings that come with the package ------------------------------------------------------------------------------
-
-
 def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | None = None) -> dict[str, dict]:
     """{controller: settings} of configs/tuned where this scenario was tuned there on at least `courses` courses.
 
@@ -57,9 +54,6 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
         name: checked_settings(name, scenario, settings, f"{path.name}: {action}.{name}")
         for name, settings in content["settings"].get(action, {}).items()
     }
-
-
-# --- tuning -----------------------------------------------------------------------------------------------------------
 
 
 def tuned_settings(

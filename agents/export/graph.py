@@ -117,9 +117,6 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         return self.graph.node("Cast", self, dtype=dtype, to=_TYPES[dtype.name])
 
 
-# --- networks ---------------------------------------------------------------------------------------------------------
-
-
 def numbers(tensor) -> np.ndarray:
     """A tensor of torch as float32."""
     return tensor.detach().cpu().numpy().astype(np.float32)

@@ -154,9 +154,6 @@ def _seed_of(cell: Cell) -> int:
     return 1_000_003 * (cell.seed + 1)
 
 
-# --- reading ----------------------------------------------------------------------------------------------------------
-
-
 def read_config(path: Path, changes: dict | None = None) -> Study:
     """The study of a YAML file with `changes` merged over it."""
     content = merge(config_mapping(path), changes or {})

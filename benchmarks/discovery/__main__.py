@@ -115,9 +115,6 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
     pool.shutdown()
 
 
-# --- commands ---------------------------------------------------------------------------------------------------------
-
-
 def _names(of: str, limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
     held = [g for g in groups if GROUPS[g].sort == "held"]
     if held and not held_out:

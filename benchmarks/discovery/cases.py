@@ -36,9 +36,6 @@ ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can 
 DEEPEST = 0.7  # sinkage over the radius, with effects
 
 
-# --- sets and groups --------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Group:
     """Cases of one sort."""
@@ -137,9 +134,6 @@ def generator() -> str:
     """Hash of the code that the cases follow from."""
     names = ("cases", "forms", "fresh", "hidden", "laws", "plan", "unlisted", "world")
     return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
-
-
-# --- a case -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

@@ -129,9 +129,6 @@ def figures(records: list[Record]) -> dict:
     }
 
 
-# --- calibration ------------------------------------------------------------------------------------------------------
-
-
 def _firsts(records: list[Record]) -> list[tuple[float, bool]]:
     """(Probability of the first name, true if it is there) of the answers that have one."""
     pairs = [(r, r.answer.named[0]) for r in records if r.answer.named]
@@ -158,9 +155,6 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
         "largest": max((b["deviation"] for b in bins if b["seen"]["of"] >= LEAST_IN_BIN), default=None),
         "mean": sum(b["deviation"] * b["seen"]["of"] for b in bins) / total if total else None,
     }  # fmt: skip
-
-
-# --- files ------------------------------------------------------------------------------------------------------------
 
 
 def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]:

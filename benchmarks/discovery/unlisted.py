@@ -23,9 +23,6 @@ def _sensed(contact, **change):
     contact.sensors.append(lambda out: replace(out, **{name: f(out) for name, f in change.items()}))
 
 
-# --- in no catalogue: soil, wheel and rig -----------------------------------------------------------------------------
-
-
 @_unlisted("tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5)))
 def rim_adhesion(contact, s, side):
     """Moist soil sticks to the rim and is torn off behind the bottom, with a tension (Fountaine 1954).
@@ -177,9 +174,6 @@ def saturating_torque(contact, s, side):
     """
     scale = 0.5 * side["load"] * side["radius"]
     _sensed(contact, torque=lambda out: out.torque / (1.0 + s * np.abs(out.torque) / scale))
-
-
-# --- instrument: floor and cap are the range in which an error is drawn ----------------------------------------------
 
 
 @_instrument("tilt, nose up [deg]", 3.0, (PULL,), floor=0.5)

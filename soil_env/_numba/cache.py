@@ -22,9 +22,6 @@ _ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
 _FILES = ("course_parameters.py", "parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
 
 
-# --- what compiled code is valid for ----------------------------------------------------------------------------------
-
-
 @cache
 def _sources() -> str:
     """Hash of the sources that compiled code may be made of."""
@@ -109,9 +106,6 @@ def is_kept(dispatcher, signature: tuple) -> bool:
     """True if the cache holds compiled code of the function as it is now, for arguments of these types."""
     index = getattr(dispatcher._cache, "_cache_file", None)
     return index is not None and any(key[0] == signature for key in index._load_index())
-
-
-# --- who compiles -----------------------------------------------------------------------------------------------------
 
 
 class _Once:

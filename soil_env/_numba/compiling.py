@@ -132,9 +132,6 @@ def compiled_root(function: Any = None, *, nogil: bool = False, allocates: bool 
     return keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
 
 
-# --- calls from Python ------------------------------------------------------------------------------------------------
-
-
 class FastCall:
     """A compiled function without numba's look-up of the types of the arguments at each call.
 

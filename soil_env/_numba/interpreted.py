@@ -15,9 +15,6 @@ def wide(x) -> bool:
     return isinstance(x, np.ndarray)
 
 
-# --- lanes ------------------------------------------------------------------------------------------------------------
-
-
 def fill(x):
     return x if wide(x) else np.full(COUNT, float(x))
 
@@ -70,9 +67,6 @@ def bits(a):
 
 def smallest(a):
     return float(a.min())
-
-
-# --- elementary functions ---------------------------------------------------------------------------------------------
 
 
 def _of(function):

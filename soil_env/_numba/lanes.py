@@ -99,9 +99,6 @@ if COMPILED:
     remember_types()
 
 
-# --- making and taking apart ------------------------------------------------------------------------------------------
-
-
 @emitted
 def fill(typingctx, x):
     """`x` in every lane."""

@@ -83,9 +83,6 @@ class _Root(JITCodeLibrary):
             _Part.linkable = False
 
 
-# --- passes -----------------------------------------------------------------------------------------------------------
-
-
 class _Passes:
     """The passes of numba over a function without closures, `with`, generators and counted references."""
 
@@ -124,9 +121,6 @@ def _uncollected():
     finally:
         if collecting:
             gc.enable()
-
-
-# --- types of built-in functions --------------------------------------------------------------------------------------
 
 
 class _Remembered(types.Function):

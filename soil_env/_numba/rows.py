@@ -88,9 +88,6 @@ def rows(name: str, *names: str, kind: type = np.float64) -> type[Rows]:
     return type(name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module})
 
 
-# --- in compiled code -------------------------------------------------------------------------------------------------
-
-
 class _RowsType(types.Type):
     def __init__(self, cls) -> None:
         self.cls = cls

@@ -95,9 +95,6 @@ def leave(status: int) -> NoReturn:
     os._exit(status)
 
 
-# --- signals ----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def _stoppable(received: list[int], name: str) -> Iterator[None]:
     """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended to `received`.
@@ -151,9 +148,6 @@ def _inside(frame: FrameType | None, module: str) -> bool:
             return True
         frame = frame.f_back
     return False
-
-
-# --- options ----------------------------------------------------------------------------------------------------------
 
 
 class WholeNumber(click.ParamType):

@@ -71,9 +71,9 @@ class Data:
 
     @property
     def beds(self) -> np.ndarray:
-        """[N] number of the bed of soil of each row, another one where a run begins on fresh soil."""
-        fresh = (self.table.run[1:] != self.table.run[:-1]) & (self.rows.conditions[1:, 1] <= 1.0)
-        return np.concatenate([[0], np.cumsum(fresh)])
+        """[N] number of the bed of soil of each row: of its run, or of the last run before it on fresh soil."""
+        fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
+        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[1].ravel()
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:

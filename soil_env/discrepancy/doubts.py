@@ -153,9 +153,6 @@ def _resized(rows: Rows, radius: float) -> Rows:
     return rows._replace(wheels=wheels)
 
 
-# --- what cannot be ---------------------------------------------------------------------------------------------------
-
-
 def _pull_falls(problem: Problem) -> str:
     """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups of rows."""
     data = problem.data
@@ -199,9 +196,6 @@ def _beyond_strength(problem: Problem) -> str:
                 "the middle of the rows with slip above 0.15"
             )
     return ""
-
-
-# --- rows that stand alone --------------------------------------------------------------------------------------------
 
 
 def of_lone_rows(

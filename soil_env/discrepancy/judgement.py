@@ -46,9 +46,6 @@ class Gap(NamedTuple):
         return math.sqrt(after), after / before if before > 0.0 else None
 
 
-# --- intervals --------------------------------------------------------------------------------------------------------
-
-
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
 
@@ -68,9 +65,6 @@ def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
     """Mean and quantiles, those of the normal distribution brought within the bounds."""
     return Interval(*(float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
                       for x in (u, u - SURE * sd, u + SURE * sd)))  # fmt: skip
-
-
-# --- what is held out -------------------------------------------------------------------------------------------------
 
 
 def groups(problem: Problem) -> tuple[np.ndarray, int]:
@@ -97,9 +91,6 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[problem.used]
     predicted[problem.used] = problem.data.y[problem.used] - error * scale
     return predicted
-
-
-# --- the gap ----------------------------------------------------------------------------------------------------------
 
 
 def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, Gap]:

@@ -185,9 +185,6 @@ def _far(problem: Problem, model: Evidence) -> bool:
     return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
 
 
-# --- the model --------------------------------------------------------------------------------------------------------
-
-
 def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -> WheelSoilModel:
     """The `WheelSoilModel` of a fit, with residual terms."""
     soil = {**problem.known, **fit.parameters()}

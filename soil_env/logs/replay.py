@@ -144,9 +144,6 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
     return [f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong unit, sign or wheel?"]
 
 
-# --- grounds ----------------------------------------------------------------------------------------------------------
-
-
 def _grounds(
     log: Aligned, log_map: LogMap, found: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray, prior: Estimate
 ) -> tuple[np.ndarray, list[float]]:

@@ -100,9 +100,6 @@ def report_of(
     return Report(written, text)
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
-
-
 def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading."""
     length, rows = max(float(log.time[-1] - log.time[0]), log.period), []
@@ -141,9 +138,6 @@ def _ground_table(parts: list[Ground]) -> Table:
         rows.append((g.number, *time, *cells, len(slip), f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""))
     header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
     return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
-
-
-# --- pictures ---------------------------------------------------------------------------------------------------------
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:

@@ -47,9 +47,6 @@ def as_shown(value: float, form: str) -> float:
     return float(format(value, form))
 
 
-# --- the working point, Table 1 ---------------------------------------------------------------------------------------
-
-
 def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     """(phi [deg], K [m], S)."""
     return sand.friction_angle_deg, sand.shear_modulus, lumped_coefficient(sand.k_c, sand.k_phi, WHEEL.width)
@@ -112,9 +109,6 @@ def rules() -> list[tuple[str, float, float]]:
     cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {"(12), exact": {"simpson": 0}}
     cases |= {"(11), m = 2": {"compaction": False}, "(11), exact": {"simpson": 0, "compaction": False}}
     return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
-
-
-# --- Tables 3 to 5 ----------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -182,9 +176,6 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     good = np.isfinite(errors).all(axis=1)
     limit = [P.table5[name][1] for name in NAMES]
     return Noisy(np.percentile(errors[good], [5, 50, 95], axis=0), (errors[good] < limit).mean(axis=0), good.mean())
-
-
-# --- Figs. 6, 7 and 9 -------------------------------------------------------------------------------------------------
 
 
 def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:

@@ -42,9 +42,6 @@ def markdown(results: Results, command: str) -> str:
     return render("soil_env.paper:paper.md", **values, **tables)
 
 
-# --- tables -----------------------------------------------------------------------------------------------------------
-
-
 def _beside(rows: Sequence[Row]) -> Table:
     """A printed number, ours by each reading, and the differences; none where our scan ends before a limit."""
     header, lines = ["", "printed", *(text for name in READINGS for text in (name, "difference"))], []
@@ -100,9 +97,6 @@ def _torque_table(r: Results) -> Table:
         rows.append(row)
     difference = "highest less printed"
     return Table(("soil", "printed T [N m]", "ours, balanced", difference, "ours, at 37 deg", difference), rows)
-
-
-# --- figures ----------------------------------------------------------------------------------------------------------
 
 
 def _axes(figure: Figure, x: str, y: str, position=111):

@@ -35,9 +35,6 @@ COLOURS = {  # dark, pale
 }
 
 
-# --- state ------------------------------------------------------------------------------------------------------------
-
-
 def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     """State of each wheel of vehicle j by name, the front one first.
 
@@ -104,9 +101,6 @@ def width_of(simulation: Any) -> float:
     """Width of the side view [m]."""
     r, vehicle = simulation.numbers.world.wheel.radius, getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
-
-
-# --- picture ----------------------------------------------------------------------------------------------------------
 
 
 def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified) -> None:

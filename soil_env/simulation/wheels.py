@@ -111,9 +111,6 @@ def clear_reward(worlds, k):
         worlds.terms[k, i] = 0.0
 
 
-# --- courses ----------------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def start_passable(k, courses, streams, numbers):
     """Start a new course k; the mass [kg] on the wheel with payload, or -1 if no passable course was found."""
@@ -147,9 +144,6 @@ def lay_wheels(worlds, numbers, orders, first, end):
             x = np.inf if order == COMPLETE else worlds.state.x[k] + course.drawn.ahead
             extend_course(k, courses, worlds.state.mass[k], x, course)
     return failed
-
-
-# --- driving ----------------------------------------------------------------------------------------------------------
 
 
 @compiled_part

@@ -79,9 +79,6 @@ class Arc(NamedTuple):
     radius: float  # [m] that carries the normal stress
 
 
-# --- motion -----------------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def entry_angle(sinkage, r):
     """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
@@ -112,9 +109,6 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
     """
     v = sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
-
-
-# --- stresses ---------------------------------------------------------------------------------------------------------
 
 
 @compiled_part
@@ -158,9 +152,6 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
     by_rim, by_travel = r * (theta1 - theta), -r * (sin1 - math.sin(theta))
     return rim * by_rim + travel * by_travel, by_rim, by_travel
-
-
-# --- forces -----------------------------------------------------------------------------------------------------------
 
 
 @compiled_inline

@@ -79,9 +79,6 @@ def reaction(speed, rim_speed, sinkage, load, soil, r, b):
     return reaction_from(integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b)
 
 
-# --- effects ----------------------------------------------------------------------------------------------------------
-
-
 class Interaction(NamedTuple):
     """A wheel and what acts between it and any soil: its size and the effects that are on, as the kernels take them."""
 

@@ -232,9 +232,6 @@ def test_the_integral_neither_winds_up_in_a_halt_nor_on_a_wheel_that_does_not_tu
     assert after(20, state, rim_speed=1.0)[0] < 0.0  # 2 s later it has let go
 
 
-# --- the oracle -------------------------------------------------------------------------------------------------------
-
-
 def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     scenario = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
     sim, oracle = Simulation(3, scenario, "blind", threads=1), Oracle(scenario, horizon=2.0)

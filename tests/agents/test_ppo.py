@@ -173,9 +173,6 @@ def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps
         refused(lambda: agent.predict(rows, np.full_like(state, np.nan)), "state: a number that is not finite")
 
 
-# --- models of Stable-Baselines3 that train.py did not write ----------------------------------------------------------
-
-
 def small(algorithm, env):
     """An untrained model."""
     return algorithm("MlpPolicy", env, policy_kwargs={"net_arch": [4]}, seed=1, device="cpu")

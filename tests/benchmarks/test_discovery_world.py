@@ -9,13 +9,14 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from benchmarks.discovery.forms import FORMS
+from benchmarks.discovery.fresh import FRESH
 from benchmarks.discovery.hidden import CHANNELS, Hidden
 from benchmarks.discovery.plan import PRIOR_SD, SOIL, Bench, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from benchmarks.discovery.world import Ground, Rows, Wheel, predict
 from tests.terramechanics import reference
 
-FORMS_OF_ALL = [*FORMS, *UNLISTED, *INSTRUMENT]
+FORMS_OF_ALL = [*FORMS, *UNLISTED, *FRESH, *INSTRUMENT]
 GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)
 WHEEL = Wheel(0.15, 0.12)
 S, TAN = GROUND.sinkage_coefficient, math.tan(math.pi / 6)
@@ -63,9 +64,6 @@ def entry_of(out: np.ndarray, k: int) -> float:
     return math.acos(1.0 - out[0, k] / 0.15)
 
 
-# --- the base world ---------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("soil", [GROUND, Ground(36.0, 300.0, 0.01, 3.2e5, 0.6), Ground(24.0, 4500.0, 0.03, 5e6, 1.25)])
 def test_base_world_agrees_with_adaptive_quadrature(soil):
     """Eqs. (1)-(3) at the sinkage found: the load comes back, pull and torque agree."""
@@ -78,9 +76,6 @@ def test_base_world_agrees_with_adaptive_quadrature(soil):
 def test_no_balance_is_nan_and_braking_gives_negative_torque():
     assert np.all(np.isnan(world(sinkage_coefficient=50.0)))
     assert np.all(predict(GROUND, WHEEL, replace(ROWS, slip=np.full(45, -0.4))).torque < 0.0)
-
-
-# --- forms of the contact ---------------------------------------------------------------------------------------------
 
 
 def stresses(entry, slip, arm=0.15):
@@ -203,9 +198,6 @@ def test_bulldozing_by_hand():
         np.testing.assert_allclose(table()[1] - table(hidden(name, 1.0, crescent=1.0))[1], force, rtol=scale)
 
 
-# --- forms that are the base world on another soil, wheel or condition ------------------------------------------------
-
-
 COMPACTED = 1.0 + 0.3 * np.log(ROWS.passes)
 
 
@@ -264,9 +256,6 @@ def test_wrong_radius_is_another_wheel_at_another_slip():
     rows = replace(ROWS, slip=1.0 - (1.0 - ROWS.slip) / 1.06)
     expected = predict(GROUND, Wheel(0.159, 0.12), rows).stack()
     np.testing.assert_allclose(table(hidden("wheel_radius", 0.06)), expected, rtol=1e-8)
-
-
-# --- every form -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", FORMS_OF_ALL, ids=lambda f: f.name)

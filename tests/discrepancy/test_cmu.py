@@ -64,9 +64,6 @@ def test_tables_and_setups_of_a_made_file(tmp_path, capsys):
     assert setup.soil.friction_angle_deg.value == 29 and setup.soil.density.known
 
 
-# --- the measured data ------------------------------------------------------------------------------------------------
-
-
 @measured
 @pytest.mark.parametrize("wheel", WHEELS)
 def test_the_measured_rows_are_those_of_the_derived_table(tmp_path, wheel):

@@ -133,6 +133,22 @@ def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     assert a[: fit.residual.size] * 3.0 == pytest.approx(fit.jacobian[:, fit.free_unknowns])
 
 
+def test_beds_that_differ_are_a_pattern_of_the_stress():
+    """Six beds of one run each, of which every one bears otherwise; with a bed for each row there is no pattern."""
+    data = table(speeds=SPEEDS)
+    bed = np.unique(np.stack([data.rows.load, data.rows.conditions[:, 0]]), axis=1, return_inverse=True)[1].ravel()
+    there = dataclasses.replace(data, table=dataclasses.replace(data.table, run=bed.astype(str)))
+    assert np.array_equal(there.beds, bed) and len(np.unique(data.beds)) == len(data.y)
+    p = problem(there, np.random.default_rng(3))
+    assert not [name for name in evidence.patterns(problem(data, np.random.default_rng(3)), p.fit()) if "bed" in name]
+    softer = p.stresses(p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0))[0]
+    off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
+    free = evidence.anonymous(
+        q := problem(there, np.random.default_rng(3), softer * off[:, None]), evidence.settle(q, ())
+    )
+    assert free.sizes.patterns[0][0] == "normal stress with bed"
+
+
 def test_a_law_of_the_freedom_of_an_effect_takes_what_has_another_form(data):
     """Contribution of bulldozing, as it is published, and turned about over slip and load."""
     there = problem(table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS), np.random.default_rng(9))

@@ -59,6 +59,18 @@ def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
     assert run(*noisy(0, 0.03, stated=False)).verdict == "unlisted"
 
 
+def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
+    """Its deepest values leave the smooth surface as far as outliers do, and the others at that slip leave it too."""
+    rows, setup = noisy(1, 0.0)
+    dip = 9.0 * NOISE[1] * np.exp(-0.5 * ((rows.slip - SLIPS[4]) / 0.03) ** 2)
+    dipped = dataclasses.replace(rows, drawbar_pull=rows.drawbar_pull - dip)
+    assert calibrate(prepare(dipped, setup))[1].used.all()
+    assert run(dipped, setup).verdict == "unlisted"
+    wrong = rows.drawbar_pull - 9.0 * NOISE[1] * (np.arange(len(rows)) == np.argmax(dip))
+    used = calibrate(prepare(dataclasses.replace(rows, drawbar_pull=wrong), setup))[1].used
+    assert np.flatnonzero(~used[:, 1]).tolist() == [np.argmax(dip)] and used[:, [0, 2]].all()
+
+
 def test_noise_that_leaves_no_digits_is_refused():
     rows, setup = noisy(0, 0.0)
     tiny = dataclasses.replace(setup, noise=dataclasses.replace(setup.noise, sinkage=1e-10))

@@ -104,9 +104,6 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
     assert ("rises by 38 %" in said) == (after > before)
 
 
-# --- cautions ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_soil_far_from_the_setup_is_a_caution(planted):
     """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model alone."""
     k = [u.name for u in planted.fit.unknowns].index("cohesion")

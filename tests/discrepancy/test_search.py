@@ -81,9 +81,6 @@ def test_what_depends_on_time_alone_is_unlisted():
     assert finding.verdict == "unlisted" and finding.names == () and finding.unlisted > 0.9
 
 
-# --- what follows from the probabilities ------------------------------------------------------------------------------
-
-
 def stated(*hypotheses):
     """`Finding` of (names, free, probability)."""
     return Finding(tuple(Hypothesis(n, f, p, 0.0, None) for n, f, p in hypotheses), {}, {"a": SEEN})

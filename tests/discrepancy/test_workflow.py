@@ -84,9 +84,6 @@ def test_the_same_seed_gives_the_same_files(planted_files, tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-# --- odd tables -------------------------------------------------------------------------------------------------------
-
-
 def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
     """On a wheel of two metres the rig's own scales are larger than these."""
     text = "slip,load,sinkage\n0.1,9e4,0.5\n0.3,9e4,0.5\n0.5,9e4,0.5\n"

@@ -117,9 +117,6 @@ def test_units_gear_and_motor_constant(tmp_path):
     assert found["speed"][25] == pytest.approx(0.15 * 2.5 * 0.8)
 
 
-# --- what is not there ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("channel", "source", "named"),
     [
@@ -216,9 +213,6 @@ def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
     assert sum("sinkage" in note for note in found.notes) == 1
     with pytest.raises(ParameterError, match="sinkage"):
         read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": {"constant": 20}})))
-
-
-# --- cut off, damaged -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
@@ -322,9 +316,6 @@ def test_time_that_goes_back_in_a_table(tmp_path):
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
     assert found.readings["speed"] == pytest.approx([0.0, 0.1, 0.2, 0.4, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2])
     assert any("3 times, first in row 6 (0.300 s after 0.400 s): 2 of them" in note for note in found.notes)
-
-
-# --- large ------------------------------------------------------------------------------------------------------------
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path):

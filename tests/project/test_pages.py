@@ -55,9 +55,6 @@ def tables(page: Path) -> dict[str, list[dict[str, str]]]:
     return found
 
 
-# --- Python -----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [p for p in [ROOT / "README.md", *GUIDE] if any(not b["reason"] for b in blocks(p, "python"))], ids=name_of
@@ -91,9 +88,6 @@ def test_the_ros_node_of_the_page_identifies(monkeypatch):
         identify()
     shown = [call.args[0] for call in node.get_logger.return_value.info.call_args_list]
     assert len(shown) == 40 and shown[-1].startswith("phi ") and shown[-1] != shown[0]
-
-
-# --- commands ---------------------------------------------------------------------------------------------------------
 
 
 def commands(page: Path) -> list[list[str]]:
@@ -140,9 +134,6 @@ def test_the_commands_of_a_page_exist(page):
             shown = CliRunner().invoke(soil_env, [words[1], "--help"])
             assert shown.exit_code == 0, words
             check_options(words[2:], shown.output)
-
-
-# --- the contract -----------------------------------------------------------------------------------------------------
 
 
 def entries(env_id: str, **keywords) -> list[tuple[str, float, float, float, float]]:
@@ -198,9 +189,6 @@ def test_actions_rewards_causes_and_info_of_the_environment():
     assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {c.name: c.value for c in Cause}
     keys = {row["key"].strip("`") for row in tables(DOCS / "guide" / "traversability.md")["Traversability and warning"]}
     assert keys == set(info["traversability"])
-
-
-# --- names ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("page", OUTSIDE, ids=name_of)

@@ -102,9 +102,6 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     return Result(load, thrust - resistance, thrust - resistance_paper, torque, scale)
 
 
-# --- the steady wheel with named effects ------------------------------------------------------------------------------
-
-
 class SteadyResult(NamedTuple):
     """Readings: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its target."""
 

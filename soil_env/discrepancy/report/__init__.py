@@ -100,9 +100,6 @@ def show(report: Report, console: Console) -> None:
     console.print(Text(text(report)))
 
 
-# --- report.json ------------------------------------------------------------------------------------------------------
-
-
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in equations.blocks(report)]

@@ -103,9 +103,6 @@ def _number(x: float, unit: str = "", digits: int = 4) -> str:
     return f"{plain(x, digits)} {unit}".rstrip()
 
 
-# --- as HTML ----------------------------------------------------------------------------------------------------------
-
-
 def mathematics(text: str) -> str:
     """An equation in plain text as HTML: italic letters, subscripts, superscripts, Greek."""
     text = escape(text, quote=False)

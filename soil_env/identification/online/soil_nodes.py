@@ -46,9 +46,6 @@ def below_diagonal(i, j):
     return i * (i + 1) // 2 + j
 
 
-# --- prior ------------------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def _condition_on_ln_K(gaussian, prior):
     """Store the Gaussian [GAUSSIAN] of the other unknowns given ln K into the conditional `prior` [PRIOR_SIZE].
@@ -114,9 +111,6 @@ def set_priors(banks, k):
         for i in range(6):
             nodes[(PRECISION + i) * COUNT + STAYS] = old[PRIOR_PRECISION + i]
         nodes[LOG_PRIOR * COUNT + STAYS] = math.log(_SAME) + 0.5 * old[PRIOR_LOG]
-
-
-# --- a new soil -------------------------------------------------------------------------------------------------------
 
 
 @compiled_inline
@@ -193,9 +187,6 @@ def begin_again(banks, k):
     points, bins = p.points[k], p.bins[k]
     _begin(banks, k, COUNT)
     p.points[k], p.bins[k] = points, bins
-
-
-# --- posterior --------------------------------------------------------------------------------------------------------
 
 
 @compiled_inline

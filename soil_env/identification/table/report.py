@@ -19,9 +19,6 @@ LABELS = {
 }
 
 
-# --- on the terminal --------------------------------------------------------------------------------------------------
-
-
 def text_of(estimate: TableEstimate) -> str:
     """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
     parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
@@ -66,9 +63,6 @@ def _channels(estimate: TableEstimate) -> Table:
 
 def _rms(off: np.ndarray) -> float:
     return math.sqrt(float(np.nanmean(off**2)))
-
-
-# --- files ------------------------------------------------------------------------------------------------------------
 
 
 def report_of(estimate: TableEstimate) -> dict[str, Any]:

@@ -122,9 +122,6 @@ def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration)
         to_array(rim + short * from_array(e.try_u, i), e.try_u, i)
 
 
-# --- the iteration ----------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def _evaluate(sub, trial, cu, world, s):
     """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""

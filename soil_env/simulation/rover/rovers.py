@@ -119,9 +119,6 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
     return drawn._replace(bogged_sinkage=_DEEPEST_ALONE * drawn.bogged_sinkage)
 
 
-# --- one rover --------------------------------------------------------------------------------------------------------
-
-
 @compiled_part
 def _settle(worlds, numbers, j, mass):
     """Put rover j at rest at the start of its course."""
@@ -230,9 +227,6 @@ def _after_period(worlds, numbers, j, period):
     terms = worlds.terms[j]
     reward_terms(body, j, cause, task, terms)
     worlds.reward[j] = total_of(terms)
-
-
-# --- many rovers ------------------------------------------------------------------------------------------------------
 
 
 @compiled_inline

@@ -229,9 +229,6 @@ def take_line(k, courses, p, line):
     courses.margins[k, p] = lines.capacities[k, p, line] - math.tan(lines.grades[k, p, line])
 
 
-# --- choosing ---------------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def next_fork(state, counts, k, courses, border):
     """The patch with two lines that wheel k comes to next and has not touched yet, or -1."""

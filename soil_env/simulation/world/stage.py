@@ -65,9 +65,6 @@ load_soil = lane_record(SoilState).load
 _load_frame, _store_frame, _, _ = lane_record(ArcFrame)
 
 
-# --- ground and equations ---------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def newton_step(f1, f2, cv, cu, dp_v, dp_u, torque_v, net_u):
     """(dV, du) of Newton's method for the residuals of implicit Euler; `net_u` = d(T - T_motor)/du."""

@@ -97,9 +97,6 @@ def acting(fx: Effects) -> Effects:
     return fx
 
 
-# --- their laws, composed ---------------------------------------------------------------------------------------------
-
-
 def _after(first: Compiled, second: Compiled) -> Compiled:
     @compiled_inline
     def both(x, at, fx):

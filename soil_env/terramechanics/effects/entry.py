@@ -102,9 +102,6 @@ class Effect:
         return next(f for f in self.forms if f.name == name)
 
 
-# --- what the laws depend on ------------------------------------------------------------------------------------------
-
-
 class Passage(NamedTuple):
     """Motion of the wheel over the soil, and that soil before any effect."""
 
