@@ -1,14 +1,14 @@
 """Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on soil?
 
     python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16   draw, ask, score
-    python -m benchmarks.discovery run --set ten --held-out ...                               the final run
+    python -m benchmarks.discovery run --held-out ...                                         the final run
     python -m benchmarks.discovery score --out DIR --publish docs/results                     all answers in DIR
 
 An entrant is `workflow` or module:function, from the paths of data.csv and setup.yaml to a
 benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Develop with seeds from
 100000 on and without --held-out.
 
-DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with set, seed and generator.
+DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with seed and generator.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ from threadpoolctl import threadpool_limits
 
 import soil_env
 from benchmarks.discovery import score
-from benchmarks.discovery.cases import GROUPS, SETS, draw_case, generator, task_of, tasks, write_case
+from benchmarks.discovery.cases import GROUPS, draw_case, generator, task_of, tasks, write_case
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
@@ -43,10 +43,10 @@ FIRST = 100000  # seed of development
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def begin(folder: Path, of: str, seed: int) -> None:
-    """Make the folder of a study. Raises `ParameterError` if it holds another set, seed or generator."""
+def begin(folder: Path, seed: int) -> None:
+    """Make the folder of a study. Raises `ParameterError` if it holds another seed or generator."""
     make_folder(folder)
-    _agree(folder / "study.json", {"set": of, "seed": seed, "generator": generator()}, "--out")
+    _agree(folder / "study.json", {"seed": seed, "generator": generator()}, "--out")
 
 
 def describe(folder: Path, label: str, who: str) -> None:
@@ -115,11 +115,11 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
     pool.shutdown()
 
 
-def _names(of: str, limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
+def _names(limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
     held = [g for g in groups if GROUPS[g].sort == "held"]
     if held and not held_out:
         raise ParameterError(f"--group {held[0]}: kinds that are held back from development: expected --held-out too")
-    return [t.name for t in tasks(of, limit, held_out) if not groups or t.group in groups]
+    return [t.name for t in tasks(limit, held_out) if not groups or t.group in groups]
 
 
 def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...], held_out: bool) -> None:
@@ -130,11 +130,11 @@ def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: t
         raise ParameterError(f"{out}: no answers; expected those of a run")
     entrants = {}
     for label in labels:
-        if records := score.read_records(out, label, _names(about["set"], limit, groups, held_out)):
+        if records := score.read_records(out, label, _names(limit, groups, held_out)):
             entrants[label] = read_json(out / "answers" / f"{label}.json") | score.figures(records)
     place = publish or out
     make_folder(place)
-    write_json(place / f"discovery_{about['set']}.json", about | {"limit": limit, "entrants": entrants})
+    write_json(place / "discovery.json", about | {"limit": limit, "entrants": entrants})
     print(score.table(entrants).markdown())
 
 
@@ -158,17 +158,16 @@ def _of_cases(work: Callable) -> Callable:
 @command.command("run")
 @click.option("--entrant", "who", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
 @click.option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
-@click.option("--set", "of", type=click.Choice(list(SETS)), default="laws", metavar="SET", help="Default: laws.")
 @click.option("--seed", type=WholeNumber(), default=FIRST, metavar="N", help=f"Default: {FIRST}.")
 @click.option("--jobs", type=WholeNumber(1), default=1, metavar="N", help="Processes (default 1).")
 @_of_cases
-def run_command(who, label, publish, of, seed, jobs, out, limit, groups, held_out) -> None:
+def run_command(who, label, publish, seed, jobs, out, limit, groups, held_out) -> None:
     """Ask an entrant and score it; resumes."""
     label = label or re.sub(r"\W+", "_", who)[:40]
     entrant(who)  # before the work: that there is one
-    begin(out, of, seed)
+    begin(out, seed)
     describe(out, label, who)
-    left = [n for n in _names(of, limit, groups, held_out) if not (out / "answers" / label / f"{n}.json").exists()]
+    left = [n for n in _names(limit, groups, held_out) if not (out / "answers" / label / f"{n}.json").exists()]
     each(partial(ask, who, label, seed, out), left, jobs)
     publish_scores(out, publish, limit, groups, held_out)
 

@@ -2,8 +2,7 @@
 
 A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, and
 sinkage is below the surface in front of the wheel. Pull is the net forward force on the axle, less the weight component
-where a grade effect is hidden. Set `laws` has law errors of several sizes that are smooth in slip, and several designs;
-set `ten` has rich tables with errors of 10 % of all kinds (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
+where a grade effect is hidden. Laws err by 10 %, in all kinds of ways (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
 """
 
 import csv
@@ -19,19 +18,19 @@ import numpy as np
 import yaml
 
 from benchmarks.common import short
-from benchmarks.discovery.forms import MECHANISMS, VARIES, forms_of
+from benchmarks.discovery.forms import MECHANISMS, forms_of
 from benchmarks.discovery.fresh import FRESH
 from benchmarks.discovery.hidden import CHANNELS, Form, Hidden
 from benchmarks.discovery.laws import log_slip, regimes, smooth
-from benchmarks.discovery.plan import PRIOR_SD, SOIL, WIDE, Bench, Measure, draw_bench
+from benchmarks.discovery.plan import PRIOR_SD, SOIL, Bench, Measure, draw_bench
 from benchmarks.discovery.unlisted import INSTRUMENT, UNLISTED
 from soil_env._io.files import write_json
 from soil_env._io.loading import ParameterError
 
+ERROR = 0.1  # size of the law errors
 LEAST = 2.0  # detection limits from which a case counts for the targets
 SEEN = (LEAST, 8.0)  # sizes that are sought, in detection limits
 PAIRS = tuple(combinations(MECHANISMS, 2))
-STEADY = tuple(m for m in MECHANISMS if m not in VARIES)
 ATTEMPTS = 8  # tables that are drawn in search of one in which the effects can be seen
 DEEPEST = 0.7  # sinkage over the radius, with effects
 
@@ -41,17 +40,15 @@ class Group:
     """Cases of one sort."""
 
     kind: str  # one, two, none, unlisted or instrument
-    design: str  # rich, poor, few: of `plan`
-    error: float  # size of the law errors
     count: int
-    sort: str = ""  # outliers; held: unlisted kinds that are held back
+    sort: str = ""  # held: unlisted kinds that are held back
     of_slip: Callable = smooth  # kind of the law errors
 
     @property
     def name(self) -> str:
-        """Kind, design, sort and error, as in the names of the cases."""
-        error = f"{100 * self.error:.0f}" + ("" if self.of_slip is smooth else f"-{self.of_slip.__name__}")
-        return "-".join(filter(None, (self.kind, self.design, self.sort, error)))
+        """Kind, sort, size of the law errors in percent and their kind, as in the names of the cases."""
+        kind = "" if self.of_slip is smooth else self.of_slip.__name__
+        return "-".join(filter(None, (self.kind, "rich", self.sort, f"{100 * ERROR:.0f}", kind)))
 
     def hidden(self, index: int) -> list[Form]:
         """Return the forms that are hidden in a case: mechanisms and forms take turns."""
@@ -64,40 +61,18 @@ class Group:
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
         else:
-            known = STEADY if self.design in ("poor", "few") else MECHANISMS
-            names = (known[index % len(known)],)
+            names = (MECHANISMS[index % len(MECHANISMS)],)
         turn = index // len(MECHANISMS) if self.kind == "one" else index
         return [forms_of(n)[(turn + k) % len(forms_of(n))] for k, n in enumerate(names)]
 
 
-def _groups(kind: str, counts: dict[float, int], design: str = "rich", sort: str = "", **of_set) -> list[Group]:
-    return [Group(kind, design, error, count, sort, **of_set) for error, count in counts.items()]
-
-
-SETS: dict[str, list[Group]] = {
-    "laws": [
-        *_groups("one", {0.0: 78, 0.05: 39, 0.1: 156, 0.2: 39}),
-        *_groups("two", {0.0: 39, 0.1: 78}),
-        *_groups("none", {0.0: 40, 0.05: 20, 0.1: 60, 0.2: 20}),
-        *_groups("unlisted", {0.0: 36, 0.1: 63, 0.2: 18}),
-        *_groups("unlisted", {0.1: 60}, sort="held"),
-        *_groups("instrument", {0.0: 30, 0.1: 60}),
-        *_groups("one", {0.1: 26}, sort="outliers"),
-        *_groups("none", {0.1: 10}, sort="outliers"),
-        *_groups("one", {0.0: 18, 0.1: 36}, "poor"),
-        *_groups("one", {0.0: 18, 0.1: 36}, "few"),
-        *_groups("none", {0.1: 30}, "poor"),
-        *_groups("none", {0.1: 20}, "few"),
-    ],
-    "ten": [  # law errors of 10 % of all three kinds
-        group
-        for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 8),
-                                  ("unlisted", "held", 12), ("instrument", "", 18))
-        for of_slip in (smooth, log_slip, regimes)
-        for group in _groups(kind, {0.1: count}, sort=sort, of_slip=of_slip)
-    ],
-}  # fmt: skip
-GROUPS = {group.name: group for groups in reversed(SETS.values()) for group in groups}
+ALL = [
+    Group(kind, count, sort, of_slip)
+    for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 8),
+                              ("unlisted", "held", 12), ("instrument", "", 18))
+    for of_slip in (smooth, log_slip, regimes)
+]  # fmt: skip
+GROUPS = {group.name: group for group in ALL}
 
 
 class Task(NamedTuple):
@@ -112,12 +87,12 @@ class Task(NamedTuple):
         return f"{self.group}-{self.index:03d}"
 
 
-def tasks(of: str, limit: int | None = None, held_out: bool = False) -> list[Task]:
-    """Return the first `limit` cases of a set; every beginning of the list has its share of each group.
+def tasks(limit: int | None = None, held_out: bool = False) -> list[Task]:
+    """Return the first `limit` cases; every beginning of the list has its share of each group.
 
     Groups of kinds that are held back from development come only with `held_out`.
     """
-    groups = [g for g in SETS[of] if held_out or g.sort != "held"]
+    groups = [g for g in ALL if held_out or g.sort != "held"]
     found = [((i + 0.5) / g.count, Task(g.name, i)) for g in groups for i in range(g.count)]
     return [task for _, task in sorted(found, key=lambda pair: pair[0])][:limit]
 
@@ -155,7 +130,7 @@ def draw_case(seed: int, task: Task) -> Case:
     forms = group.hidden(task.index)
     best, measure, effects, sizes = None, None, (), ()
     for _ in range(ATTEMPTS):
-        bench = draw_bench(rng, group.design, group.error, group.of_slip)
+        bench = draw_bench(rng, ERROR, group.of_slip)
         measure = Measure(bench)
         effects, sizes = _strengths(rng, measure, forms, group)
         if sizes is None:
@@ -205,15 +180,12 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
     clean = bench.truth(effects)
     noise = np.array(bench.noise)[:, None]
     values = clean + noise * rng.standard_normal(clean.shape)
-    wrong = (rng.random(clean.shape) < 0.02) & bench.measured & (group.sort == "outliers")
-    gross = rng.uniform(5.0, 15.0, clean.shape) * rng.choice((-1.0, 1.0), clean.shape)
-    values = np.where(wrong, clean + noise * gross, values)
-    stated = rng.random() < (0.5 if group.design == "few" else 0.8)
-    setup = _setup(rng, bench, stated, WIDE if group.design == "few" else 1.0)
+    stated = rng.random() < 0.8
+    setup = _setup(rng, bench, stated)
     truth = {
-        "case": task.name, "seed": seed, "kind": group.kind, "design": group.design, "sort": group.sort,
-        "law_error": group.error, "law_errors": group.of_slip.__name__,
-        "rows": len(bench.rows), "noise_stated": stated, "wrong_cells": int(wrong.sum()),
+        "case": task.name, "seed": seed, "kind": group.kind, "sort": group.sort,
+        "law_error": ERROR, "law_errors": group.of_slip.__name__,
+        "rows": len(bench.rows), "noise_stated": stated,
         "soil_type": bench.soil, "soil": asdict(bench.ground),
         "noise": dict(zip(CHANNELS, bench.noise, strict=True)),
         **_described(measure, effects, sizes),
@@ -247,25 +219,20 @@ def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
     }  # fmt: skip
     if np.any(rows.grade_deg):
         columns["grade_deg"] = [float(np.round(g, 4)) for g in rows.grade_deg]
-    for name, row, kept in zip(CHANNELS, values, bench.measured, strict=True):
-        if kept.any():
-            columns[name] = [float(f"{v:.6g}") for v in row]
-    return columns
+    return columns | {name: [float(f"{v:.6g}") for v in row] for name, row in zip(CHANNELS, values, strict=True)}
 
 
-def _setup(rng, bench: Bench, noise_stated: bool, wide: float) -> dict:
+def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
     """Known to the entrant: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
     soil = {}
     for name in SOIL:
         true, value = getattr(bench.ground, name), -1.0
         while value <= 0.05 * true:
             value = true + bench.prior_sd[name] * rng.standard_normal()
-        soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{wide * PRIOR_SD[name](value):.3g}")}
+        soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{PRIOR_SD[name](value):.3g}")}
     setup = {"wheel": asdict(bench.wheel), "soil": soil | {"density": bench.ground.density}}
     if noise_stated:
-        present = bench.measured.any(axis=1)
-        levels = zip(CHANNELS, bench.noise, present, strict=True)
-        setup["noise"] = {name: float(f"{s:.3g}") for name, s, there in levels if there}
+        setup["noise"] = {name: float(f"{s:.3g}") for name, s in zip(CHANNELS, bench.noise, strict=True)}
     return setup
 
 

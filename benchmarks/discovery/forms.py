@@ -16,8 +16,6 @@ from benchmarks.discovery.world import column
 FORMS: list[Form] = []
 _form = partial(enter, FORMS)
 _late = partial(_form, order=2)  # these read the soil that others alter
-#: Columns that must vary in a table for a mechanism to show; the others can be seen in every design.
-VARIES = {"multipass": "pass", "penetration_rate": "speed", "shear_rate": "speed", "grade": "grade_deg"}
 
 
 def _slip(contact):

@@ -37,7 +37,6 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-WIDE = 2.5  # sd of the priors of a table as in papers, over the usual one
 SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
 LEVEL, POWER = 0.01, 0.95
 FREE = 10.0  # standard deviation of the strength of another effect that is refitted, over its strength
@@ -54,7 +53,6 @@ class Bench:
     grade: float  # steepest [deg]
     noise: tuple[float, float, float]  # 1-sigma of sinkage [m], drawbar pull [N], torque [N m]
     prior_sd: dict[str, float]  # of `SOIL`
-    measured: np.ndarray  # [3, N] cells that are filled in
     soil: str  # its sort
     error: StressError | None = None
 
@@ -107,7 +105,7 @@ class Bench:
         return self.truth()
 
 
-def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Callable = smooth) -> Bench:
+def draw_bench(rng: np.random.Generator, size: float, of_slip: Callable = smooth) -> Bench:
     """Wheel, soil and plan of a table; size and kind of its law errors."""
     while True:
         soil = list(SOILS)[rng.integers(len(SOILS))]
@@ -116,7 +114,7 @@ def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Call
         width = float(np.round(np.clip(radius * rng.uniform(0.5, 1.1), 0.06, 0.25), 3))
         mean_load = pressure * radius * width
         wheel = Wheel(radius, width)
-        rows, runs = _plan(rng, design, mean_load)
+        rows, runs = _plan(rng, mean_load)
         ground = Ground(phi, c, k, 1.0, n, float(np.round(rng.uniform(1300, 1800))))
         depth = rng.uniform(0.07, 0.2)
         s = stiffness_for(wheel, ground, mean_load, depth)
@@ -125,18 +123,14 @@ def draw_bench(rng: np.random.Generator, design: str, size: float, of_slip: Call
         bench = Bench(
             wheel, replace(ground, sinkage_coefficient=s), rows, tuple(runs),
             float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)), _noise(rng, radius, mean_load),
-            {}, np.ones((3, len(rows)), bool), soil,
+            {}, soil,
         )  # fmt: skip
         bench = replace(bench, error=StressError.draw(rng, size, bench.pressure, bench.load, of_slip))
         sinkage = np.stack([bench.base[0], replace(bench, error=None).base[0]]) / wheel.radius
         if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
             break
-    wide = WIDE if design == "few" else 1.0
-    prior = {name: wide * rule(getattr(bench.ground, name)) for name, rule in PRIOR_SD.items()}
-    bench = replace(bench, prior_sd=prior)
-    if design == "few" and rng.random() < 0.4:
-        bench.measured[rng.integers(1, 3)] = False  # as in papers: torque or pull is missing
-    return bench
+    prior = {name: rule(getattr(bench.ground, name)) for name, rule in PRIOR_SD.items()}
+    return replace(bench, prior_sd=prior)
 
 
 def stiffness_for(wheel: Wheel, ground: Ground, load: float, depth: float) -> float:
@@ -164,34 +158,25 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
 # --- conditions -------------------------------------------------------------------------------------------------------
 
 
-def _plan(rng, design: str, mean_load: float) -> tuple[Rows, list[str]]:
+def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     """Conditions and run labels; grades as a pattern in [-1, 1].
 
-    rich: 3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed; poor: one load,
-    speed and pass, 6 to 9 slips, 3 times; few: 5 to 20 rows at 1 to 3 loads. The rows of a run are neighbours.
+    3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed. The rows of a run are
+    neighbours.
     """
     loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
     slowest, fastest = np.exp(rng.uniform(np.log(0.01), np.log(0.1))), rng.uniform(5.0, 10.0)
     speeds = np.round(slowest * fastest ** np.array([0.0, 0.5, 1.0]), 4)
     pattern = np.array(((-1.0, 0.0, 1.0), (0.0, 0.5, 1.0))[rng.integers(2)])
     top = rng.uniform(0.5, 0.65)
-    if design == "rich":
-        order = [(i, j) for i in range(3) for j in range(3)]
-        rng.shuffle(order)
-        blocks = [(loads[i], speeds[j], p, pattern[(i + j) % 3], False) for i, j in order for p in (1, 2, 3)]
-    else:  # all at one speed
-        speed = speeds[rng.integers(3)]
-        chosen = [loads[1]] * 3 if design == "poor" else loads[: rng.integers(1, 4)]
-        blocks = [(load, speed, 1, 0.0, design == "poor" and k > 0) for k, load in enumerate(chosen)]
-    count = rng.integers(6, 8), rng.integers(6, 10)
-    count = max(int(rng.integers(5, 21)) // len(blocks), 2) if design == "few" else count[design == "poor"]
-    slips = own = np.linspace(0.05, top, int(count))
+    order = [(i, j) for i in range(3) for j in range(3)]
+    rng.shuffle(order)
+    blocks = [(loads[i], speeds[j], p, pattern[(i + j) % 3]) for i, j in order for p in (1, 2, 3)]
+    slips = np.linspace(0.05, top, int(rng.integers(6, 8)))
     rows, runs, clock = [], [], 0.0
-    for number, (load, speed, number_of_pass, grade, again) in enumerate(blocks, start=1):
+    for number, (load, speed, number_of_pass, grade) in enumerate(blocks, start=1):
         clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)  # preparing the soil
-        if not again:
-            own = np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4)
-        for slip in own:
+        for slip in np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4):
             clock += rng.uniform(30, 90)
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
             runs.append(f"run{number:02d}")
@@ -227,7 +212,6 @@ class Measure:
     def __init__(self, bench: Bench):
         self.whole = bench
         self.bench = replace(bench, error=None)
-        self.kept = bench.measured.ravel()
         noise = np.repeat(np.array(bench.noise), len(bench.rows))
         total = np.diag(noise**2)
         tangent = soil_tangent(bench)
@@ -236,14 +220,13 @@ class Measure:
         if size > 0.0:
             entry = np.arccos(1.0 - self.bench.base[:1].T / bench.radius)
             total += size**2 * covariance(self.bench.contact(), entry, bench.pressure, bench.load)
-        total = total[np.ix_(self.kept, self.kept)]
         if not np.all(np.isfinite(total)):
             raise ValueError("no balance of the base world")
         self.factor = cholesky(total, lower=True)
 
     def white(self, change: np.ndarray) -> np.ndarray:
         """Change of the table [3, N] in units in which all errors are independent and 1."""
-        return solve_triangular(self.factor, change.ravel()[self.kept], lower=True, check_finite=False)
+        return solve_triangular(self.factor, change.ravel(), lower=True, check_finite=False)
 
     def contribution(self, effect: Hidden, others: Sequence[Hidden] = ()) -> np.ndarray:
         """Change of the table by an effect beside the others, whitened; NaN where the wheel finds no balance."""

@@ -21,7 +21,6 @@ ASSERTED = ("named", "partly")  # verdicts that assert a name
 MORE_LIKELY = 0.5
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 LEAST_IN_BIN = 20  # a bin with fewer answers has no deviation
-MAIN = 0.1  # size of the law errors at which the targets are set
 SENSORS = ("slip_bias", "sinkage_offset")  # of the catalogue, but not of the soil
 CALIBRATED = {"largest": 0.10, "mean": 0.03}  # deviation of stated probabilities that is asked for
 
@@ -111,7 +110,6 @@ def targets(records: Iterable[Record]) -> dict[str, dict]:
 
 def figures(records: list[Record]) -> dict:
     """All figures of one entrant as plain values."""
-    main = [r for r in records if (r.truth["design"], r.truth["law_error"]) == ("rich", MAIN)]
     counting = [r for r in records if r.truth["counts"]]
     groups = sorted({r.truth["case"].rpartition("-")[0] for r in records})
     hidden = {"-".join(r.there) for r in records if len(r.there) == 1}
@@ -120,8 +118,8 @@ def figures(records: list[Record]) -> dict:
         "counting": len(counting),
         "errors": sum(r.answer.verdict == "error" for r in records),
         "contradicted": sum(contradicted(r.answer) for r in records),
-        "targets": targets(r for r in main if r.truth["counts"]),
-        "all": targets(main),
+        "targets": targets(counting),
+        "all": targets(records),
         "groups": {g: targets(r for r in counting if r.truth["case"].rpartition("-")[0] == g) for g in groups},
         "hidden": {name: targets(r for r in counting if r.there == [name]) for name in sorted(hidden)},
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records))},

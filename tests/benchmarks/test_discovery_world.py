@@ -36,7 +36,7 @@ def grid() -> Rows:
 ROWS = grid()
 BENCH = Bench(
     WHEEL, GROUND, ROWS, ("run",) * 45, 6.0, (0.0009, 0.68, 0.097),
-    {name: rule(getattr(GROUND, name)) for name, rule in PRIOR_SD.items()}, np.ones((3, 45), bool), "mine",
+    {name: rule(getattr(GROUND, name)) for name, rule in PRIOR_SD.items()}, "mine",
 )  # fmt: skip
 
 
@@ -260,7 +260,7 @@ def test_wrong_radius_is_another_wheel_at_another_slip():
 
 @pytest.mark.parametrize("form", FORMS_OF_ALL, ids=lambda f: f.name)
 def test_form_is_nothing_at_zero_and_moves_only_its_channels(form):
-    b = draw_bench(np.random.default_rng(5), "rich", 0.0)
+    b = draw_bench(np.random.default_rng(5), 0.0)
     side = form.side(np.random.default_rng(1), b)
     if not form.scales_grade:
         np.testing.assert_allclose(b.truth([Hidden(form, 0.0, side)]), b.base, rtol=1e-7)
