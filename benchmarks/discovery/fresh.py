@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.discovery.hidden import PULL, Form, drawn, enter
+from benchmarks.discovery.hidden import PULL, TORQUE, Form, drawn, enter
 from benchmarks.discovery.world import column
 
 FRESH: list[Form] = []
@@ -21,127 +21,117 @@ def _begins(rows):
     return np.concatenate([[True], np.diff(rows.slip) < 0.0])
 
 
-# --- through the soil and the contact ---------------------------------------------------------------------------------
+@_fresh("gain of sinkage for each factor e of standing time [-]", 0.3)
+def settling_at_rest(contact, s, side):
+    """Between readings the wheel stands under load and the soil creeps with the logarithm of time (Buisman 1936).
 
-
-@_fresh("pore pressure at entry over normal stress [-]", 1.0, side=drawn("speed", "radius", drain=(0.1, 0.5)))
-def pore_pressure(contact, s, side):
-    """Water in wet soil takes up part of the load at entry and drains away while the wheel is over it (Terzaghi 1943).
-
-    Only the effective stress gives friction, so that speed weakens the soil, in front first; listed rates strengthen
-    it, none takes friction and leaves cohesion, and no unlisted kind of the soil knows the speed.
+    The wheel sets off from its pit and is read before it is out: z [1 + s ln(t/30 s)], no rest before a run. Listed
+    rates know the speed, not the rest; an unsettled wheel comes from the depth of the row before, for however long.
     """
-    drained = side["drain"] * side["radius"] / side["speed"]  # time [s]
-
-    def hook(tau, arc):
-        age = contact.radius * (arc.entry - arc.theta) / contact.speed
-        friction = np.maximum(arc.sigma, 0.0) * contact.tan_phi / np.maximum(arc.limit, 1e-9)
-        return tau * (1.0 - s * np.exp(-age / drained) * friction)
-
-    contact.tangential.append(hook)
+    rest = np.where(_begins(contact.rows), 30.0, np.diff(contact.rows.time, prepend=0.0))
+    deeper = 1.0 + s * np.log(column(np.maximum(rest, 30.0)) / 30.0)
+    contact.deepening.append(lambda z: z * deeper)
 
 
-@_fresh("half range of ln S along the lane [-]", 0.6, side=drawn(rows=(2.2, 4.5), phase=(0.0, 6.28)))
-def waves_in_lane(contact, s, side):
-    """The leveller leaves firm and soft places along the lane, the same in each bed, as cone readings show.
+@_fresh("exponent of the load of the bed before in S [-]", 0.9, side=drawn("load", friction=(0.0, 0.2)))
+def traces_of_last_bed(contact, s, side):
+    """The tiller does not undo all compaction, so that a new bed is firmer where the bed before bore a heavy wheel.
 
-    All runs take their slips in the same order, so that place and slip go together; listed effects of slip do not
-    rise and fall again, and beds that differ as a whole keep one value over a run.
-    """
-    first = _begins(contact.rows)
-    place = np.arange(first.size) - np.maximum.accumulate(np.where(first, np.arange(first.size), 0))
-    wave = np.cos(2.0 * np.pi * column(place) / side["rows"] + side["phase"])
-    contact.stiffness = contact.stiffness * np.exp(s * wave)
-    contact.tan_phi = contact.tan_phi * np.exp(0.1 * s * wave)
-
-
-@_fresh("cohesion of roots at the surface over the mean contact pressure [-]", 1.0,
-        side=drawn("pressure", "radius", depth=(0.03, 0.15), tear=(0.1, 0.5), left=(0.1, 0.6)))  # fmt: skip
-def root_mat(contact, s, side):
-    """Roots near the surface add cohesion until they tear, and a pass leaves few of them whole (Waldron 1977).
-
-    The track gets weaker with passes and the gain is lost in depth; the listed multipass firms it and changes S too,
-    and a rut's walls grip from the second pass.
-    """
-    whole = s * side["pressure"] * side["left"] ** (contact.passes - 1.0)
-
-    def hook(tau, arc):
-        depth = contact.radius * (np.cos(arc.theta) - np.cos(arc.entry))
-        roots = whole * np.exp(-depth / (side["depth"] * side["radius"]))
-        roots = roots * np.exp(-np.abs(arc.shear) / (side["tear"] * side["radius"]))
-        return tau * (1.0 + roots / np.maximum(arc.limit, 1e-9))
-
-    contact.tangential.append(hook)
-
-
-@_fresh("share of the grip that is lost by the end [-]", 0.7, side=drawn(way=(0.2, 1.5)))
-def wearing_rim(contact, s, side):
-    """Sand glued to the rim wears off with the way that it has slid, and the smoother rim grips less.
-
-    The shear stress falls from row to row through the campaign, most after runs at much slip. Listed softening begins
-    anew in each row; listed passes, and moisture that is taken up, change S as well.
-    """
-    slid = np.cumsum(np.maximum(contact.slip, 0.0) / np.maximum(1.0 - contact.slip, 0.05))  # per way driven
-    worn = np.expm1(-slid / (side["way"] * slid[-1])) / np.expm1(-1.0 / side["way"])
-    contact.tangential.append(lambda tau, arc: tau * (1.0 - s * column(worn)))
-
-
-# --- forces on wheel and rig ------------------------------------------------------------------------------------------
-
-
-@_fresh("share of the load that is lost by the end of the longest bed [-]", 0.5)
-def leaking_cylinder(contact, s, side):
-    """The load comes from a pneumatic cylinder that is set for each bed and leaks until the next; the table has W set.
-
-    Sinkage, pull and torque fall together with the time since the bed was new; the listed passes, which firm the bed,
-    raise the pull, and moisture and seals know the whole campaign, not the bed.
+    S goes with the load before, in part also phi, and one value holds for the three passes of a bed. Listed multipass
+    grows within a bed and knows no other bed; uneven beds are random, and places of a lane are alike in all beds.
     """
     rows = contact.rows
-    new = _begins(rows) & (rows.passes == 1.0)
-    age = rows.time - np.maximum.accumulate(np.where(new, rows.time, 0.0))
-    contact.load = contact.load * (1.0 - s * column(age / max(age.max(), 1.0)))
+    starts = np.flatnonzero(_begins(rows) & (rows.passes == 1.0))
+    bed = np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
+    heavy = np.where(bed > 0, rows.load[starts[np.maximum(bed - 1, 0)]] / side["load"], 1.0)
+    contact.stiffness = contact.stiffness * column(heavy) ** s
+    contact.tan_phi = contact.tan_phi * column(heavy) ** (side["friction"] * s)
 
 
-@_fresh("drag at the mean speed over the mean load [-]", 0.2, (PULL,), side=drawn("load", "speed", power=(0.6, 1.5)))
-def carriage_drag(contact, s, side):
-    """The carriage drags in its greased rails, the more the faster it goes, and the pull is read behind it.
+@_fresh("gain of the radius of the contact at the mean load [-]", 1.0, side=drawn("load", power=(0.7, 1.3)))
+def flattening_wheel(contact, s, side):
+    """A wheel that is not rigid flattens under its load and meets the soil as part of a larger circle (Bekker 1956).
 
-    Listed rates move all channels, the listed friction of the drive the torque; none takes pull alone with speed,
-    nor does an unlisted kind.
+    The longer contact sinks less and pulls more, most at heavy loads. Listed effects know no wheel that yields; a wrong
+    radius is one value for all loads and falsifies slip; an eccentric wheel swings with the way.
     """
-    drag = s * side["load"] * (contact.rows.speed / side["speed"]) ** side["power"]
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull - drag))
+    larger = 1.0 + s * (contact.load / side["load"]) ** side["power"]
+    contact.radius, contact.shear_radius = contact.radius * larger, contact.shear_radius * larger
+    lever = larger[:, 0]  # the axle stays as high above the ground as before
+    contact.sensors.append(lambda out: replace(out, torque=out.torque / lever))
 
 
-# --- sensors and procedure --------------------------------------------------------------------------------------------
+@_fresh("load that is lost at a sinkage of 0.1 r over the mean load [-]", 0.5, side=drawn("load"))
+def relaxing_spring(contact, s, side):
+    """A preloaded spring presses the wheel down, set on the surface, and gives less the deeper the wheel sinks.
 
-
-@_fresh("pull read for a unit of torque over radius [-]", 0.4, (PULL,), signs=(1, -1))
-def torque_in_pull(contact, s, side):
-    """Crosstalk of a multi-axis load cell: the torque of the wheel is read in part as pull, s T/r.
-
-    It is there where the pull is 0, so no gain, and grows with slip; listed resistances follow sinkage or load, and
-    a dead band or a sensor that saturates reads nothing of another channel.
+    The load on the soil is W - k z: deep rows lose sinkage, pull and torque together, whatever made them deep. A hard
+    floor holds the sinkage and keeps the load; listed effects keep the load, and a leak takes it with time.
     """
-    radius = contact.wheel.radius
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull + s * out.torque / radius))
+    rate = s * side["load"] / 0.1
+    contact.forces.append(lambda entry: (rate * (1.0 - np.cos(entry)), 0.0 * entry, 0.0 * entry))
 
 
-@_fresh("way to settle over the way before a reading at the mean speed [-]", 2.0, side=drawn("speed"))
-def unsettled_wheel(contact, s, side):
-    """Readings before the wheel has sunk to its steady depth: on its way from the row before, on a new bed from 0.
+@_fresh("load that is added for a unit of torque over radius [-]", 0.8, signs=(1, -1))
+def torque_on_arm(contact, s, side):
+    """The wheel hangs on a swing arm that takes the torque of its drive too, and so presses it down or lifts it.
 
-    The slower a run, the less way before a reading. Listed effects know a row's conditions, none the row before it,
-    and an uneven bed has one value for all its rows.
+    The load on the soil is W + s T/r, which the table does not have. It is there on level ground, unlike listed weight
+    transfer, and changes all channels with slip, to less sinkage as well; crosstalk of a cell leaves the soil alone.
     """
-    rows = contact.rows
-    fresh = _begins(rows) & (rows.passes == 1.0)
-    share = np.exp(-rows.speed / side["speed"] / max(s, 1e-9))
 
-    def settle(z):
-        steady, depths = z[:, 0], np.empty(len(rows))
-        for k, deep in enumerate(steady):
-            depths[k] = deep + share[k] * ((0.0 if fresh[k] else depths[k - 1]) - deep)
-        return column(depths)
+    def hook(entry):
+        _, tau, weight = contact.stresses(entry)
+        pressed = s * (contact.areas(weight)[1] * tau).sum(1, keepdims=True)
+        return -pressed, 0.0 * pressed, 0.0 * pressed
 
-    contact.deepening.append(settle)
+    contact.forces.append(hook)
+
+
+@_fresh("gain of the torque that is read after long work at the mean load [-]", 0.6, (TORQUE,),
+        side=drawn("load", "radius", cools=(400.0, 3000.0)))  # fmt: skip
+def hot_motor(contact, s, side):
+    """Torque from the current of a motor whose magnets weaken as it heats, with the square of the torques before.
+
+    The gain follows hard work by minutes and is lost while a bed is prepared. Listed friction of the drive and a cold
+    seal add a torque; a wrong gain is constant, and saturation knows the present torque only.
+    """
+    pause = np.diff(contact.rows.time, prepend=0.0)  # [s]
+
+    def read(out):
+        power, warm = (out.torque / (0.4 * side["load"] * side["radius"])) ** 2, np.zeros(len(pause))
+        for k in range(1, len(pause)):
+            gained = -np.expm1(-min(pause[k], 90.0) / side["cools"]) * power[k - 1]
+            warm[k] = warm[k - 1] * np.exp(-pause[k] / side["cools"]) + gained
+        return replace(out, torque=out.torque * (1.0 + s * warm))
+
+    contact.sensors.append(read)
+
+
+@_fresh("share of the last pull that is zeroed [-]", 0.6, (PULL,))
+def zeroed_under_pull(contact, s, side):
+    """The load cell is zeroed as soon as a run stops, while wheel and soil still hold a part of its last pull.
+
+    The next run is read short by it: one zero for each run, of either sign, from the load and soil of the run before.
+    A wrong zero is constant; an unsettled wheel passes sinkage on from row to row, here a whole run has one error.
+    """
+    rows = np.arange(len(contact.rows))
+    before = np.maximum.accumulate(np.where(_begins(contact.rows), rows, 0)) - 1  # last row of the run before
+
+    def read(out):
+        held = np.where(before >= 0, out.drawbar_pull[before], 0.0)
+        return replace(out, drawbar_pull=out.drawbar_pull - s * held)
+
+    contact.sensors.append(read)
+
+
+@_fresh("amplitude of the zero over the mean load [-]", 0.15, (PULL,),
+        side=drawn("load", "time", period=(0.25, 1.0), phase=(0.0, 6.28)))  # fmt: skip
+def heated_hall(contact, s, side):
+    """The zero of the load cell follows the temperature of the hall, which the heating lets rise and fall by the clock.
+
+    Pull alone swings with the time, whatever the row. A wrong zero is constant, a drifting one of the catalogue is of
+    the sinkage; carriage drag goes with speed, and firm places of a lane come back in each run.
+    """
+    swing = np.cos(2.0 * np.pi * contact.rows.time / (side["period"] * side["time"]) + side["phase"])
+    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull + s * side["load"] * swing))

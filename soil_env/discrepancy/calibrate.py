@@ -24,7 +24,7 @@ import numpy as np
 from soil_env.discrepancy.data import CHANNELS, Data
 from soil_env.discrepancy.instrument import LAWS, LISTED, Choice, nuisances, reading, true_rows
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
-from soil_env.discrepancy.unnamed import changed, loaded
+from soil_env.discrepancy.unnamed import changed, loaded, soils
 from soil_env.identification.table import form_error
 from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process, compressed, stress_changes, whitened
 from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
@@ -36,7 +36,7 @@ from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
 PRIOR_WIDTH = 1.5
-ANY_FORM = 3.0  # form error of an effect that is named by its place, in all channels alike, over that of others
+ANY_FORM = 10.0  # form error of an effect that is named by its place, in all channels alike, over that of others
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
@@ -224,7 +224,11 @@ class Problem:
         if "tilt_angle_deg" in wrong:
             soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
         rows = true_rows(rows or self.data.rows, wrong)
-        out = predict_table(self.data.setup, loaded(rows, wrong), soil, weight, fx, guess)
+        out, under = np.empty((rows.slip.size, 3)), loaded(rows, wrong)
+        for here, of in soils(rows, wrong, soil, self.bench):
+            start = guess[here]
+            out[here] = predict_table(self.data.setup, Rows(*(x[here] for x in under)), of, weight, fx, start)
+            guess[here] = start
         out = reading(changed(out, rows, wrong, self.bench), wrong)
         return out if self.offset is None else out + self.offset
 

@@ -268,7 +268,7 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
             free[s] = anonymous(problem, sets.best(s))
     entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True)) for s, e in free.items()]
     for s in order:
-        if all(LISTED[n].any_form for n in s):
+        if not s or any(LISTED[n].any_form for n in s):
             continue  # what resembles it has its name
         alike = resembling(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))

@@ -9,9 +9,14 @@ sinkage of the table:
     slip_force   DP - a W q,  T + b W r q,  q = 1 - exp(-i/k)  soil that the wheel moves as it slips
     slip_load    W + a W q                                     the same, where it loads or lifts the wheel
     torque_curve, pull_curve    y/(1 + s |y|/y0)               a sensor that is not linear; y0 = W r/2, W/5
+    crosstalk    DP + a T/r,  T + b r DP                       a sensor that reads the other force too
+    friction_pass, cohesion_pass, modulus_pass                 tan(phi), c or K alone, times N^p
+    friction_speed, cohesion_speed, modulus_speed              the same times (V/V0)^p
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -34,6 +39,13 @@ def _law(
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER, _SLIP = _p("power", 0.35, 0.3, 4.0, 1.5), _p("slip", 0.5, 0.03, 1.0, 0.2)
+#: Soil parameter and column of `Rows.conditions` of the laws of one soil parameter.
+_SOIL = {
+    f"{parameter.split('_')[-1 if 'shear' in parameter else 0]}_{condition}": (parameter, k)
+    for parameter, (k, condition) in product(
+        ("friction_angle_deg", "cohesion", "shear_modulus"), enumerate(("speed", "pass"))
+    )
+}
 UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),
     _law("rut_force", "a force that goes with the sinkage in a rut", _BOTH, *_FORCE, _POWER, varies="pass"),
@@ -41,6 +53,10 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("slip_load", "a load that goes with the slip", (SINKAGE, PULL, TORQUE), _p("load", 0.15, -0.8, 2.0), _SLIP),
     _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _p("loss", 0.3, -0.4, 3.0)),
     _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
+    _law("crosstalk", "a sensor that reads the other force too", _BOTH, _p("pull", 0.1, -0.8, 0.8),
+         _p("torque", 0.1, -0.8, 0.8)),
+    *(_law(name, f"a {name.split('_')[0]} of the soil that goes with the {name.split('_')[1]}", (SINKAGE, PULL, TORQUE),
+           _p("power", 0.2, -2.0, 2.0), varies=name.split("_")[1]) for name in _SOIL),
 )})  # fmt: skip
 
 
@@ -53,6 +69,23 @@ def loaded(rows: Rows, values: Mapping[str, float]) -> Rows:
     if "slip_load_load" not in values:
         return rows
     return rows._replace(load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"])))
+
+
+def soils(
+    rows: Rows, values: Mapping[str, float], soil: dict[str, float], bench: Bench
+) -> Iterator[tuple[np.ndarray | slice, dict[str, float]]]:
+    """Rows with their soil, one for each level of what a soil parameter goes with by the law among `values`."""
+    law = next((name for name in _SOIL if f"{name}_power" in values), "")
+    if not law:
+        yield slice(None), soil
+        return
+    parameter, k = _SOIL[law]
+    level, power = rows.conditions[:, k] / (bench.speed if k == 0 else 1.0), values[f"{law}_power"]
+    for x in np.unique(level):
+        value = soil[parameter] * x**power
+        if parameter == "friction_angle_deg":
+            value = math.degrees(math.atan(math.tan(math.radians(soil[parameter])) * x**power))
+        yield level == x, soil | {parameter: value}
 
 
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
@@ -68,6 +101,11 @@ def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Ben
             share = share * (1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
+    if "crosstalk_pull" in values:
+        pull, torque = values["crosstalk_pull"], values["crosstalk_torque"]
+        out[:, 1:] += (
+            np.stack([pull * out[:, 2], torque * out[:, 1] * rows.wheels[:, 0] ** 2], axis=1) / rows.wheels[:, :1]
+        )
     for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
         out[:, j] /= 1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale
     return out
