@@ -80,9 +80,6 @@ def _of_one(polynomial, name):
     return emitted(function)
 
 
-# --- exp, log, sin, cos, asin -----------------------------------------------------------------------------------------
-
-
 def _scaled(x, k):
     """x 2^k for x in [0.5, 2) and whole k in [-1022, 1022]."""
     builder = x.builder
@@ -199,9 +196,6 @@ def asin_root(typingctx, t):
         return _asin_root(_Emitted(builder, args[0])).value
 
     return (lanes(lanes) if t == lanes else types.float64(types.float64)), emit
-
-
-# --- of several numbers -----------------------------------------------------------------------------------------------
 
 
 def _mixed(*given):

@@ -16,7 +16,6 @@ sinkage of the table:
 
 import math
 from collections.abc import Iterator, Mapping
-from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -39,12 +38,12 @@ def _law(
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
 _POWER, _SLIP = _p("power", 0.35, 0.3, 4.0, 1.5), _p("slip", 0.5, 0.03, 1.0, 0.2)
-#: Soil parameter and column of `Rows.conditions` of the laws of one soil parameter.
+_COLUMNS = {"speed": 0, "pass": 1}  # of `Rows.conditions`
+#: Soil parameter and condition of the laws of one soil parameter.
 _SOIL = {
-    f"{parameter.split('_')[-1 if 'shear' in parameter else 0]}_{condition}": (parameter, k)
-    for parameter, (k, condition) in product(
-        ("friction_angle_deg", "cohesion", "shear_modulus"), enumerate(("speed", "pass"))
-    )
+    f"{short}_{condition}": (parameter, condition)
+    for short, parameter in (("friction", "friction_angle_deg"), ("cohesion", "cohesion"), ("modulus", "shear_modulus"))
+    for condition in _COLUMNS
 }
 UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),
@@ -55,8 +54,8 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
     _law("crosstalk", "a sensor that reads the other force too", _BOTH, _p("pull", 0.1, -0.8, 0.8),
          _p("torque", 0.1, -0.8, 0.8)),
-    *(_law(name, f"a {name.split('_')[0]} of the soil that goes with the {name.split('_')[1]}", (SINKAGE, PULL, TORQUE),
-           _p("power", 0.2, -2.0, 2.0), varies=name.split("_")[1]) for name in _SOIL),
+    *(_law(name, f"a soil whose {name.split('_')[0]} alone goes with the {by}", (SINKAGE, PULL, TORQUE),
+           _p("power", 0.2, -2.0, 2.0), varies=by) for name, (_, by) in _SOIL.items()),
 )})  # fmt: skip
 
 
@@ -79,8 +78,9 @@ def soils(
     if not law:
         yield slice(None), soil
         return
-    parameter, k = _SOIL[law]
-    level, power = rows.conditions[:, k] / (bench.speed if k == 0 else 1.0), values[f"{law}_power"]
+    parameter, by = _SOIL[law]
+    level = rows.conditions[:, _COLUMNS[by]] / (bench.speed if by == "speed" else 1.0)
+    power = values[f"{law}_power"]
     for x in np.unique(level):
         value = soil[parameter] * x**power
         if parameter == "friction_angle_deg":

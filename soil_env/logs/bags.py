@@ -91,9 +91,6 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
         report(sizes[k])
 
 
-# --- decoding ---------------------------------------------------------------------------------------------------------
-
-
 class _Decoder:
     """Messages from bytes; one for each file."""
 
@@ -121,9 +118,6 @@ class _Decoder:
             if kind in store.types:
                 return store.deserialize_cdr(data, kind)
         raise ParameterError(f"{where}: message type {kind} is not known, and the recording does not define it")
-
-
-# --- MCAP -------------------------------------------------------------------------------------------------------------
 
 
 def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
@@ -188,9 +182,6 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
     return partial(decoder.cdr, schema.name, where)
 
 
-# --- SQLite -----------------------------------------------------------------------------------------------------------
-
-
 def _sqlite(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
     decoder, size = _Decoder(), file.stat().st_size
@@ -230,9 +221,6 @@ def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> Non
         for kind, text in base.execute(query):
             if kind in kinds:
                 decoder.define(kind, text)
-
-
-# --- numbers ----------------------------------------------------------------------------------------------------------
 
 
 class NotHere(LookupError):

@@ -181,9 +181,6 @@ def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
     return row | {"grade_deg": math.degrees(mean["pitch"]), "time": time, "start": start}
 
 
-# --- grounds ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Ground:
     """The ground between two borders to other soils: its steady points and the last current estimate on it."""

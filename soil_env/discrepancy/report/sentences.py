@@ -46,9 +46,6 @@ _MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower")
 _GROUPS = {"grip": "slip", "pass": "pass number"}
 
 
-# --- numbers and lists ------------------------------------------------------------------------------------------------
-
-
 def figure(x: float) -> str:
     """Two digits, without an exponent where the number is large."""
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
@@ -105,9 +102,6 @@ def amount(channel: str, value: float, digits: int = 2) -> str:
 def not_tiny(value: float) -> float:
     """0 for what a bound at 0 leaves of a soil parameter."""
     return value if abs(value) > 1e-6 else 0.0
-
-
-# --- disagreements and tests ------------------------------------------------------------------------------------------
 
 
 def disagreement(report: Report, d: Disagreement) -> str:
@@ -174,9 +168,6 @@ def _place(point: Mapping[str, float]) -> str:
     parts += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
     parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
     return f"slip {point['slip']:.2g} at {listed(parts)}"
-
-
-# --- summary and cautions ---------------------------------------------------------------------------------------------
 
 
 def summary(report: Report) -> str:
@@ -278,9 +269,6 @@ def added(report: Report) -> str:
     """Names of what the corrected model has beyond the base model."""
     names = [title(e.name) for e in report.effects]
     return listed([*names, *(["a law without a name"] if report.model.residual else [])])
-
-
-# --- notes ------------------------------------------------------------------------------------------------------------
 
 
 def probabilities(report: Report) -> str:
