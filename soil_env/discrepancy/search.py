@@ -182,9 +182,6 @@ class Finding:
         return next(h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like)
 
 
-# --- candidates -------------------------------------------------------------------------------------------------------
-
-
 def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     """(names to try, reason by name of those that this table cannot show)."""
     names, reasons = [], {}
@@ -210,9 +207,6 @@ def forms(problem: Problem, name: str) -> list[Choice]:
     """Forms of an effect that this table can be fitted with."""
     speed = problem.bench.speed > 0.0
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
-
-
-# --- the search -------------------------------------------------------------------------------------------------------
 
 
 #: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log of the prior odds.

@@ -129,9 +129,6 @@ def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
     return [np.any(way[k::count], axis=0) for k in range(count)]
 
 
-# --- groups and products ----------------------------------------------------------------------------------------------
-
-
 def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
     """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are `offset`."""
     rows, soil = problem.data.rows, problem.state(fit.parameters())
@@ -192,9 +189,6 @@ def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers:
     size = [np.linalg.norm((problem.data.y / sd)[problem.used[:, j], j]) for j in range(3)]
     width = WIDTH * np.array(size)[channel] / np.maximum(np.linalg.norm(column, axis=0), 1e-300)
     return Library(channel, powers, column * width, width, price)
-
-
-# --- choice -----------------------------------------------------------------------------------------------------------
 
 
 def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Library:
@@ -280,9 +274,6 @@ def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
         total -= 0.5 * (held @ held + pull @ np.linalg.solve(rest, pull))
         total -= 0.5 * (whole - np.linalg.slogdet(rest)[1])
     return total
-
-
-# --- refit ------------------------------------------------------------------------------------------------------------
 
 
 def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Library) -> ResidualFit:

@@ -150,13 +150,16 @@ def runs_help(report: Report) -> bool:
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = percent(right_now(report))
+    if report.verdict == "unlisted":
+        return "These runs tell the listed effects apart. Nothing says which runs show best what is in no catalogue"
     if not runs_help(report):
         return (
             f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
         )
     return (
-        "Make the runs in this order and add their rows. A candidate is right as often as its probability says, so the "
-        f"right one has {now} on average now, and at least {percent(report.next_tests[-1].sure)} after them"
+        "Make the runs in this order and add their rows. A candidate, here an exact set of effects, is right as often "
+        f"as its probability says. So the right one has {now} on average now, and at least "
+        f"{percent(report.next_tests[-1].sure)} after them"
     )
 
 

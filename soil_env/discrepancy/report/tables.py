@@ -69,7 +69,7 @@ def gap(report: Report) -> Table:
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
     rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
-    return Table(("effect", "evidence of the best set with it over no effect", "probability"), rows)
+    return Table(("effect", "evidence over the best without a name", "probability"), rows)
 
 
 def next_runs(report: Report) -> Table:
@@ -94,7 +94,7 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
                 cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
             rows.append((k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells))
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
-    return Table(("run", "just these effects", "p", *channels), rows)
+    return Table(("run", "exactly these effects", "p", *channels), rows)
 
 
 def untestable(report: Report) -> Table:
@@ -108,4 +108,4 @@ def detectable(report: Report) -> Table:
     for name, d in report.finding.detectable.items():
         unit = LISTED[name].parameter(d.parameter).unit
         rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power)))
-    return Table(("effect", "parameter", "smallest", "unit", "larger before the table"), rows)
+    return Table(("effect", "parameter", "smallest", "unit", "chance of a larger one"), rows)

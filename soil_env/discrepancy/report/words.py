@@ -7,6 +7,9 @@ from soil_env.discrepancy.result import LEFT, Report
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
+SURE = 0.9  # probability below which an effect explains something "probably"
+LIKELY = 0.1  # least probability of what is named as possible
+OF_SENSORS = ("torque_curve", "pull_curve", "crosstalk")  # laws without a name (`unnamed`)
 EXPLAINED = {
     "slip_sinkage": "A wheel that slips digs soil out from under itself and sinks deeper the more it slips.",
     "rear_contact": "Soil that rebounds touches the wheel behind its lowest point too, and carries and shears there.",
@@ -33,8 +36,10 @@ EXPLAINED = {
 def conclusion(report: Report) -> str:
     """The result in one sentence without a number."""
     names = listed([title(e.name) for e in report.effects]) if report.effects else ""
-    near = [title(n) for n in report.finding.candidates[:3]]
-    explains = f"{names[:1].upper()}{names[1:]} {'explain' if len(report.effects) > 1 else 'explains'}"
+    finding = report.finding
+    near = [title(n) for n in finding.candidates[:3]]
+    probably = "" if all(e.probability >= SURE for e in report.effects) else "probably "
+    explains = f"{names[:1].upper()}{names[1:]} {probably}{'explain' if len(report.effects) > 1 else 'explains'}"
     if report.verdict == "named":
         return f"{explains} what the simulation misses."
     if report.verdict == "partly":
@@ -43,11 +48,14 @@ def conclusion(report: Report) -> str:
         near_by = f"; {listed(near, 'or')} comes closest, but in another form" if near else ""
         return f"Something is missing from the simulation that is none of the listed effects{near_by}."
     if report.verdict == "ambiguous":
-        rest = f": {listed(near, 'or')} would explain them" if near else ""
+        rivals = [(finding.share(n), title(n)) for n in finding.candidates]
+        rivals += [(finding.unlisted, "something that is in no catalogue"), (finding.none, "nothing")]
+        likely = [name for p, name in sorted(rivals, reverse=True) if p >= LIKELY]
+        rest = f": most probable {'are' if len(likely) > 1 else 'is'} {listed(likely, 'or')}" if likely else ""
         return f"These runs do not decide what is missing, if anything{rest}."
     if report.verdict == "none":
         if any(gap.over_noise[0] > LEFT for gap in report.gap.values()):
-            return "The simulation misses these runs, as laws of the soil that err could explain; no effect is named."
+            return "The simulation misses these runs by what laws and sensors that err could do: no effect is named."
         return "The simulation agrees with these runs as well as the laws of the soil allow."
     return "These runs are too few to decide if anything is missing."
 
@@ -57,10 +65,13 @@ def next_step(report: Report) -> str:
     if report.doubts:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
-    asked = {*beside, *report.finding.candidates} & {*INSTRUMENT}
+    asked = {*beside, *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY)} & {*INSTRUMENT}
+    law = max(report.finding.hypotheses, key=lambda h: h.probability).law
     checks = [c for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
     done = ", ".join(n for c in checks for n in c.decides)
     steps = [c.work for c in checks]
+    if law in OF_SENSORS and report.verdict == "unlisted":
+        steps.append("load each sensor alone with known weights, read both, and correct the columns")
     steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
     steps += ["make the next tests below, the first one first, and add their rows"] if runs_help(report) else []
     steps += ["run this again"] if steps else []
