@@ -28,7 +28,6 @@ CASES = int(os.environ.get("SOIL_ENV_FUZZ", "40"))
 #: Cases that broke once: an estimate whose exponential overflowed, a wheel that stood still for a control period.
 BROKEN_ONCE = (40, 106)
 
-# --- invariants and the balance of energy ---------------------------------------------------------------------------
 
 _x, _w = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)

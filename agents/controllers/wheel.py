@@ -12,8 +12,6 @@ _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so tha
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
 CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
 
-# --- blind ------------------------------------------------------------------------------------------------------------
-
 
 class FullThrottle(Controller):
     """Full command, always."""

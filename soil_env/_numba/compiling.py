@@ -38,7 +38,6 @@ from soil_env._numba.pipeline import ALLOCATING, PART, ROOT
 #: True if functions are compiled at all.
 COMPILED = not config.DISABLE_JIT
 
-# --- parts and roots --------------------------------------------------------------------------------------------------
 
 #: A compiled function, for type checkers: its numbers may be floats or lanes, its arguments arrays or rows.
 Compiled: TypeAlias = Callable[..., Any]
@@ -159,8 +158,6 @@ class FastCall:
 def _fast_call(module: str, name: str) -> FastCall:
     return FastCall(_named(module, name))
 
-
-# --- two roots at once ------------------------------------------------------------------------------------------------
 
 #: Program of a process that compiles a root into the cache on the disk: module, name and types come pickled on stdin.
 _COMPILE = """import importlib, pickle, sys

@@ -14,8 +14,6 @@ from numba import types
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.lanes import COUNT, INTEGERS, VECTOR, call, emitted, lanes, numbers, spread
 
-# --- lanes as Python objects, while code is emitted -------------------------------------------------------------------
-
 
 class _Emitted:
     """Lanes, or a float, in code that is being emitted: arithmetic on it emits more."""

@@ -56,8 +56,6 @@ def emitted(definition):
     return intrinsic(definition) if COMPILED else getattr(interpreted, definition.__name__)
 
 
-# --- operators --------------------------------------------------------------------------------------------------------
-
 _PAIRS = [
     signature(lanes, lanes, lanes),
     signature(lanes, lanes, types.float64),

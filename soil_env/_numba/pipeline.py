@@ -18,8 +18,6 @@ from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
 from numba.extending import models, register_model
 
-# --- code, of parts and of roots --------------------------------------------------------------------------------------
-
 
 class _WithoutEnvironment:
     """The code generator, for functions that have no place in memory into which Python objects could be written."""

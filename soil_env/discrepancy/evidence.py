@@ -320,10 +320,10 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
                 continue
             errors = change[:, :, None] * functions[:, None, :]
             out[f"{place} with {' and '.join(names)}"] = problem.block(errors)
-    beds = np.eye(int(problem.data.beds.max()) + 1)[problem.data.beds]
-    shown = FEWEST_BEDS <= beds.shape[1] <= min(MOST_BEDS, len(beds) // 3)
-    for place, change in zip(_STRESSES[:2], moved, strict=False) if shown else ():
-        out[f"{place} with bed"] = problem.block(change[:, :, None] * beds[:, None, :])
+    beds = problem.data.beds
+    if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
+        for place, change in zip(_STRESSES[:2], moved, strict=False):
+            out[f"{place} with bed"] = problem.block(change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :])
     return out
 
 

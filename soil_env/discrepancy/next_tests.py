@@ -200,9 +200,6 @@ def _said(problem: Problem, of: Candidates, g: int) -> tuple[tuple[Predicted, ..
     return said, (of.names[0], of.names[rival]), CHANNELS[j], float(off[rival, j])
 
 
-# --- what runs are worth ----------------------------------------------------------------------------------------------
-
-
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov` [K, G, m, m]."""
     count, points = mean.shape[:2]
@@ -243,9 +240,6 @@ def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)  # on fresh soil they have to be made first
     cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
     return cost + sum((price * changed[name] for name, price in rig.cost.items() if name != "run"), np.zeros_like(cost))
-
-
-# --- the grid ---------------------------------------------------------------------------------------------------------
 
 
 def _levels(problem: Problem) -> dict[str, list[float]]:

@@ -1,8 +1,8 @@
 """Anonymous laws with few numbers: laws of no catalogue that listed effects are held against.
 
 A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the conditions
-(`evidence.patterns`). So a name must explain a table better than these laws do. W and z0 are the median load and
-sinkage of the table:
+(`evidence.patterns`). So a name must explain a table better than these laws do. W, z0 and V0 are the middle load,
+sinkage and speed of the table, N is the pass number; every parameter is a pure number:
 
     force        DP - a W (z/z0)^m,  T + b W r (z/z0)^m        soil at the sides of the wheel, or that sticks to it
     rut_force    the same times 1 - 1/N                        the same in a rut
@@ -103,9 +103,7 @@ def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Ben
         out[:, 2] += values[f"{name}_torque"] * size * share
     if "crosstalk_pull" in values:
         pull, torque = values["crosstalk_pull"], values["crosstalk_torque"]
-        out[:, 1:] += (
-            np.stack([pull * out[:, 2], torque * out[:, 1] * rows.wheels[:, 0] ** 2], axis=1) / rows.wheels[:, :1]
-        )
+        out[:, 1:] += np.stack([pull * out[:, 2] / rows.wheels[:, 0], torque * out[:, 1] * rows.wheels[:, 0]], axis=1)
     for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
-        out[:, j] /= 1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale
+        out[:, j] /= np.maximum(1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale, 0.1)
     return out

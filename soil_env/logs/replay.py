@@ -204,8 +204,6 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.array([(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)])
 
 
-# --- words ------------------------------------------------------------------------------------------------------------
-
 _NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
 _NO_FORCE = (
     "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is identified, if the "

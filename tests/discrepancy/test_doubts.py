@@ -127,8 +127,6 @@ def test_sound_tables_are_rarely_doubted(tmp_path):
     assert sound < 5 and kilograms >= 24
 
 
-# --- rows that stand alone --------------------------------------------------------------------------------------------
-
 LOADS = (100, 120, 150, 180, 220)
 
 

@@ -15,8 +15,6 @@ from soil_env.discrepancy.search import Finding, Hypothesis
 from soil_env.identification.table.priors import Unknown
 from tests.discrepancy.tables import NOISE, table
 
-# --- intervals and the gap --------------------------------------------------------------------------------------------
-
 
 def linear(unknown, u, *parts):
     """(finding, evidence) of one unknown, fitted at u: (probability, mean, variance) of each hypothesis."""

@@ -126,7 +126,9 @@ def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
 def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     """Candidates with 0.85 and 0.15: the right one has 0.745 on average now."""
     predicted = [SimpleNamespace(probability=p) for p in (0.85, 0.15)]
-    report = SimpleNamespace(next_tests=[SimpleNamespace(predicted=predicted, sure=sure)], verdict="ambiguous")
+    report = SimpleNamespace(
+        next_tests=[SimpleNamespace(predicted=predicted, sure=sure, repeat=False)], verdict="ambiguous"
+    )
     assert sentences.right_now(report) == pytest.approx(0.745)
     assert words in sentences.after_next(report)
     assert sentences.runs_help(report) == (sure > 0.8)

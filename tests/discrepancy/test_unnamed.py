@@ -36,6 +36,22 @@ def test_an_anonymous_law_is_found_in_its_channels_and_absent_at_strength_zero(l
     assert gain[law] > 5.0 and gain[law] == max(gain.values())
 
 
+def test_laws_by_hand():
+    """A row at slip 0.2 in the second pass, W 150 N, r 0.15 m, twice the sinkage z0; pull 30 N, torque 6 N m."""
+    clean = table(slips=(0.2, 0.4), loads=(150.0,), passes=(2,))
+    rows, p, q = clean.rows, problem(clean, np.random.default_rng(0)), -np.expm1(-1.0)
+    out = np.tile([2.0 * p.bench.sinkage, 30.0, 6.0], (2, 1))
+    for law, pull, torque in (
+        ("force", 30 - 15 * 2**2, 6 + 2.25 * 2**2), ("rut_force", 30 - 7.5 * 2**2, 6 + 1.125 * 2**2),
+        ("slip_force", 30 - 15 * q, 6 + 2.25 * q), ("crosstalk", 30 + 0.1 * 6 / 0.15, 6 + 0.1 * 30 * 0.15),
+        ("pull_curve", 30 / (1 + 0.4 * 30 / 30), 6), ("torque_curve", 30, 6 / (1 + 0.4 * 6 / 11.25)),
+    ):  # fmt: skip
+        assert changed(out, rows, values(law), p.bench)[0, 1:] == pytest.approx([pull, torque]), law
+    assert loaded(rows, values("slip_load")).load[0] == pytest.approx(150 * (1 + 0.2 * q))
+    ((_, soil),) = soils(rows, values("friction_pass"), {"friction_angle_deg": 30.0}, p.bench)
+    assert np.tan(np.radians(soil["friction_angle_deg"])) == pytest.approx(np.tan(np.radians(30)) * 2**0.6)
+
+
 def test_a_force_at_the_side_of_the_wheel_is_not_called_bulldozing(monkeypatch):
     """It takes pull, adds torque and grows with the buried segment: without the rival, bulldozing and a wrong soil."""
     clean = table(speeds=(0.03, 0.12))

@@ -220,8 +220,6 @@ def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
     assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
 
 
-# --- the documented tables and the scales -----------------------------------------------------------------------------
-
 ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)
 ENTRY = re.compile(r"^\s*\| (n\+)?(\d+) \| (\w+) \| .+? \| (\S+) \| (\S+) \|$", re.MULTILINE)
 COURSE = load_scenario("two_lines").course

@@ -143,15 +143,16 @@ def right_now(report: Report) -> float:
 
 
 def runs_help(report: Report) -> bool:
-    """True if there are next runs that should raise that probability by `LITTLE` or more."""
-    return bool(report.next_tests) and report.next_tests[-1].sure - right_now(report) >= LITTLE
+    """True if there are next runs that should raise that probability by `LITTLE` or more, or one to repeat."""
+    runs = report.next_tests
+    return bool(runs) and (runs[0].repeat or runs[-1].sure - right_now(report) >= LITTLE)
 
 
 def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = percent(right_now(report))
     if report.verdict == "unlisted":
-        return "These runs tell the listed effects apart. Nothing says which runs show best what is in no catalogue"
+        return "These runs repeat what the model misses most, or tell listed effects apart, not what is in no catalogue"
     if not runs_help(report):
         return (
             f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
@@ -194,7 +195,7 @@ def summary(report: Report) -> str:
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
-        law=UNNAMED[law.law].title if (law := max(finding.hypotheses, key=lambda h: h.probability)).law else "",
+        law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[title(" and ".join(n)) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
     return " ".join(text.split()).replace(" ,", ",")

@@ -66,11 +66,10 @@ def next_step(report: Report) -> str:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
     asked = {*beside, *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY)} & {*INSTRUMENT}
-    law = max(report.finding.hypotheses, key=lambda h: h.probability).law
     checks = [c for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
     done = ", ".join(n for c in checks for n in c.decides)
     steps = [c.work for c in checks]
-    if law in OF_SENSORS and report.verdict == "unlisted":
+    if report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted":
         steps.append("load each sensor alone with known weights, read both, and correct the columns")
     steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
     steps += ["make the next tests below, the first one first, and add their rows"] if runs_help(report) else []

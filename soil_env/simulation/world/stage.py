@@ -26,7 +26,6 @@ GAMMA = 1.0 - math.sqrt(0.5)  # duration of a stage over that of the step
 LEAD = math.sqrt(2.0)  # (1 - GAMMA) / GAMMA - 1: how far the second stage begins beyond the end of the first
 SHORT = 0.1  # share of the rim speed up to which the first try is the foreseen speed
 
-# --- scratch, a column a wheel ----------------------------------------------------------------------------------------
 
 #: A control period.
 Period: type[Rows] = rows(

@@ -56,7 +56,6 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {name: import_module(f"{__name__}.{name}").EFFECT for name in _NAMES}
 )
 
-# --- their numbers ----------------------------------------------------------------------------------------------------
 
 #: Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as the kernels take them.
 Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
