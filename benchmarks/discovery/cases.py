@@ -69,7 +69,7 @@ class Group:
 ALL = [
     Group(kind, count, sort, of_slip)
     for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 8),
-                              ("unlisted", "held", 12), ("instrument", "", 18))
+                              ("unlisted", "held", 12), ("instrument", "", 30))
     for of_slip in (smooth, log_slip, regimes)
 ]  # fmt: skip
 GROUPS = {group.name: group for group in ALL}

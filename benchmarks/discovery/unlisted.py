@@ -215,4 +215,35 @@ def wheel_radius(contact, s, side):
     contact.slip = 1.0 - (1.0 - contact.slip) / (1.0 + s)
 
 
+@_instrument("share of torque over radius that is read as pull [-]", 0.2, (PULL,), floor=0.05)
+def force_crosstalk(contact, s, side):
+    """The load cell of the pull reads a part of the torque."""
+    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull + s * out.torque / contact.radius[:, 0])
+
+
+@_instrument("share of the pull that is read as torque over radius [-]", 0.3, (TORQUE,), floor=0.1)
+def torque_crosstalk(contact, s, side):
+    """The torque sensor reads a part of the pull."""
+    _sensed(contact, torque=lambda out: out.torque + s * out.drawbar_pull * contact.radius[:, 0])
+
+
+@_instrument("load that is added for a unit of torque over radius [-]", 0.5, floor=0.1)
+def arm_load(contact, s, side):
+    """The wheel hangs on a swing arm that takes the torque of its drive too, and so presses it down or lifts it."""
+
+    def hook(entry):
+        _, tau, weight = contact.stresses(entry)
+        pressed = s * (contact.areas(weight)[1] * tau).sum(1, keepdims=True)
+        return -pressed, 0.0 * pressed, 0.0 * pressed
+
+    contact.forces.append(hook)
+
+
+@_instrument("load that is lost at a sinkage of 0.1 r over the load [-]", 0.3, floor=0.05)
+def spring_load(contact, s, side):
+    """A preloaded spring presses the wheel down, and gives less the deeper the wheel sinks."""
+    rate = s * contact.load / 0.1
+    contact.forces.append(lambda entry: (rate * (1.0 - np.cos(entry)), 0.0 * entry, 0.0 * entry))
+
+
 INSTRUMENTS = tuple(form.name for form in INSTRUMENT)

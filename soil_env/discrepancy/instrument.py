@@ -31,12 +31,13 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.model import Rows
 
 OFFSET, LEAST_OFFSET = 0.05, 0.003  # [mean load, times the radius] sd of a zero error: a candidate's, a nuisance's
+PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
 
 
 def _entry(name: str, title: str, moves: tuple[Channel, ...], p: EffectParameter, equation: str, priors=None) -> Effect:
     form = Form("constant", (p.name,), equation, "calibration of the rig")
     symbols = {"DP_measured": "measured drawbar pull", "T_measured": "measured torque", "W_n": "force on the ground",
-               "r_true": "true radius"}  # fmt: skip
+               "r_true": "true radius", "W_true": "true load", "z": "sinkage"}  # fmt: skip
     return Effect(name, title, moves, (p,), (form,), symbols=symbols, priors=priors or (lambda bench: {}))
 
 
@@ -69,6 +70,18 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
     _entry("wheel_radius", "a wheel radius other than stated", (SINKAGE, PULL, TORQUE),
            _P("error", "e", "", 0.0, -0.3, 0.3, 0.05, "relative error of the stated radius"),
            "r_true = r (1 + {error})"),
+    _entry("force_crosstalk", "crosstalk of the torque in the drawbar pull", (PULL,),
+           _P("share", "x", "", 0.0, -0.5, 0.5, 0.08, "torque over radius that is read as drawbar pull"),
+           "DP_measured = DP + {share} T/r"),
+    _entry("torque_crosstalk", "crosstalk of the drawbar pull in the torque", (TORQUE,),
+           _P("share", "x", "", 0.0, -0.5, 0.5, 0.08, "drawbar pull that is read as torque over radius"),
+           "T_measured = T + {share} r DP"),
+    _entry("arm_load", "a load that goes with the torque", (SINKAGE, PULL, TORQUE),
+           _P("share", "a", "", 0.0, -1.0, 1.0, 0.2, "radius over the lever of the arm that holds the wheel"),
+           "W_true = W + {share} T/r"),
+    _entry("spring_load", "a load that goes with the sinkage", (SINKAGE, PULL, TORQUE),
+           _P("share", "k", "", 0.0, -6.0, 6.0, 1.0, "share of the load that is lost over a sinkage of one radius"),
+           "W_true = W (1 - {share} z/r)"),
 )})  # fmt: skip
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
@@ -141,18 +154,36 @@ def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
     return rows._replace(wheels=wheels, slip=slips_of_radius(rows.slip, np.full(rows.slip.size, 1.0 / (1.0 + error))))
 
 
-def reading(out: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-    """[N, 3] that the sensors read of true values [N, 3]."""
-    gain = [0.0, values.get("force_gain_gain", 0.0), values.get("torque_gain_gain", 0.0)]
-    offset = [0.0, values.get("force_offset_offset", 0.0), values.get("torque_offset_offset", 0.0)]
-    return out * (1.0 + np.array(gain)) + offset if any(gain) or any(offset) else out
+def yields(values: Mapping[str, float]) -> bool:
+    """True if the load goes with what the wheel does."""
+    return bool(values.get("arm_load_share") or values.get("spring_load_share"))
 
 
-def nuisances(setup: Setup, bench: Bench, load: np.ndarray, output: np.ndarray, named: tuple[str, ...]) -> np.ndarray:
+def pressed(rows: Rows, out: np.ndarray, values: Mapping[str, float]) -> Rows:
+    """Rows under the load that an arm or a spring leaves, from values [N, 3] under a load close to it."""
+    z, _, torque = np.nan_to_num(out).T
+    r = rows.wheels[:, 0]
+    gain = values.get("arm_load_share", 0.0) * torque / (rows.load * r) - values.get("spring_load_share", 0.0) * z / r
+    return rows._replace(load=rows.load * np.clip(1.0 + gain, *PRESSED))
+
+
+def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:
+    """[N, 3] that the sensors read of true values [N, 3]; radius [N]."""
+    read = out.copy()
+    for j, name, other in ((1, "force", out[:, 2] / radius), (2, "torque", out[:, 1] * radius)):
+        gain, offset = (values.get(f"{name}_{of}_{of}", 0.0) for of in ("gain", "offset"))
+        share = values.get(f"{name}_crosstalk_share", 0.0)
+        read[:, j] += gain * out[:, j] + offset + share * other
+    return read
+
+
+def nuisances(setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: tuple[str, ...]) -> np.ndarray:
     """[N, 3, R] change of the readings [N, 3] by one sd of each error that is not among the named ones."""
-    sd = _spread(setup.calibration, bench)
+    sd, load, radius = _spread(setup.calibration, bench), rows.load, rows.wheels[:, 0]
     of = {
         "tilt": (PULL, -load * math.sin(math.radians(sd["tilt"]))),
+        "force_crosstalk": (PULL, sd["force_crosstalk"] * output[:, 2] / radius),
+        "torque_crosstalk": (TORQUE, sd["torque_crosstalk"] * output[:, 1] * radius),
         "force_offset": (PULL, sd["force_offset"]),
         "force_gain": (PULL, sd["force_gain"] * output[:, 1]),
         "torque_offset": (TORQUE, sd["torque_offset"]),

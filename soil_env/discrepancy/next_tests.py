@@ -24,7 +24,7 @@ from soil_env.discrepancy.data import CHANNELS, WHEEL
 from soil_env.discrepancy.evidence import Evidence, settle
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.predictive import predicted, problem_at
-from soil_env.discrepancy.search import NAMED, ODDS, Finding, forms
+from soil_env.discrepancy.search import ODDS, Finding, forms
 
 MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
@@ -50,8 +50,10 @@ CHECKS = (
           ("force_offset", "torque_offset", "drivetrain_friction")),
     Check("plate", "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
           "have to read 0", ("sinkage_offset", "slip_bias", "wheel_radius")),
-    Check("weights", "hang known weights on the load cell and on a lever at the wheel",
-          ("force_gain", "torque_gain")),
+    Check("weights", "hang known weights on the load cell and on a lever at the wheel, and read both sensors each time",
+          ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk")),
+    Check("scale", "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to stay",
+          ("arm_load", "spring_load")),
 )  # fmt: skip
 
 
@@ -123,7 +125,8 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
         share[name,], found[name,] = share[()] * ODDS, settle(problem, (forms(problem, name)[0],))
     ranked = sorted(found, key=lambda s: -share[s])
     order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
-    return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, finding.unlisted >= NAMED)
+    unlisted = finding.unlisted > max([finding.none, *(finding.share(n) for n in finding.tried)])
+    return proposed(problem, [found[s] for s in order], [share[s] for s in order], most, unlisted)
 
 
 def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
@@ -250,7 +253,7 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
         "slip": list(SLIPS),
         "load": _around(column["load"], 0.7, 1.4),
         "speed": _around(column["speed"], 0.5, 2.0) if timed else [0.0],
-        "pass": sorted({1.0, 2.0, 3.0, float(passes.max())}),
+        "pass": sorted({1.0, 2.0, float(passes.max()), float(passes.max()) + 1.0}),
         "grade_deg": sorted({float(grade.min()), float(grade.max())}),
     }
     listed = {"slip": rig.slips, "load": rig.loads, "speed": rig.speeds if timed else (), "pass": rig.passes,

@@ -69,7 +69,7 @@ def predicted(
     ) -> list[np.ndarray]:
         stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
         law, effect = there.form_errors(fit.choices, stresses, added, at)
-        rig = nuisances(of.data.setup, of.bench, of.data.rows.load, output, tuple(c.effect for c in fit.choices))
+        rig = nuisances(of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices))
         return [sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig]
 
     table = problem.data.conditions | problem.data.elapsed

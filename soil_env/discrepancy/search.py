@@ -24,8 +24,8 @@ from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detec
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
 
-#: Prior odds that a listed effect, or an error of the instrument, is missing, each independent of the others: of 19
-#: none is missing with 33 %, one with 38 %. An error of the instrument is less probable where the setup states that the
+#: Prior odds that a listed effect, or an error of the instrument, is missing, each independent of the others: of 23
+#: none is missing with 26 %, one with 36 %. An error of the instrument is less probable where the setup states that the
 #: rig is known better than usual (`instrument.odds`). No single name has odds of its own.
 ODDS = 0.06
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.

@@ -9,7 +9,7 @@ sinkage and speed of the table, N is the pass number; every parameter is a pure 
     slip_force   DP - a W q,  T + b W r q,  q = 1 - exp(-i/k)  soil that the wheel moves as it slips
     slip_load    W + a W q                                     the same, where it loads or lifts the wheel
     torque_curve, pull_curve    y/(1 + s |y|/y0)               a sensor that is not linear; y0 = W r/2, W/5
-    crosstalk    DP + a T/r,  T + b r DP                       a sensor that reads the other force too
+    soft_wheel   r (1 + a W_row/W)                             a wheel that yields to its load
     friction_pass, cohesion_pass, modulus_pass                 tan(phi), c or K alone, times N^p
     friction_speed, cohesion_speed, modulus_speed              the same times (V/V0)^p
 """
@@ -45,6 +45,7 @@ _SOIL = {
     for short, parameter in (("friction", "friction_angle_deg"), ("cohesion", "cohesion"), ("modulus", "shear_modulus"))
     for condition in _COLUMNS
 }
+OF_SENSORS = ("torque_curve", "pull_curve")
 UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),
     _law("rut_force", "a force that goes with the sinkage in a rut", _BOTH, *_FORCE, _POWER, varies="pass"),
@@ -52,8 +53,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("slip_load", "a load that goes with the slip", (SINKAGE, PULL, TORQUE), _p("load", 0.15, -0.8, 2.0), _SLIP),
     _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _p("loss", 0.3, -0.4, 3.0)),
     _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
-    _law("crosstalk", "a sensor that reads the other force too", _BOTH, _p("pull", 0.1, -0.8, 0.8),
-         _p("torque", 0.1, -0.8, 0.8)),
+    _law("soft_wheel", "a wheel that yields to its load", (SINKAGE, PULL, TORQUE), _p("gain", 0.15, -0.5, 2.0)),
     *(_law(name, f"a soil whose {name.split('_')[0]} alone goes with the {by}", (SINKAGE, PULL, TORQUE),
            _p("power", 0.2, -2.0, 2.0), varies=by) for name, (_, by) in _SOIL.items()),
 )})  # fmt: skip
@@ -63,8 +63,12 @@ def _grown(rows: Rows, scale: float) -> np.ndarray:
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
-def loaded(rows: Rows, values: Mapping[str, float]) -> Rows:
-    """Rows under the load of the anonymous law among `values`."""
+def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
+    """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle one."""
+    if "soft_wheel_gain" in values:
+        wheels = rows.wheels.copy()
+        wheels[:, 0] *= 1.0 + values["soft_wheel_gain"] * rows.load / load
+        return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
     return rows._replace(load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"])))
@@ -101,9 +105,6 @@ def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Ben
             share = share * (1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
-    if "crosstalk_pull" in values:
-        pull, torque = values["crosstalk_pull"], values["crosstalk_torque"]
-        out[:, 1:] += np.stack([pull * out[:, 2] / rows.wheels[:, 0], torque * out[:, 1] * rows.wheels[:, 0]], axis=1)
     for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
         out[:, j] /= np.maximum(1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale, 0.1)
     return out

@@ -20,6 +20,7 @@ from soil_env.discrepancy.locate import locate, structure
 from soil_env.discrepancy.next_tests import MOST, next_checks, next_tests
 from soil_env.discrepancy.result import EffectFound, Report, Settings
 from soil_env.discrepancy.search import Finding, search
+from soil_env.discrepancy.unnamed import OF_SENSORS
 from soil_env.measurement.setup import Setup, read_setup
 from soil_env.measurement.table import Table, read_table
 from soil_env.parameters import Soil
@@ -90,15 +91,17 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
     own, law = finding.stated.evidence, None
-    if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0:
+    of_sensor = finding.verdict == "unlisted" and finding.hypotheses[0].law in OF_SENSORS
+    if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0 and not of_sensor:
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
     shares = judgement.shares(problem, before, {some: there for some, there in held.items() if some})
     if law is not None and law.terms:
         there = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
-        if (judgement.closed(problem, judgement.gaps(problem, after, there)) or 0.0) > 0.0:
+        gain = judgement.closed_interval(problem, after, there, np.random.default_rng([settings.seed, 3]))
+        if gain is not None and gain[0] > 0.0:
             final, after = law.fit, there
-        else:  # chosen without a group, it predicts that group worse than no law does
+        else:  # chosen without a group, it does not predict that group better than no law does
             law = law.without(final)
     gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None

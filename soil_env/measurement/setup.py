@@ -152,7 +152,8 @@ class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
     Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m], None for 0.3 % of the
-    middle load (times the radius), and the relative error of the wheel radius.
+    middle load (times the radius), the relative error of the wheel radius, the share of the other force that a sensor
+    reads, and loads that go with the torque (over torque/radius) or the sinkage (over load times sinkage/radius).
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
@@ -161,6 +162,10 @@ class Calibration(Checked):
     torque_gain: float = quantity("", 0.0, 0.5, default=0.02)
     torque_offset: float | None = quantity("N m", 0.0, default=None)
     wheel_radius: float = quantity("", 0.0, 0.5, default=0.005)
+    force_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
+    torque_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
+    arm_load: float = quantity("", 0.0, 1.0, default=0.02)
+    spring_load: float = quantity("", 0.0, 6.0, default=0.1)
 
 
 @dataclass(frozen=True)

@@ -115,10 +115,11 @@ def test_kinds_that_are_held_back_come_only_when_they_are_asked_for(tmp_path, ca
 
 
 def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
-    ranges = {"tilt": (0.5, 3.0), "force_gain": (0.05, 0.12), "torque_gain": (0.05, 0.12)}
+    ranges = {"tilt": (0.5, 3.0), "force_gain": (0.05, 0.12), "torque_gain": (0.05, 0.12), "arm_load": (0.1, 0.5),
+              "force_crosstalk": (0.05, 0.2), "torque_crosstalk": (0.1, 0.3), "spring_load": (0.05, 0.3)}  # fmt: skip
     group = GROUPS["instrument-rich-10"]
-    assert [sum(group.hidden(k)[0] is form for k in range(group.count)) for form in INSTRUMENT] == [3] * 6
-    for k in range(6):
+    assert [sum(group.hidden(k)[0] is form for k in range(group.count)) for form in INSTRUMENT] == [3] * 10
+    for k in range(10):
         (effect,) = draw_case(100031, Task(group.name, k)).truth["effects"]
         low, high = ranges.get(effect["name"], (0.02, 0.1))
         assert low <= abs(effect["strength"]) <= high
@@ -160,8 +161,8 @@ def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
     ("two", ["grade", "grousers"], Answer("named", ("grousers", "grade", "multipass")), {"both": 0}),
     ("none", [], Answer("none", (), (), {"grade": 0.3}), {"none": 1}),
     ("none", [], Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"none": 0}),
-    ("unlisted", ["crosstalk"], Answer("partly", ("grade",), (), {"grade": 0.7}), {"unlisted": 0, "misled": 1}),
-    ("unlisted", ["crosstalk"], Answer("unlisted", (), ("grade",), {"grade": 0.3}), {"unlisted": 1, "misled": 0}),
+    ("unlisted", ["swing"], Answer("partly", ("grade",), (), {"grade": 0.7}), {"unlisted": 0, "misled": 1}),
+    ("unlisted", ["swing"], Answer("unlisted", (), ("grade",), {"grade": 0.3}), {"unlisted": 1, "misled": 0}),
     ("instrument", ["tilt"], Answer("named", ("bulldozing",), ("tilt",), {"bulldozing": 0.7}),
      {"instrument": 1, "soil": 1}),
     ("instrument", ["wheel_radius"], Answer("named", ("slip_bias",)), {"instrument": 0, "soil": 0}),

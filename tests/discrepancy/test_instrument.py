@@ -35,7 +35,8 @@ def test_an_error_changes_what_its_sensor_reads_and_nothing_else(level):
     for name, value, change in (
         ("tilt", 2.0, -load * np.sin(np.radians(2.0))), ("force_offset", 3.0, 3.0 + 0.0 * pull),
         ("force_gain", 0.1, 0.1 * pull), ("torque_offset", -1.0, -1.0 + 0.0 * torque),
-        ("torque_gain", 0.1, 0.1 * torque),
+        ("torque_gain", 0.1, 0.1 * torque), ("force_crosstalk", 0.1, 0.1 * torque / level.wheel.radius),
+        ("torque_crosstalk", -0.2, -0.2 * pull * level.wheel.radius),
     ):  # fmt: skip
         added = wrong(level, name, value)[1]
         j = 2 if name.startswith("torque") else 1
@@ -44,7 +45,25 @@ def test_an_error_changes_what_its_sensor_reads_and_nothing_else(level):
     assert np.all(np.abs(wrong(level, "wheel_radius", 0.1)[1]).max(axis=0) > [0.0, *3.0 * NOISE[1:]])
 
 
-@pytest.mark.parametrize("name, value", [("tilt", 3.0), ("torque_gain", 0.15), ("wheel_radius", 0.1)])
+@pytest.mark.parametrize("name, value", [("arm_load", 0.3), ("arm_load", -0.5), ("spring_load", 1.5)])
+def test_a_load_that_yields_is_in_balance_with_what_it_causes(level, name, value):
+    """The values are those of a rigid rig under the load that they imply."""
+    p = problem(level, np.random.default_rng(0))
+    soil, guess = p.fit().parameters(), np.zeros(len(level.table))
+    values = {f"{name}_share": value}
+    out = p.predict(soil | values, (instrument.Choice(name, 0),), guess)
+    r = level.wheel.radius
+    load = level.rows.load + value * (out[:, 2] / r if name == "arm_load" else -level.rows.load * out[:, 0] / r)
+    rigid = p.predict(soil, (), guess, level.rows._replace(load=load))
+    assert np.abs(load / level.rows.load - 1.0).max() > 0.1
+    assert out == pytest.approx(rigid, rel=0.01, abs=1e-4)
+
+
+PLANTED = {"tilt": 3.0, "torque_gain": 0.15, "wheel_radius": 0.1, "force_crosstalk": 0.08, "torque_crosstalk": 0.3,
+           "arm_load": 0.3, "spring_load": 1.5}  # fmt: skip
+
+
+@pytest.mark.parametrize("name, value", PLANTED.items())
 def test_an_error_of_the_rig_is_named_or_among_the_candidates(level, name, value):
     finding = search(wrong(level, name, value)[0])
     assert name in (*finding.names, *finding.candidates, *(a for n in finding.names for a in finding.alternatives(n)))
@@ -58,7 +77,7 @@ def test_what_a_calibration_allows_is_no_effect(level):
 
 
 def test_a_setup_can_rule_errors_out(level):
-    exact = Calibration(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    exact = Calibration(*[0.0] * len(instrument.INSTRUMENT))
     setup = dataclasses.replace(level.setup, calibration=exact)
     p = problem(dataclasses.replace(level, setup=setup), np.random.default_rng(0))
     assert not set(instrument.INSTRUMENT) & set(candidates(p)[0]) and p.fit().rig.shape[1] == 0

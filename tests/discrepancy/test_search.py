@@ -28,7 +28,7 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
     )
     p, _ = calibrate(data_of(tmp_path, text, SMALL + NOISE))
     names, reasons = candidates(p)
-    of_torque = {"drivetrain_friction", "torque_gain", "torque_offset"}
+    of_torque = {"drivetrain_friction", "torque_gain", "torque_offset", "torque_crosstalk"}
     assert set(reasons) == {"grousers", "multipass", "penetration_rate", "shear_rate", "grade"} | of_torque
     assert "speed" in reasons["penetration_rate"] and "torque" in reasons["drivetrain_friction"]
     assert not set(names) & set(reasons)

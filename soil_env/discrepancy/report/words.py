@@ -4,12 +4,12 @@ from soil_env.discrepancy.instrument import INSTRUMENT
 from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report.sentences import listed, runs_help, title
 from soil_env.discrepancy.result import LEFT, Report
+from soil_env.discrepancy.unnamed import OF_SENSORS
 
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
 SURE = 0.9  # probability below which an effect explains something "probably"
 LIKELY = 0.1  # least probability of what is named as possible
-OF_SENSORS = ("torque_curve", "pull_curve", "crosstalk")  # laws without a name (`unnamed`)
 EXPLAINED = {
     "slip_sinkage": "A wheel that slips digs soil out from under itself and sinks deeper the more it slips.",
     "rear_contact": "Soil that rebounds touches the wheel behind its lowest point too, and carries and shears there.",
@@ -30,6 +30,10 @@ EXPLAINED = {
     "torque_offset": "The zero of the torque sensor is off.",
     "torque_gain": "The torque sensor reads too much or too little by a constant factor.",
     "wheel_radius": "The wheel has another radius than the setup says, and the slip was computed with that.",
+    "force_crosstalk": "The load cell reads a part of the torque as pull.",
+    "torque_crosstalk": "The torque sensor reads a part of the pull as torque.",
+    "arm_load": "The wheel hangs on an arm that its torque presses down or lifts, so that the load changes with it.",
+    "spring_load": "A spring or the weight of an arm changes the load as the wheel sinks.",
 }
 
 
