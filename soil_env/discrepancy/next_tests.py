@@ -133,7 +133,7 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
     """Checks that are expected to say more about which candidate is right than any of these runs."""
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
-    names, p = [*share], np.array([*share.values()]) / sum(share.values())
+    names, p = [*share, ()], np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
     left, out, before, overlap = list(CHECKS), [], 0.0, np.ones((p.size, p.size))
     while left:
         worth = [float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before for c in left]

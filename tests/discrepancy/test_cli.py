@@ -24,15 +24,16 @@ def names(folder):
 
 
 def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
-    write_files(tmp_path, TABLE, SETUP + "rig: {slips: [0.2, 0.4], loads: [150]}\n")
+    table = table_text({"slip_sinkage": {"gain": 0.6}}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
+    write_files(tmp_path, table, SETUP + "rig: {slips: [0.2, 0.6], loads: [150, 300]}\n")
     assert call(tmp_path, "--next", "2") == 0
     shown = capsys.readouterr()
     content = json.loads((tmp_path / "out" / "report.json").read_text())
     assert 0 < len(content["next_tests"]) <= 2 and "Runs to make next" in shown.out
     for k, said in enumerate(content["next_tests"], start=1):
         point = said["conditions"]
-        assert point["slip"] in (0.2, 0.4) and point["load"] == 150
-        assert re.search(rf"^ +{k} +{point['slip']} +150 ", shown.out, re.M)
+        assert point["slip"] in (0.2, 0.6) and point["load"] in (150, 300)
+        assert re.search(rf"^ +{k} +{point['slip']} +{point['load']:g} ", shown.out, re.M)
         assert {"name", "probability", "mean", "sd"} == {*said["predicted"][0]}
     assert "Predictions of the most probable candidates" in (tmp_path / "out" / "report.html").read_text()
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]

@@ -181,7 +181,7 @@ def test_a_run_that_says_nothing_is_not_proposed(case):
 
 
 def test_checks_come_first_where_they_decide_more_than_a_run():
-    level, lifted, _, _ = CHECKS
+    level, lifted, *_ = CHECKS
     p = problem(table({}), np.random.default_rng(1))
     base = settle(p, ())
 

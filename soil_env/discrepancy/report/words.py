@@ -9,7 +9,7 @@ from soil_env.discrepancy.unnamed import OF_SENSORS
 #: The page on which every effect has its equations and sources.
 PAGE = "docs/physics/effects.md"
 SURE = 0.9  # probability below which an effect explains something "probably"
-LIKELY = 0.1  # least probability of what is named as possible
+LIKELY = 0.1  # least probability of what is named as possible, and of what a check would find
 EXPLAINED = {
     "slip_sinkage": "A wheel that slips digs soil out from under itself and sinks deeper the more it slips.",
     "rear_contact": "Soil that rebounds touches the wheel behind its lowest point too, and carries and shears there.",
@@ -70,7 +70,8 @@ def next_step(report: Report) -> str:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
     asked = {*beside, *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY)} & {*INSTRUMENT}
-    checks = [c for c in CHECKS if c in report.next_checks or asked & {*c.decides}]
+    found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
+    checks = [c for c in CHECKS if found.get(c, 0.0) >= LIKELY or asked & {*c.decides}]
     done = ", ".join(n for c in checks for n in c.decides)
     steps = [c.work for c in checks]
     if report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted":
