@@ -38,8 +38,6 @@ from soil_env.soil_parameters import (
 _HEAVIEST = 1e9  # weight of a soil
 LARGEST_WHEEL = 3.0  # [m]
 
-# --- wheel ------------------------------------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True)
 class Wheel(Checked):
@@ -70,9 +68,6 @@ def check_lugs(height: float, radius: float) -> None:
     """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
     if height >= radius:
         raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
-
-
-# --- sensors, belief, task --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -257,9 +252,6 @@ class Scenario(Checked):
     def steps(self) -> int:
         """Actions until the time limit."""
         return -(-self.periods // self.control.held)
-
-
-# --- presets ----------------------------------------------------------------------------------------------------------
 
 
 @cache

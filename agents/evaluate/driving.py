@@ -209,9 +209,6 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
     return commands if isinstance(scenario, RoverScenario) else commands[:, 0]
 
 
-# --- what is kept of the control periods ------------------------------------------------------------------------------
-
-
 class _Totals:
     """Sums over the time of `count` courses side by side."""
 

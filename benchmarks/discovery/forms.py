@@ -27,9 +27,6 @@ def passive(contact):
     return np.tan(np.pi / 4.0 + 0.5 * contact.phi) ** 2
 
 
-# --- slip sinkage -----------------------------------------------------------------------------------------------------
-
-
 @_form("slip_sinkage", "sinkage over the slid distance [-]", 0.25)
 def slid_distance(contact, s, side):
     """Soil carried off in proportion to the distance that a point of the rim slides in the soil, after Reece (1965-66).
@@ -48,9 +45,6 @@ def slid_distance(contact, s, side):
 def softened_bed(contact, s, side):
     """Sheared soil bears less: S (1 - s i), after Yong, Fattah & Skiadas (1984) on inclined loads."""
     contact.stiffness = contact.stiffness * np.maximum(1.0 - s * _slip(contact), 0.05)
-
-
-# --- geometry of the contact ------------------------------------------------------------------------------------------
 
 
 @_form("rear_contact", "-theta2 [rad]", lambda bench: 0.35)
@@ -77,9 +71,6 @@ def shift_in_degrees(contact, s, side):
 def shift_saturating(contact, s, side):
     """thetam = [1/2 + s (1 - exp(-i/i0))] theta1: a peak that moves at once and then stays, after Krick (1969)."""
     contact.peak_shift.append(lambda entry: s * -np.expm1(-_slip(contact) / side["slip"]) * entry)
-
-
-# --- lugs and soil in front -------------------------------------------------------------------------------------------
 
 
 @_late("grousers", "lug height [m]", lambda bench: 0.15 * bench.radius,
@@ -150,9 +141,6 @@ def crescent(contact, s, side):
     resist(contact, s, force)
 
 
-# --- peak and residual ------------------------------------------------------------------------------------------------
-
-
 @_form("shear_softening", "f, residual/peak about 1/(1 + f/3) [-]", 2.5)
 def hyperbolic_cosine(contact, s, side):
     """The hump 1 + f/cosh(x), x = j/K, of Kacigin & Guskov (1968) on (1 - e^-x), the peak as strength; f = s."""
@@ -169,9 +157,6 @@ def linear_fall(contact, s, side):
         return -np.expm1(-ratio) * (1.0 - s * np.clip((ratio - side["begin"]) / side["over"], 0.0, 1.0))
 
     contact.mobilised = mobilised
-
-
-# --- repeated passes --------------------------------------------------------------------------------------------------
 
 
 def _compaction(rng, bench):
@@ -198,9 +183,6 @@ def pass_power_of_all(contact, s, side):
 def pass_logarithm(contact, s, side):
     """Gain in proportion to ln N, as compaction with traffic (Soane et al. 1981), of S and in part of c and 1/K."""
     _compact(contact, s * np.log(contact.passes), side)
-
-
-# --- rates ------------------------------------------------------------------------------------------------------------
 
 
 def reference_speed(rng, bench):
@@ -248,9 +230,6 @@ def bingham(contact, s, side):
     contact.tangential.append(hook)
 
 
-# --- slope ------------------------------------------------------------------------------------------------------------
-
-
 def _along_the_slope(contact):
     """The component along the slope of the weight whose normal part is the load of the table."""
     take = (contact.load * np.tan(contact.grade))[:, 0]
@@ -269,9 +248,6 @@ def weight_transfer(contact, s, side):
     """Weight along the slope, and load W (1 + (h/L) tan g) of a vehicle, h/L height over wheelbase, Wong (2008)."""
     _along_the_slope(contact)
     contact.load = contact.load * (1.0 + side["height"] * np.tan(contact.grade))
-
-
-# --- drive ------------------------------------------------------------------------------------------------------------
 
 
 def _drive(rng, bench):
@@ -304,8 +280,6 @@ def axle_load(contact, s, side):
 
     _lost(contact, loss)
 
-
-# --- sensors ----------------------------------------------------------------------------------------------------------
 
 _WRONG_SLIP = {"signs": (1, -1), "order": 0}
 

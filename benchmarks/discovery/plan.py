@@ -155,9 +155,6 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
     return float(depth), float(0.01 * load * level[0]), float(0.01 * load * radius * level[1])
 
 
-# --- conditions -------------------------------------------------------------------------------------------------------
-
-
 def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     """Conditions and run labels; grades as a pattern in [-1, 1].
 
@@ -181,9 +178,6 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
             runs.append(f"run{number:02d}")
     return Rows(*np.array(rows).T), runs
-
-
-# --- detection limits -------------------------------------------------------------------------------------------------
 
 
 @cache

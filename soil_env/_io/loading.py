@@ -39,9 +39,6 @@ class FieldError(ParameterError):
         super().__init__(f"{type(owner).__name__}.{name}{problem}")
 
 
-# --- fields with units ------------------------------------------------------------------------------------------------
-
-
 def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, default=dataclasses.MISSING, doc: str = ""):
     """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of such numbers."""
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
@@ -88,9 +85,6 @@ class Checked:
         for name, known in _choices(type(self)).items():
             if getattr(self, name) not in known:
                 raise FieldError(self, name, str(unknown_value(getattr(self, name), known)))
-
-
-# --- strict loading ---------------------------------------------------------------------------------------------------
 
 
 def unknown_key(key, known, where: str) -> ParameterError:

@@ -181,8 +181,6 @@ class Problem:
             smooth=wheel.grouser_height == 0.0 and not np.any(rows.wheels[:, 2]),
         )
 
-    # --- unknowns and outputs ---
-
     def unknowns(self, choices: tuple[Choice, ...]) -> tuple[Unknown, ...]:
         """Unknowns of a model: soil first, then the effects in order."""
         out = list(self.soil)
@@ -255,8 +253,6 @@ class Problem:
         rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect", "rig")}
         more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
         return dataclasses.replace(fit, **rows, **more)
-
-    # --- the fit ---
 
     def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None,
             sizes: Sizes = EXACT, near: Fit | None = None) -> Fit:  # fmt: skip

@@ -268,8 +268,6 @@ def _beyond(unknown: Unknown, x: float) -> float:
     return float((max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0)) / inside)
 
 
-# --- something that no catalogue lists --------------------------------------------------------------------------------
-
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each
 #: set of channels as another.
 FREE_SIZES = (0.03, 0.15, 0.5)

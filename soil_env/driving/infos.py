@@ -100,8 +100,6 @@ class Infos:
         self._seen[which] = worlds.observation[which][:, _SEEN]
         self._stale |= which
 
-    # --- one wheel ----------------------------------------------------------------------------------------------------
-
     def one(self, k: int) -> dict[str, Any]:
         """Info of wheel k."""
         worlds = self._simulation.worlds
@@ -145,8 +143,6 @@ class Infos:
             self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
             self._stale[rows] = False
         return self._warnings
-
-    # --- many wheels --------------------------------------------------------------------------------------------------
 
     def many(self) -> dict[str, Any]:
         """Info of all wheels, arrays [wheels]; `cause` and `status` are numbers."""

@@ -35,9 +35,6 @@ _OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by s
 _matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
 
 
-# --- linearised bins --------------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def share_on_border(x, spread, place, length):
     """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread [m]; lanes."""
@@ -115,9 +112,6 @@ def _store(nodes, fits, f, q, w, by_place, away, slip):
 def begin_bin(banks, k, b, slip):
     """Linearise bin b at this slip from now on."""
     to_array(fill(slip), banks.fits[k], (b * FIT_ROWS + NEXT_SLIP) * COUNT)
-
-
-# --- least squares ----------------------------------------------------------------------------------------------------
 
 
 @compiled_inline
@@ -283,9 +277,6 @@ def _above(share, room, step):
     """The largest share of a step that uses up nine tenths of `room` at most."""
     room = larger(room, 0.0)
     return where_less(room, share * step, larger(0.9 * room / larger(step, 1e-12), 0.02), share)
-
-
-# --- renewal ----------------------------------------------------------------------------------------------------------
 
 
 @compiled_inline

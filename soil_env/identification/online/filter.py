@@ -52,9 +52,6 @@ _PULL, _TORQUE, _LN_S = 0, _FIELDS, 2 * _FIELDS  # rows of `_slopes`
 _slopes = scratch(3 * _FIELDS * COUNT)
 
 
-# --- readings to points -----------------------------------------------------------------------------------------------
-
-
 @compiled_inline
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
@@ -162,9 +159,6 @@ def take(banks, k, reading, numbers):
     return done
 
 
-# --- points -----------------------------------------------------------------------------------------------------------
-
-
 class Point(NamedTuple):
     """Means over the readings of a point, with their variances, and the motion since the last."""
 
@@ -262,9 +256,6 @@ def _complete(banks, k, numbers):
     _renew(banks, k, point, load, numbers)
     if not fit_is_sound(banks, k):  # readings that no wheel gives
         restart(banks, k, numbers)
-
-
-# --- renewal by a point -----------------------------------------------------------------------------------------------
 
 
 @compiled_inline

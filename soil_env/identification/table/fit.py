@@ -136,9 +136,6 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
     return u, converged
 
 
-# --- the estimate of a solution -------------------------------------------------------------------------------------
-
-
 def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
     """(d(phi, ln K, ln S, n, c, tilt)/du [6, p], which of the six are free)."""
     order = {name: k for k, name in enumerate(NAMES)}
@@ -232,9 +229,6 @@ def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
         relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
         fits[name] = ChannelFit(*columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name])
     return {name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits}
-
-
-# --- in words ---------------------------------------------------------------------------------------------------------
 
 
 def _exact(problem: TableProblem) -> tuple[str, ...]:

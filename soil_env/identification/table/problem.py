@@ -49,9 +49,6 @@ LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OW
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
-# --- least squares in whitened unknowns -------------------------------------------------------------------------------
-
-
 def most_probable(
     target: np.ndarray,
     model: Callable[[np.ndarray], np.ndarray],
@@ -96,9 +93,6 @@ def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
     """[size, p] of the columns, 0 where the model has no value."""
     j = np.stack(columns, axis=1) if columns else np.zeros((size, 0))
     return np.where(np.isfinite(j), j, 0.0)
-
-
-# --- the soil of one table --------------------------------------------------------------------------------------------
 
 
 class TableProblem:
@@ -166,8 +160,6 @@ class TableProblem:
             self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
             self.noise[k] = given if given is not None else guess.get(name, 0.0)
             self.floor[k] = 1e-4 * guess.get(name, 0.0)
-
-    # --- the model and its weights ---
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Every soil parameter by name."""
@@ -247,8 +239,6 @@ class TableProblem:
         j = self.derivatives(u)
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
-    # --- form error of the base law ---
-
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
         """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
 
@@ -290,8 +280,6 @@ class TableProblem:
         """Take a form error, as it is at u, into the weights."""
         stresses, channels = self.law_errors(u, of.span)
         self.form_error = form_error.compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
-
-    # --- solution ---
 
     def minimise(self, u: np.ndarray) -> tuple[np.ndarray, float]:
         """(u, J) of the least squares from u at the present weights."""
