@@ -80,7 +80,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
            _P("share", "a", "", 0.0, -1.0, 1.0, 0.2, "radius over the lever of the arm that holds the wheel"),
            "W_true = W + {share} T/r"),
     _entry("spring_load", "a load that goes with the sinkage", (SINKAGE, PULL, TORQUE),
-           _P("share", "k", "", 0.0, -6.0, 6.0, 1.0, "share of the load that is lost over a sinkage of one radius"),
+           _P("share", "k", "", 0.0, -6.0, 6.0, 2.0, "share of the load that is lost over a sinkage of one radius"),
            "W_true = W (1 - {share} z/r)"),
 )})  # fmt: skip
 #: Everything that can be named.

@@ -24,10 +24,10 @@ from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detec
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
 
-#: Prior odds that a listed effect, or an error of the instrument, is missing, each independent of the others: of 23
-#: none is missing with 26 %, one with 36 %. An error of the instrument is less probable where the setup states that the
-#: rig is known better than usual (`instrument.odds`). No single name has odds of its own.
-ODDS = 0.06
+#: Prior odds that a listed effect of the soil or the drive is missing, each independent of the others, and the same of
+#: each error of the instrument: of all none is there with 32 %. An error of the instrument is less probable where the
+#: setup states that the rig is known better than usual (`instrument.odds`). No single name has odds of its own.
+ODDS, RIG_ODDS = 0.06, 0.04
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.
 UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
@@ -293,7 +293,8 @@ def log_prior(names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, f
 
     `of_rig`: odds of errors of the instrument over the usual ones.
     """
-    return sum(math.log(ODDS * of_rig.get(name, 1.0)) for name in names) + free * math.log(UNLISTED_ODDS)
+    of = {name: RIG_ODDS * of_rig.get(name, 1.0) if name in INSTRUMENT else ODDS for name in names}
+    return sum(map(math.log, of.values())) + free * math.log(UNLISTED_ODDS)
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:

@@ -53,7 +53,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("slip_load", "a load that goes with the slip", (SINKAGE, PULL, TORQUE), _p("load", 0.15, -0.8, 2.0), _SLIP),
     _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _p("loss", 0.3, -0.4, 3.0)),
     _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
-    _law("soft_wheel", "a wheel that yields to its load", (SINKAGE, PULL, TORQUE), _p("gain", 0.15, -0.5, 2.0)),
+    _law("soft_wheel", "a wheel that yields to its load", (SINKAGE, PULL, TORQUE), _p("gain", 0.5, -0.4, 4.0)),
     *(_law(name, f"a soil whose {name.split('_')[0]} alone goes with the {by}", (SINKAGE, PULL, TORQUE),
            _p("power", 0.2, -2.0, 2.0), varies=by) for name, (_, by) in _SOIL.items()),
 )})  # fmt: skip

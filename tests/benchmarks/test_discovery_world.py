@@ -248,8 +248,17 @@ def test_errors_of_sensors_and_drive():
         ("force_gain", -0.1, {}, 1, 0.9 * base[1]),
         ("torque_offset", 0.04, {"load": 50.0, "radius": 0.2}, 2, base[2] + 0.4),
         ("torque_gain", 0.05, {}, 2, 1.05 * base[2]),
+        ("force_crosstalk", 0.1, {}, 1, base[1] + 0.1 * base[2] / 0.15),
+        ("torque_crosstalk", -0.2, {}, 2, base[2] - 0.2 * base[1] * 0.15),
     ):  # fmt: skip
         np.testing.assert_allclose(table(hidden(name, s, **side))[channel], read, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
+def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
+    z, _, torque = out = table(hidden(name, s))
+    load = ROWS.load + s * torque / 0.15 if name == "arm_load" else ROWS.load * (1.0 - s * z / 0.015)
+    np.testing.assert_allclose(out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6)
 
 
 def test_wrong_radius_is_another_wheel_at_another_slip():

@@ -12,7 +12,7 @@ from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
-from soil_env.discrepancy.search import NAMED, ODDS, TOLD, UNLISTED_ODDS, UNNAMED_ODDS
+from soil_env.discrepancy.search import NAMED, ODDS, RIG_ODDS, TOLD, UNLISTED_ODDS, UNNAMED_ODDS
 from soil_env.discrepancy.unnamed import UNNAMED
 from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
@@ -286,11 +286,12 @@ def probabilities(report: Report) -> str:
 
 def rule() -> str:
     """Prior odds behind the probabilities."""
-    listed, law, other = (f"1 to {1.0 / odds:.0f}" for odds in (ODDS, UNNAMED_ODDS, UNLISTED_ODDS))
+    listed, rig, law, other = (f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS))
     return (
-        f"Before the table, the odds that an effect is missing are {listed} for each that is listed, {law} for each of "
-        f"{len(UNNAMED)} laws without a name, and {other} for anything else. The laws of the model count as "
-        "approximate, by an amount that the table decides. What has 50 % or more is stated."
+        f"Before the table, the odds that an effect is missing are {listed} for each that is listed, {rig} for each "
+        f"error of the instrument, {law} for each of {len(UNNAMED)} laws without a name, and {other} for anything "
+        "else. The laws of the model count as approximate, by an amount that the table decides. What has 50 % or more "
+        "is stated."
     )
 
 
