@@ -13,6 +13,7 @@ from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.judgement import Gap
+from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report import equations, sentences, words
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
@@ -42,6 +43,18 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
 def test_a_misfit_without_a_name_is_no_agreement(nothing):
     missed = dataclasses.replace(nothing, gap=nothing.gap | {"torque": Gap(2.0, 2.0, 1.0)})
     assert "agrees" in words.conclusion(nothing) and "misses these runs" in words.conclusion(missed)
+
+
+def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
+    base = nothing.finding.best()
+
+    def step(p):
+        found = [dataclasses.replace(base, names=(n,), probability=p) for n in ("force_gain", "torque_gain")]
+        rest = dataclasses.replace(base, probability=1.0 - 2.0 * p)
+        finding = dataclasses.replace(nothing.finding, hypotheses=(rest, *found))
+        return words.next_step(dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[3:4], next_tests=()))
+
+    assert step(0.04) == "Simulate with model.yaml." and "known weights" in step(0.06)
 
 
 def test_the_page_escapes_what_a_file_name_brings(tmp_path):

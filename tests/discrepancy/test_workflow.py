@@ -9,7 +9,7 @@ import pytest
 from soil_env.discrepancy import judgement, run, workflow
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.instrument import Choice
-from soil_env.discrepancy.report import content
+from soil_env.discrepancy.report import content, words
 from soil_env.discrepancy.workflow import model_of
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.model import WheelSoilModel
@@ -111,3 +111,13 @@ def test_a_law_stands_in_for_what_is_unlisted(tmp_path):
     assert not model.effects and model.residual
     assert report.gap["drawbar_pull"].after < report.gap["drawbar_pull"].before
     assert 0.0 < report.closed <= 1.0 and report.finding.unlisted > 0.5
+
+
+def test_a_sensor_that_is_not_linear_puts_no_law_into_the_model(tmp_path):
+    lines = table_text({}, loads=(60, 120, 220)).splitlines()
+    for k, line in enumerate(lines[1:], start=1):
+        *others, torque = line.split(",")
+        lines[k] = ",".join((*others, str(float(torque) / (1.0 + 0.08 * float(torque)))))
+    report = run(*write_files(tmp_path, "\n".join(lines) + "\n"))
+    assert report.verdict == "unlisted" and report.finding.hypotheses[0].law == "torque_curve"
+    assert report.law is None and not report.model.residual and "each sensor alone" in words.next_step(report)
