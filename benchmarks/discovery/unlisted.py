@@ -141,12 +141,8 @@ def wheel_out_of_round(contact, s, side):
     _sensed(contact, sinkage=lambda out: out.sinkage - swing[:, 0])
 
 
-@_unlisted(
-    "torque of the cold seal over load x radius [-]",
-    0.2,
-    (TORQUE,),
-    side=drawn("load", "radius", "time", warm=(0.1, 0.4)),
-)
+@_unlisted("torque of the cold seal over load x radius [-]", 0.2, (TORQUE,),
+           side=drawn("load", "radius", "time", warm=(0.1, 0.4)))  # fmt: skip
 def warming_seal(contact, s, side):
     """The torque of a shaft seal falls as it warms, T0 exp(-t/t0), t0 a part of the campaign.
 
@@ -194,9 +190,8 @@ def force_gain(contact, s, side):
     _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull * (1.0 + s))
 
 
-@_instrument(
-    "zero of the torque over mean load x radius [-]", 0.08, (TORQUE,), floor=0.02, side=drawn("load", "radius")
-)
+@_instrument("zero of the torque over mean load x radius [-]", 0.08, (TORQUE,), floor=0.02,
+             side=drawn("load", "radius"))  # fmt: skip
 def torque_offset(contact, s, side):
     """Zero of the torque sensor."""
     _sensed(contact, torque=lambda out: out.torque + s * side["load"] * side["radius"])

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.instrument import LAWS, LISTED, Choice, nuisances, pressed, reading, true_rows, yields
+from soil_env.discrepancy.instrument import LAWS, LISTED, Choice, in_balance, nuisances, reading, true_rows
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.discrepancy.unnamed import changed, loaded, soils
 from soil_env.identification.table import form_error
@@ -45,7 +45,6 @@ _LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form o
 LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 _LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
 GRAVITY = 9.81
-_SETTLES = 3  # times that a load which goes with the outcome is found from the outcome before
 
 
 class Sizes(NamedTuple):
@@ -223,13 +222,16 @@ class Problem:
         if "tilt_angle_deg" in wrong:
             soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
         rows = true_rows(rows or self.data.rows, wrong)
-        out, under = np.empty((rows.slip.size, 3)), loaded(rows, wrong, self.bench.load)
-        for again in range(1 + _SETTLES * yields(wrong)):
-            under = pressed(rows, out, wrong) if again else under
+
+        def balanced(under: Rows) -> np.ndarray:
+            out = np.empty((rows.slip.size, 3))
             for here, of in soils(rows, wrong, soil, self.bench):
                 start = guess[here]
                 out[here] = predict_table(self.data.setup, Rows(*(x[here] for x in under)), of, weight, fx, start)
                 guess[here] = start
+            return out
+
+        out = in_balance(loaded(rows, wrong, self.bench.load), wrong, balanced)
         out = reading(changed(out, rows, wrong, self.bench), wrong, rows.wheels[:, 0])
         return out if self.offset is None else out + self.offset
 

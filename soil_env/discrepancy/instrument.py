@@ -6,7 +6,7 @@ candidate with a name, in `INSTRUMENT`. The simulated world has none of these, a
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -154,17 +154,28 @@ def true_rows(rows: Rows, values: Mapping[str, float]) -> Rows:
     return rows._replace(wheels=wheels, slip=slips_of_radius(rows.slip, np.full(rows.slip.size, 1.0 / (1.0 + error))))
 
 
-def yields(values: Mapping[str, float]) -> bool:
-    """True if the load goes with what the wheel does."""
-    return bool(values.get("arm_load_share") or values.get("spring_load_share"))
+def in_balance(rows: Rows, values: Mapping[str, float], outcome: Callable[[Rows], np.ndarray]) -> np.ndarray:
+    """[N, 3] outcome of rows under the load that an arm or a spring leaves of the stated one.
 
+    The load follows from the outcome: it is the limit of three loads, each from the one before (Aitken 1926, Proc.
+    R. Soc. Edinb. 46:289-305).
+    """
+    arm, spring = values.get("arm_load_share", 0.0), values.get("spring_load_share", 0.0)
+    out, start, r = outcome(rows), rows.load, rows.wheels[:, 0]
+    if arm == spring == 0.0:
+        return out
 
-def pressed(rows: Rows, out: np.ndarray, values: Mapping[str, float]) -> Rows:
-    """Rows under the load that an arm or a spring leaves, from values [N, 3] under a load close to it."""
-    z, _, torque = np.nan_to_num(out).T
-    r = rows.wheels[:, 0]
-    gain = values.get("arm_load_share", 0.0) * torque / (rows.load * r) - values.get("spring_load_share", 0.0) * z / r
-    return rows._replace(load=rows.load * np.clip(1.0 + gain, *PRESSED))
+    def pressed(out: np.ndarray) -> np.ndarray:
+        z, _, torque = np.nan_to_num(out).T
+        load: np.ndarray = np.clip(start + arm * torque / r - spring * start * z / r, *np.outer(PRESSED, start))
+        return load
+
+    first = pressed(out)
+    second = pressed(outcome(rows._replace(load=first)))
+    change = np.where(np.abs(first - start) > 1e-9 * start, first - start, math.inf)
+    ratio = np.clip((second - first) / change, -4.0, 0.8)
+    limit = np.clip(first + (second - first) / (1.0 - ratio), *np.outer(PRESSED, start))
+    return outcome(rows._replace(load=limit))
 
 
 def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) -> np.ndarray:

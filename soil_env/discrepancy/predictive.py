@@ -60,13 +60,8 @@ def predicted(
     fit, p = candidate.fit, candidate.fit.u.size
     sizes = candidate.sizes._replace(law=candidate.typical("law"), effect=candidate.typical("effect"))
 
-    def blocks(
-        of: Problem,
-        values: dict[str, float],
-        output: np.ndarray,
-        added: Sequence[np.ndarray],
-        at: dict[str, np.ndarray],
-    ) -> list[np.ndarray]:
+    def blocks(of: Problem, values: dict[str, float], output: np.ndarray, added: Sequence[np.ndarray],
+               at: dict[str, np.ndarray]) -> list[np.ndarray]:  # fmt: skip
         stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
         law, effect = there.form_errors(fit.choices, stresses, added, at)
         rig = nuisances(of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices))

@@ -45,7 +45,7 @@ def test_an_error_changes_what_its_sensor_reads_and_nothing_else(level):
     assert np.all(np.abs(wrong(level, "wheel_radius", 0.1)[1]).max(axis=0) > [0.0, *3.0 * NOISE[1:]])
 
 
-@pytest.mark.parametrize("name, value", [("arm_load", 0.3), ("arm_load", -0.5), ("spring_load", 1.5)])
+@pytest.mark.parametrize("name, value", [("arm_load", 0.3), ("arm_load", -0.5), ("spring_load", 2.5)])
 def test_a_load_that_yields_is_in_balance_with_what_it_causes(level, name, value):
     """The values are those of a rigid rig under the load that they imply."""
     p = problem(level, np.random.default_rng(0))
@@ -56,7 +56,7 @@ def test_a_load_that_yields_is_in_balance_with_what_it_causes(level, name, value
     load = level.rows.load + value * (out[:, 2] / r if name == "arm_load" else -level.rows.load * out[:, 0] / r)
     rigid = p.predict(soil, (), guess, level.rows._replace(load=load))
     assert np.abs(load / level.rows.load - 1.0).max() > 0.1
-    assert out == pytest.approx(rigid, rel=0.01, abs=1e-4)
+    assert out == pytest.approx(rigid, rel=2e-3, abs=1e-4)
 
 
 @pytest.mark.parametrize("name, value", [("tilt", 3.0), ("force_crosstalk", 0.08), ("arm_load", 0.3)])
