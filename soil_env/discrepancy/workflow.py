@@ -109,27 +109,14 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     runs = next_tests(problem, finding, next_runs)
     model = model_of(problem, final, () if law is None else tuple(law.terms))
     intervals = judgement.intervals(finding, own)
+    interval = None if closed is None else judgement.closed_interval(problem, before, after, rng)
     return Report(
-        finding=finding,
-        problem=problem,
-        noise=noise,
-        where=where,
-        effects=_effects(problem, finding, final, intervals, shares),
-        law=law,
-        soil=_soil(problem, intervals),
-        gap=gap,
-        closed=closed,
-        closed_interval=None if closed is None else judgement.closed_interval(problem, before, after, rng),
-        next_checks=next_checks(finding, runs),
-        next_tests=runs,
-        fit=final,
-        base_model=model_of(problem, plain),
-        model=model,
-        held_before=before,
-        held_after=after,
-        doubts=doubted,
+        finding=finding, problem=problem, noise=noise, where=where, law=law, gap=gap, closed=closed,
+        effects=_effects(problem, finding, final, intervals, shares), soil=_soil(problem, intervals),
+        closed_interval=interval, next_checks=next_checks(finding, runs), next_tests=runs, fit=final,
+        base_model=model_of(problem, plain), model=model, held_before=before, held_after=after, doubts=doubted,
         settings=settings,
-    )
+    )  # fmt: skip
 
 
 STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
@@ -201,20 +188,10 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
-    return WheelSoilModel(
-        wheel,
-        Soil(
-            **values,
-            density=problem.density,
-            dig_gain=problem.digging[0],
-            dig_recovery=problem.digging[1],
-            source="calibrated by soil_env.discrepancy",
-        ),
-        effects,
-        tuple(terms),
-        GRAVITY,
-        seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions),
-    )
+    of_soil = Soil(**values, density=problem.density, dig_gain=problem.digging[0], dig_recovery=problem.digging[1],
+                   source="calibrated by soil_env.discrepancy")  # fmt: skip
+    conditions = seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions)
+    return WheelSoilModel(wheel, of_soil, effects, tuple(terms), GRAVITY, conditions)
 
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
