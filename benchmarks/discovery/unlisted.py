@@ -234,10 +234,10 @@ def arm_load(contact, s, side):
     contact.forces.append(hook)
 
 
-@_instrument("load that is lost at a sinkage of 0.1 r over the load [-]", 0.3, floor=0.05)
+@_instrument("load that is lost at a sinkage of 0.1 r over the mean load [-]", 0.3, floor=0.05, side=drawn("load"))
 def spring_load(contact, s, side):
     """A preloaded spring presses the wheel down, and gives less the deeper the wheel sinks."""
-    rate = s * contact.load / 0.1
+    rate = s * side["load"] / 0.1
     contact.forces.append(lambda entry: (rate * (1.0 - np.cos(entry)), 0.0 * entry, 0.0 * entry))
 
 

@@ -50,6 +50,11 @@ def _torque(bench: Bench) -> dict[str, tuple[float, float, float]]:
     return {"offset": (OFFSET * size, -size, size)}
 
 
+def _spring(bench: Bench) -> dict[str, tuple[float, float, float]]:
+    rate = bench.load / bench.radius
+    return {"rate": (2.0 * rate, -8.0 * rate, 8.0 * rate)}
+
+
 _P = EffectParameter
 INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for effect in (
     _entry("tilt", "a rig that is not level", (PULL,),
@@ -80,8 +85,8 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
            _P("share", "a", "", 0.0, -1.0, 1.0, 0.2, "radius over the lever of the arm that holds the wheel"),
            "W_true = W + {share} T/r"),
     _entry("spring_load", "a load that goes with the sinkage", (SINKAGE, PULL, TORQUE),
-           _P("share", "k", "", 0.0, -6.0, 6.0, 2.0, "share of the load that is lost over a sinkage of one radius"),
-           "W_true = W (1 - {share} z/r)"),
+           _P("rate", "k", "N/m", 0.0, -1e6, 1e6, 0.0, "load that is lost over a metre of sinkage"),
+           "W_true = W - {rate} z", _spring),
 )})  # fmt: skip
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
@@ -112,9 +117,10 @@ def _known(sd: Calibration) -> dict[str, float | None]:
 
 
 def _spread(sd: Calibration, bench: Bench) -> dict[str, float]:
-    """`_known` with numbers for zeros that go with the load."""
-    zero = {"force_offset": LEAST_OFFSET * bench.load, "torque_offset": LEAST_OFFSET * bench.load * bench.radius}
-    return {name: zero[name] if x is None else x for name, x in _known(sd).items()}
+    """`_known` with numbers for what goes with the load."""
+    usual = {"force_offset": LEAST_OFFSET * bench.load, "torque_offset": LEAST_OFFSET * bench.load * bench.radius,
+             "spring_load": 0.1 * bench.load / bench.radius}  # fmt: skip
+    return {name: usual[name] if x is None else x for name, x in _known(sd).items()}
 
 
 def exact(setup: Setup) -> dict[str, str]:
@@ -160,14 +166,14 @@ def in_balance(rows: Rows, values: Mapping[str, float], outcome: Callable[[Rows]
     The load follows from the outcome: it is the limit of three loads, each from the one before (Aitken 1926, Proc.
     R. Soc. Edinb. 46:289-305).
     """
-    arm, spring = values.get("arm_load_share", 0.0), values.get("spring_load_share", 0.0)
+    arm, spring = values.get("arm_load_share", 0.0), values.get("spring_load_rate", 0.0)
     out, start, r = outcome(rows), rows.load, rows.wheels[:, 0]
     if arm == spring == 0.0:
         return out
 
     def pressed(out: np.ndarray) -> np.ndarray:
         z, _, torque = np.nan_to_num(out).T
-        load: np.ndarray = np.clip(start + arm * torque / r - spring * start * z / r, *np.outer(PRESSED, start))
+        load: np.ndarray = np.clip(start + arm * torque / r - spring * z, *np.outer(PRESSED, start))
         return load
 
     first = pressed(out)

@@ -9,7 +9,7 @@ sinkage and speed of the table, N is the pass number; every parameter is a pure 
     slip_force   DP - a W q,  T + b W r q,  q = 1 - exp(-i/k)  soil that the wheel moves as it slips
     slip_load    W + a W q                                     the same, where it loads or lifts the wheel
     torque_curve, pull_curve    y/(1 + s |y|/y0)               a sensor that is not linear; y0 = W r/2, W/5
-    soft_wheel   r (1 + a W_row/W)                             a wheel that yields to its load
+    soft_wheel   r (1 + a W_row/W),  T on the lever r          a wheel that yields to its load
     friction_pass, cohesion_pass, modulus_pass                 tan(phi), c or K alone, times N^p
     friction_speed, cohesion_speed, modulus_speed              the same times (V/V0)^p
 """
@@ -63,11 +63,15 @@ def _grown(rows: Rows, scale: float) -> np.ndarray:
     return -np.expm1(-np.maximum(rows.slip, 0.0) / scale)
 
 
+def _flatter(rows: Rows, values: Mapping[str, float], load: float) -> np.ndarray:
+    return 1.0 + values.get("soft_wheel_gain", 0.0) * rows.load / load
+
+
 def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
     """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle one."""
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
-        wheels[:, 0] *= 1.0 + values["soft_wheel_gain"] * rows.load / load
+        wheels[:, 0] *= _flatter(rows, values, load)
         return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
@@ -95,6 +99,7 @@ def soils(
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
     """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
     out, size = out.copy(), bench.load * rows.wheels[:, 0]
+    out[:, 2] /= _flatter(rows, values, bench.load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
             continue

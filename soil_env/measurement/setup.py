@@ -153,7 +153,8 @@ class Calibration(Checked):
 
     Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m], None for 0.3 % of the
     middle load (times the radius), the relative error of the wheel radius, the share of the other force that a sensor
-    reads, and loads that go with the torque (over torque/radius) or the sinkage (over load times sinkage/radius).
+    reads, the share of torque/radius that loads the wheel, and the rate of a spring [N/m], None for a tenth of the
+    middle load over the radius.
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
@@ -165,7 +166,7 @@ class Calibration(Checked):
     force_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
     torque_crosstalk: float = quantity("", 0.0, 0.5, default=0.01)
     arm_load: float = quantity("", 0.0, 1.0, default=0.02)
-    spring_load: float = quantity("", 0.0, 6.0, default=0.1)
+    spring_load: float | None = quantity("N/m", 0.0, default=None)
 
 
 @dataclass(frozen=True)

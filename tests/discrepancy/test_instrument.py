@@ -45,15 +45,15 @@ def test_an_error_changes_what_its_sensor_reads_and_nothing_else(level):
     assert np.all(np.abs(wrong(level, "wheel_radius", 0.1)[1]).max(axis=0) > [0.0, *3.0 * NOISE[1:]])
 
 
-@pytest.mark.parametrize("name, value", [("arm_load", 0.3), ("arm_load", -0.5), ("spring_load", 2.5)])
+@pytest.mark.parametrize("name, value", [("arm_load", 0.3), ("arm_load", -0.5), ("spring_load", 2500.0)])
 def test_a_load_that_yields_is_in_balance_with_what_it_causes(level, name, value):
     """The values are those of a rigid rig under the load that they imply."""
     p = problem(level, np.random.default_rng(0))
     soil, guess = p.fit().parameters(), np.zeros(len(level.table))
-    values = {f"{name}_share": value}
+    values = {f"{name}_{'share' if name == 'arm_load' else 'rate'}": value}
     out = p.predict(soil | values, (instrument.Choice(name, 0),), guess)
     r = level.wheel.radius
-    load = level.rows.load + value * (out[:, 2] / r if name == "arm_load" else -level.rows.load * out[:, 0] / r)
+    load = level.rows.load + value * (out[:, 2] / r if name == "arm_load" else -out[:, 0])
     rigid = p.predict(soil, (), guess, level.rows._replace(load=load))
     assert np.abs(load / level.rows.load - 1.0).max() > 0.1
     assert out == pytest.approx(rigid, rel=2e-3, abs=1e-4)
