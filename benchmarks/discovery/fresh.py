@@ -9,129 +9,125 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.discovery.hidden import PULL, TORQUE, Form, drawn, enter
+from benchmarks.discovery.hidden import PULL, SINKAGE, TORQUE, Form, drawn, enter
 from benchmarks.discovery.world import column
 
 FRESH: list[Form] = []
 _fresh = partial(enter, FRESH, "")
 
 
-def _begins(rows):
-    """Rows in which a run begins: within a run the slip rises."""
-    return np.concatenate([[True], np.diff(rows.slip) < 0.0])
+@_fresh("loss of S at the resonance [-]", 0.7,
+        side=drawn("speed", "radius", at=(0.5, 2.0), width=(0.25, 0.45), friction=(0.1, 0.4)))  # fmt: skip
+def shaking_carriage(contact, s, side):
+    """Resonance of the carriage with the teeth of the gear, at one speed of the wheel; the shaken soil is weak.
 
-
-@_fresh("gain of sinkage for each factor e of standing time [-]", 0.3)
-def settling_at_rest(contact, s, side):
-    """Between readings the wheel stands under load and the soil creeps with the logarithm of time (Buisman 1936).
-
-    The wheel sets off from its pit and is read before it is out: z [1 + s ln(t/30 s)], no rest before a run. Listed
-    rates know the speed, not the rest; an unsettled wheel comes from the depth of the row before, for however long.
+    S and in part tan(phi) fall near that speed and are unharmed far below and above it, after Barkan (1962). Listed
+    rates rise with the speed all the way, and have no band.
     """
-    rest = np.where(_begins(contact.rows), 30.0, np.diff(contact.rows.time, prepend=0.0))
-    deeper = 1.0 + s * np.log(column(np.maximum(rest, 30.0)) / 30.0)
-    contact.deepening.append(lambda z: z * deeper)
+    turning = column(contact.rows.speed) / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))
+    far = np.log(turning / (side["at"] * side["speed"] / (0.7 * side["radius"]))) / side["width"]
+    band = np.exp(-0.5 * far**2)
+    contact.stiffness = contact.stiffness * (1.0 - s * band)
+    contact.tan_phi = contact.tan_phi * (1.0 - side["friction"] * s * band)
 
 
-@_fresh("exponent of the load of the bed before in S [-]", 0.9, side=drawn("load", friction=(0.0, 0.2)))
-def traces_of_last_bed(contact, s, side):
-    """The tiller does not undo all compaction, so that a new bed is firmer where the bed before bore a heavy wheel.
+@_fresh("loss of strength at the rim, all worn [-]", 0.5, side=drawn(share=(0.15, 0.5)))
+def polished_rim(contact, s, side):
+    """Wear of a rough rim by the sand that slides along it, so that less and less of the soil's strength is taken up.
 
-    S goes with the load before, in part also phi, and one value holds for the three passes of a bed. Listed multipass
-    grows within a bed and knows no other bed; uneven beds are random, and places of a lane are alike in all beds.
+    Strength goes with the distance slid in all rows before, whatever the bed; sinkage changes little. Listed
+    softening begins anew in each contact, and multipass in each bed; a moister bed gains cohesion with time.
     """
     rows = contact.rows
-    starts = np.flatnonzero(_begins(rows) & (rows.passes == 1.0))
-    bed = np.searchsorted(starts, np.arange(len(rows)), side="right") - 1
-    heavy = np.where(bed > 0, rows.load[starts[np.maximum(bed - 1, 0)]] / side["load"], 1.0)
-    contact.stiffness = contact.stiffness * column(heavy) ** s
-    contact.tan_phi = contact.tan_phi * column(heavy) ** (side["friction"] * s)
+    driven = np.clip(np.diff(rows.time, prepend=0.0), 0.0, 90.0) * rows.speed
+    slid = np.cumsum(driven * np.maximum(rows.slip, 0.0) / (1.0 - rows.slip))
+    left = 1.0 - s * -np.expm1(-column(slid / slid[-1]) / side["share"])
+    contact.strength.append(lambda limit, sigma, theta: limit * left)
 
 
-@_fresh("gain of the radius of the contact at the mean load [-]", 1.0, side=drawn("load", power=(0.7, 1.3)))
-def flattening_wheel(contact, s, side):
-    """A wheel that is not rigid flattens under its load and meets the soil as part of a larger circle (Bekker 1956).
+@_fresh("loss of S in the third pass for a unit of slip [-]", 1.3, side=drawn(friction=(0.0, 0.2)))
+def churned_rut(contact, s, side):
+    """Loosening of dense soil by the slip of each pass, which the next pass finds at the same place of the lane.
 
-    The longer contact sinks less and pulls more, most at heavy loads. Listed effects know no wheel that yields; a wrong
-    radius is one value for all loads and falsifies slip; an eccentric wheel swings with the way.
+    S, and less tan(phi), fall with slip times the number of passes before. Listed multipass makes a bed firmer at
+    all slips, and slip-sinkage is there on fresh soil too.
     """
-    larger = 1.0 + s * (contact.load / side["load"]) ** side["power"]
-    contact.radius, contact.shear_radius = contact.radius * larger, contact.shear_radius * larger
-    lever = larger[:, 0]  # the axle stays as high above the ground as before
-    contact.sensors.append(lambda out: replace(out, torque=out.torque / lever))
+    loose = np.maximum(1.0 - s * 0.5 * (contact.passes - 1.0) * np.maximum(contact.slip, 0.0), 0.1)
+    contact.stiffness = contact.stiffness * loose
+    contact.tan_phi = contact.tan_phi * loose ** side["friction"]
 
 
-@_fresh("load that is lost at a sinkage of 0.1 r over the mean load [-]", 0.5, side=drawn("load"))
-def relaxing_spring(contact, s, side):
-    """A preloaded spring presses the wheel down, set on the surface, and gives less the deeper the wheel sinks.
+@_fresh("share of the friction that is lost at once [-]", 0.6, side=drawn("speed", drains=(0.5, 2.0)))
+def trapped_water(contact, s, side):
+    """Water of a wet bed that carries part of the pressure until it has drained, and gives no friction (Terzaghi 1925).
 
-    The load on the soil is W - k z: deep rows lose sinkage, pull and torque together, whatever made them deep. A hard
-    floor holds the sinkage and keeps the load; listed effects keep the load, and a leak takes it with time.
-    """
-    rate = s * side["load"] / 0.1
-    contact.forces.append(lambda entry: (rate * (1.0 - np.cos(entry)), 0.0 * entry, 0.0 * entry))
-
-
-@_fresh("load that is added for a unit of torque over radius [-]", 0.8, signs=(1, -1))
-def torque_on_arm(contact, s, side):
-    """The wheel hangs on a swing arm that takes the torque of its drive too, and so presses it down or lifts it.
-
-    The load on the soil is W + s T/r, which the table does not have. It is there on level ground, unlike listed weight
-    transfer, and changes all channels with slip, to less sinkage as well; crosstalk of a cell leaves the soil alone.
+    Short contacts, by fast travel and shallow rows, lose friction at all slips; cohesion and pressure stay. Listed
+    rates gain strength or pressure with speed, the one for shear with the speed of sliding.
     """
 
-    def hook(entry):
-        _, tau, weight = contact.stresses(entry)
-        pressed = s * (contact.areas(weight)[1] * tau).sum(1, keepdims=True)
-        return -pressed, 0.0 * pressed, 0.0 * pressed
+    def hook(tau, arc):
+        drained = side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6  # time of contact over that to drain
+        lost = s / (1.0 + drained) * arc.sigma * contact.tan_phi
+        return tau * (1.0 - lost / np.maximum(arc.limit, 1e-9))
 
-    contact.forces.append(hook)
+    contact.tangential.append(hook)
 
 
-@_fresh("gain of the torque that is read after long work at the mean load [-]", 0.6, (TORQUE,),
-        side=drawn("load", "radius", cools=(400.0, 3000.0)))  # fmt: skip
-def hot_motor(contact, s, side):
-    """Torque from the current of a motor whose magnets weaken as it heats, with the square of the torques before.
+@_fresh("loss of gain at the usual power of the motor [-]", 0.12, (PULL, TORQUE), side=drawn("load", "speed"))
+def sagging_supply(contact, s, side):
+    """One supply for the motor and both bridges, whose voltage sags with the power that the motor takes.
 
-    The gain follows hard work by minutes and is lost while a bed is prepared. Listed friction of the drive and a cold
-    seal add a torque; a wrong gain is constant, and saturation knows the present torque only.
+    Pull and torque are read short by one factor, most in heavy, fast rows of much slip. A wrong gain is constant,
+    saturation knows no speed, and a hot motor knows the rows before.
     """
-    pause = np.diff(contact.rows.time, prepend=0.0)  # [s]
+    turning = contact.rows.speed / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))[:, 0]
 
     def read(out):
-        power, warm = (out.torque / (0.4 * side["load"] * side["radius"])) ** 2, np.zeros(len(pause))
-        for k in range(1, len(pause)):
-            gained = -np.expm1(-min(pause[k], 90.0) / side["cools"]) * power[k - 1]
-            warm[k] = warm[k - 1] * np.exp(-pause[k] / side["cools"]) + gained
-        return replace(out, torque=out.torque * (1.0 + s * warm))
+        gain = 1.0 / (1.0 + s * np.maximum(out.torque * turning, 0.0) / (0.5 * side["load"] * side["speed"]))
+        return replace(out, drawbar_pull=out.drawbar_pull * gain, torque=out.torque * gain)
 
     contact.sensors.append(read)
 
 
-@_fresh("share of the last pull that is zeroed [-]", 0.6, (PULL,))
-def zeroed_under_pull(contact, s, side):
-    """The load cell is zeroed as soon as a run stops, while wheel and soil still hold a part of its last pull.
+@_fresh("share of the rut's depth [-]", 0.6, (SINKAGE,))
+def skid_in_the_rut(contact, s, side):
+    """A skid that feels the surface beside the wheel slides into the rut after the first pass, and lowers the zero.
 
-    The next run is read short by it: one zero for each run, of either sign, from the load and soil of the run before.
-    A wrong zero is constant; an unsettled wheel passes sinkage on from row to row, here a whole run has one error.
+    Sinkage is read short by a share of the mean depth of the run before. Listed multipass changes pull and torque
+    with it; an offset of the sinkage is there on fresh soil and does not know the depth of ruts.
     """
-    rows = np.arange(len(contact.rows))
-    before = np.maximum.accumulate(np.where(_begins(contact.rows), rows, 0)) - 1  # last row of the run before
+    run = np.concatenate([[0], np.cumsum(np.diff(contact.rows.passes) != 0.0)])
 
     def read(out):
-        held = np.where(before >= 0, out.drawbar_pull[before], 0.0)
-        return replace(out, drawbar_pull=out.drawbar_pull - s * held)
+        depth = np.bincount(run, out.sinkage) / np.bincount(run)
+        return replace(out, sinkage=out.sinkage - s * np.where(contact.rows.passes > 1.0, depth[run - 1], 0.0))
 
     contact.sensors.append(read)
 
 
-@_fresh("amplitude of the zero over the mean load [-]", 0.15, (PULL,),
-        side=drawn("load", "time", period=(0.25, 1.0), phase=(0.0, 6.28)))  # fmt: skip
-def heated_hall(contact, s, side):
-    """The zero of the load cell follows the temperature of the hall, which the heating lets rise and fall by the clock.
+@_fresh("zero that stays over the overload [-]", 0.8, (TORQUE,),
+        side=lambda rng, bench: {"limit": float(rng.uniform(0.5, 0.75) * bench.base[2].max())})  # fmt: skip
+def overloaded_shaft(contact, s, side):
+    """A torque shaft that yields: the highest torque so far leaves a lasting zero, a share of its excess over a limit.
 
-    Pull alone swings with the time, whatever the row. A wrong zero is constant, a drifting one of the catalogue is of
-    the sinkage; carriage drag goes with speed, and firm places of a lane come back in each run.
+    The zero is right at first and moves in steps, up only. A wrong zero is constant, warm motors and seals recover or
+    fade, and saturation leaves no trace.
     """
-    swing = np.cos(2.0 * np.pi * contact.rows.time / (side["period"] * side["time"]) + side["phase"])
-    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull + s * side["load"] * swing))
+
+    def read(out):
+        highest = np.concatenate([[0.0], np.maximum.accumulate(out.torque)[:-1]])
+        return replace(out, torque=out.torque + s * np.maximum(highest - side["limit"], 0.0))
+
+    contact.sensors.append(read)
+
+
+@_fresh("standard deviation of the slope from bed to bed [deg]", 5.0, (PULL,),
+        side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()})  # fmt: skip
+def beds_out_of_level(contact, s, side):
+    """Beds that are levelled by hand have each a slope that nobody records, whose weight component goes to pull.
+
+    Listed grades are in the table, and a tilted rig has one angle for all beds; uneven beds differ in density.
+    """
+    bed = np.concatenate([[0], np.cumsum(np.diff(contact.rows.passes) < 0.0)]) % 200
+    take = contact.rows.load * np.tan(np.radians(s * np.asarray(side["beds"])[bed]))
+    contact.sensors.append(lambda out: replace(out, drawbar_pull=out.drawbar_pull - take))

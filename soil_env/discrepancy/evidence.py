@@ -120,9 +120,8 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     total = float(logsumexp(log))
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
-    return Evidence(
-        fit, total - math.log(len(scales)), max(of, key=lambda sizes: of[sizes]), of, *mixed(share, mean, covariance)
-    )
+    best = max(of, key=lambda sizes: of[sizes])
+    return Evidence(fit, total - math.log(len(scales)), best, of, *mixed(share, mean, covariance))
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -274,13 +273,8 @@ FREE_SIZES = (0.03, 0.15, 0.5)
 #: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
 PATTERN_SIZES = (0.05, 0.15, 0.4)
 SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # of the values over the noise
-_STRESSES = (
-    "normal stress",
-    "shear stress",
-    "place of the normal stress",
-    "spread of the normal stress",
-    "place of the shear stress",
-)
+_STRESSES = ("normal stress", "shear stress", "place of the normal stress", "spread of the normal stress",
+             "place of the shear stress")  # fmt: skip
 Pattern = tuple[str, float]  # where and with what, and its size
 #: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes with the pass, the
 #: size of a stress with the speed, the pull with the grade, a friction with the speed, a zero that drifts.

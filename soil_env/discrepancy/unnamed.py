@@ -28,11 +28,8 @@ def _p(name: str, sd: float, low: float, high: float, centre: float | None = Non
     return EffectParameter(name, "", "", centre or 0.0, low, high, sd, "", centre=centre)
 
 
-def _law(
-    name: str, title: str, moves: tuple[Channel, ...], *parameters: EffectParameter, varies: str | None = None
-) -> Effect:
-    form = Form(name, tuple(p.name for p in parameters), "", "own assumption")
-    return Effect(name, title, moves, parameters, (form,), varies=varies)
+def _law(name: str, title: str, moves: tuple[Channel, ...], *p: EffectParameter, varies: str | None = None) -> Effect:
+    return Effect(name, title, moves, p, (Form(name, tuple(k.name for k in p), "", "own assumption"),), varies=varies)
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)

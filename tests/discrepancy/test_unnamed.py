@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from soil_env.discrepancy import evidence, search
+from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED, Choice
 from soil_env.discrepancy.unnamed import UNNAMED, changed, loaded, soils
 from tests.discrepancy.tables import problem, table
@@ -27,9 +28,7 @@ def test_an_anonymous_law_is_found_in_its_channels_and_absent_at_strength_zero(l
     assert all(np.allclose(a, b) for a, b in zip(loaded(rows, off, p.bench.load)[1:3], rows[1:3], strict=True))
     there = p.predict(p.fit().parameters() | values(law), (Choice(law, 0),), np.zeros(len(clean.y)))
     moved = there - p.predict(p.fit().parameters(), (), np.zeros(len(clean.y)))
-    assert {c for c, m in zip(("sinkage", "drawbar_pull", "torque"), moved.T, strict=True) if np.any(m)} == {
-        *UNNAMED[law].moves
-    }
+    assert {c for c, m in zip(CHANNELS, moved.T, strict=True) if np.any(m)} == {*UNNAMED[law].moves}
     q = problem(clean, np.random.default_rng(0), moved)
     base = evidence.settle(q, ())
     gain = {n: evidence.settle(q, (Choice(n, 0),), base).log - base.log for n in (law, "bulldozing", "tilt")}
