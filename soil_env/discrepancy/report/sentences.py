@@ -18,7 +18,7 @@ from soil_env.terramechanics.steady import DEEPEST
 from soil_env.terramechanics.validity import in_words
 
 MENTIONED = 0.05  # least probability of a remainder beside a name that is mentioned
-LITTLE = 0.05  # rise of the probability of the right candidate below which runs would hardly help
+LITTLE = 0.02  # rise of the probability of the right candidate below which runs would hardly help
 SCATTERED = 1.2  # [noise] scatter of the values that is worth a caution
 FAR = 3.0  # [sd of the setup] from the setup's value at which a soil parameter is worth a caution
 FEW = 6  # conditions below which a table shows hardly any misfit

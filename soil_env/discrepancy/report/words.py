@@ -77,7 +77,8 @@ def next_step(report: Report) -> str:
     if report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted":
         steps.append("load each sensor alone with known weights, read both, and correct the columns")
     steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
-    steps += ["make the next tests below, the first one first, and add their rows"] if runs_help(report) else []
+    runs = runs_help(report) and report.verdict != "none"
+    steps += ["make the next tests below, the first one first, and add their rows"] if runs else []
     steps += ["run this again"] if steps else []
     said = " ".join(f"{step[:1].upper()}{step[1:]}." for step in steps)
     if steps and report.verdict not in ("named", "none"):
