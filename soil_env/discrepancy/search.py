@@ -24,9 +24,9 @@ from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detec
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
 
-#: Prior odds that a listed effect of the soil or the drive is missing, each independent of the others, and the same of
-#: each error of the instrument: of all none is there with 32 %. An error of the instrument is less probable where the
-#: setup states that the rig is known better than usual (`instrument.odds`). No single name has odds of its own.
+#: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has a listed error, each
+#: independent of the others: none is there with 32 %. An error is less probable where the setup states that the rig is
+#: known better than usual (`instrument.odds`). No single name has odds of its own.
 ODDS, RIG_ODDS = 0.06, 0.04
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.
 UNLISTED_ODDS = 0.05
