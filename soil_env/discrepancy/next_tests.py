@@ -160,7 +160,7 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
-    missed = np.where(problem.used, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
+    missed = np.where(problem.data.measured, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
     worst, last = int(np.argmax(missed.max(axis=1))), grid.value["slip"].size
     grid = grid._replace(value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()})
     there, seen = problem_at(problem, grid.value), problem.used.any(axis=0)

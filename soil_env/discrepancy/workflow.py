@@ -29,15 +29,8 @@ from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen
 
 
-def run(
-    table: Table | str | Path,
-    setup: Setup | str | Path,
-    out: str | Path | None = None,
-    *,
-    seed: int = 0,
-    next_runs: int = MOST,
-    progress: Callable[[str], None] | None = None,
-) -> Report:
+def run(table: Table | str | Path, setup: Setup | str | Path, out: str | Path | None = None, *, seed: int = 0,
+        next_runs: int = MOST, progress: Callable[[str], None] | None = None) -> Report:  # fmt: skip
     """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
@@ -57,13 +50,9 @@ def run(
     read = setup if isinstance(setup, Setup) else read_setup(setup)
     exact(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
-    settings = Settings(
-        rows.source,
-        "" if isinstance(setup, Setup) else os.fspath(setup),
-        seed,
-        None if isinstance(table, Table) else _digest(table),
-        None if isinstance(setup, Setup) else _digest(setup),
-    )
+    settings = Settings(rows.source, "" if isinstance(setup, Setup) else os.fspath(setup), seed,
+                        None if isinstance(table, Table) else _digest(table),
+                        None if isinstance(setup, Setup) else _digest(setup))  # fmt: skip
     with threadpool_limits(1):  # the matrices are small: threads of the BLAS cost more than they give
         report = _conclude(rows, read, settings, say, next_runs)
     if out is not None:

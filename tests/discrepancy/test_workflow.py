@@ -120,4 +120,4 @@ def test_a_sensor_that_is_not_linear_puts_no_law_into_the_model(tmp_path):
         lines[k] = ",".join((*others, str(float(torque) / (1.0 + 0.08 * float(torque)))))
     report = run(*write_files(tmp_path, "\n".join(lines) + "\n"))
     assert report.verdict == "unlisted" and report.finding.hypotheses[0].law == "torque_curve"
-    assert report.law is None and not report.model.residual and "each sensor alone" in words.next_step(report)
+    assert report.law is None and not report.model.residual and "each sensor with several" in words.next_step(report)

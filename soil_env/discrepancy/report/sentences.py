@@ -177,9 +177,9 @@ def _place(point: Mapping[str, float]) -> str:
 def summary(report: Report) -> str:
     """Conclusion: what is missing, its probability, and how far the gap closes."""
     finding, gap = report.finding, report.gap
-    sets = [h for h in finding.hypotheses if h.names and h.probability >= TOLD][:4]
-    shares = [f"{title(' and '.join(h.names))}{' alone' * (len(h.names) == 1)} ({sure(h.probability)})" for h in sets]
-
+    exact = dict.fromkeys(h.names for h in finding.hypotheses if h.names)
+    of = sorted(((sum(h.probability for h in finding.hypotheses if h.names == n), n) for n in exact), reverse=True)
+    shares = [f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})" for p, n in of[:4] if p >= TOLD]
     text = render(
         f"{__package__}:summary.txt",
         **_helpers(),
@@ -195,10 +195,16 @@ def summary(report: Report) -> str:
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
         weak=sum(d.power < NAMED for d in finding.detectable.values()),
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
+        unseen=unseen(report),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
         refuted=[title(" and ".join(n)) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
     )
     return " ".join(text.split()).replace(" ,", ",")
+
+
+def unseen(report: Report) -> list[str]:
+    """Effects that the table cannot show; not those that the setup rules out."""
+    return [title(n) for n, why in report.finding.untestable.items() if not why.endswith("by the setup")]
 
 
 def cautions(report: Report) -> list[str]:
@@ -249,7 +255,7 @@ def cautions(report: Report) -> list[str]:
         remains=[(TITLES[n], g.over_noise[1]) for n, g in report.gap.items() if g.after > LEFT * g.noise_floor],
         height=setup.wheel.grouser_height,
         digging=problem.digging[0],
-        untestable=[title(name) for name in report.finding.untestable],
+        unseen=unseen(report),
     )
     return [line[:1].upper() + line[1:] for line in map(str.strip, text.splitlines()) if line]
 

@@ -37,6 +37,11 @@ EXPLAINED = {
 }
 
 
+def missed(report: Report) -> bool:
+    """True if the base model leaves a stated error in a channel."""
+    return any(gap.over_noise[0] > LEFT for gap in report.gap.values())
+
+
 def conclusion(report: Report) -> str:
     """The result in one sentence without a number."""
     names = listed([title(e.name) for e in report.effects]) if report.effects else ""
@@ -58,7 +63,7 @@ def conclusion(report: Report) -> str:
         rest = f": most probable {'are' if len(likely) > 1 else 'is'} {listed(likely, 'or')}" if likely else ""
         return f"These runs do not decide what is missing, if anything{rest}."
     if report.verdict == "none":
-        if any(gap.over_noise[0] > LEFT for gap in report.gap.values()):
+        if missed(report):
             return "The simulation misses these runs by what laws and sensors that err could do: no effect is named."
         return "The simulation agrees with these runs as well as the laws of the soil allow."
     return "These runs are too few to decide if anything is missing."
@@ -72,17 +77,19 @@ def next_step(report: Report) -> str:
     asked = {*beside, *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY)} & {*INSTRUMENT}
     found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
     checks = [c for c in CHECKS if found.get(c, 0.0) >= LIKELY or asked & {*c.decides}]
-    done = ", ".join(n for c in checks for n in c.decides)
+    before = report.problem.data.setup.checked
+    done = ", ".join(dict.fromkeys((*before, *(n for c in checks for n in c.decides))))
     steps = [c.work for c in checks]
-    if report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted":
-        steps.append("load each sensor alone with known weights, read both, and correct the columns")
+    of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
+    if of_sensor and not {"force_gain", "torque_gain"} <= {*done.split(", ")}:
+        steps.append("load each sensor with several known weights, and correct the columns where it is not linear")
     steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
     runs = runs_help(report) and report.verdict != "none"
     steps += ["make the next tests below, the first one first, and add their rows"] if runs else []
     steps += ["run this again"] if steps else []
     said = " ".join(f"{step[:1].upper()}{step[1:]}." for step in steps)
-    if steps and report.verdict not in ("named", "none"):
+    if steps and (report.verdict not in ("named", "none") or {e.name for e in report.effects} & {*INSTRUMENT}):
         return said
-    if report.verdict in ("ambiguous", "undetermined"):
+    if report.verdict in ("ambiguous", "undetermined") or (report.verdict == "none" and missed(report)):
         return "Make more runs, at other slips, loads and speeds, add their rows and run this again."
     return "Simulate with model.yaml." + (f" To be surer: {said[:1].lower()}{said[1:]}" if steps else "")
