@@ -293,9 +293,8 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(
-        self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...], guess: np.ndarray
-    ) -> np.ndarray:
+    def derivatives(self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...],
+                    guess: np.ndarray) -> np.ndarray:  # fmt: skip
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
@@ -317,16 +316,14 @@ class Problem:
                    tuple(map(self.block, law)), self.block(effect), tuple(free), self.block(rig), converged,
                    sizes)  # fmt: skip
 
-    def added(
-        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
+    def added(self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray,
+              guess: np.ndarray) -> tuple[np.ndarray, ...]:  # fmt: skip
         """[N, 3] what each effect adds to the output."""
         rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
         return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
 
-    def stresses(
-        self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray, guess: np.ndarray
-    ) -> list[np.ndarray]:
+    def stresses(self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray,
+                 guess: np.ndarray) -> list[np.ndarray]:  # fmt: skip
         """[N, 3] change of the output by each `stress_changes`, relative."""
         h, sinkage = _STRESS_STEP, float(np.nanmedian(output[:, 0]))
         changes = stress_changes(self.known | values, h, sinkage)
@@ -350,10 +347,8 @@ class Problem:
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [_in_channel(own, factor * unit) for unit in units]
-        return (
-            [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law],
-            np.concatenate(blocks, axis=2),
-        )
+        laws = [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law]
+        return laws, np.concatenate(blocks, axis=2)
 
     def effect_process(self, choice: Choice) -> Process:
         """Form error of an effect: it goes with what the base law knows and with what the effect is about."""

@@ -198,9 +198,8 @@ def _beyond_strength(problem: Problem) -> str:
     return ""
 
 
-def of_lone_rows(
-    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
-) -> tuple[str, ...]:
+def of_lone_rows(problem: Problem, noise: NoiseEstimate, finding: Finding,
+                 say: Callable[[str], None]) -> tuple[str, ...]:  # fmt: skip
     """Return a doubt where rows that stand alone in their conditions decide what is named, none as a rule."""
     table, alone = problem.data.table, np.flatnonzero(noise.alone)
     if not 0 < alone.size <= len(table) // FEW:

@@ -112,9 +112,8 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     return None if before <= 0.0 else 1.0 - after / before
 
 
-def closed_interval(
-    problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
-) -> tuple[float, float] | None:
+def closed_interval(problem: Problem, before: np.ndarray, after: np.ndarray,
+                    rng: np.random.Generator) -> tuple[float, float] | None:  # fmt: skip
     """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a gap.
 
     Values of one slip share the error of that slip, and values of one combination of the other conditions share

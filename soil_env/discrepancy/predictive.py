@@ -50,9 +50,8 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
     return there.data.conditions | ended
 
 
-def predicted(
-    problem: Problem, there: Problem, candidate: Evidence
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def predicted(problem: Problem, there: Problem,
+              candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a candidate.
 
     In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical sizes.

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings, strategies as st
+from hypothesis import Phase, example, given, settings, strategies as st
 
 from soil_env.identification import Status
 from soil_env.identification.online import curve, identifier
@@ -80,7 +80,12 @@ wild_reading = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=25, deadline=None, phases=[Phase.generate])
+NO_SOIL = [SensorReading(0.0, 0.293, 725e3, 807e3, 539e3, 2.48, -2.81, 0.364, -524e3, 0.0),
+           SensorReading(0.0, 0.233, -826e3, 261e3, 735e3, 1.94, 1.85, 1.3, 976e3, -723e3)]  # fmt: skip
+
+
+@settings(max_examples=25, deadline=None, phases=[Phase.explicit, Phase.generate])
+@example(SCENARIO, NO_SOIL)
 @given(st.sampled_from([SCENARIO, PLAIN]), st.lists(wild_reading, min_size=5, max_size=25))
 def test_wild_readings_never_give_nan(scenario, readings):
     """Nor more bins than there is memory for, nor a covariance that is none."""

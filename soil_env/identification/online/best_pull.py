@@ -86,6 +86,9 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
     by_y, by_gain = rows[6 * COUNT + best], rows[7 * COUNT + best]
     variance += by_y * by_y * of_sinkage[0] + 2.0 * by_y * by_gain * of_sinkage[1] + by_gain * by_gain * of_sinkage[2]
     rate += by_y * along[SOIL] + by_gain * along[SOIL + 1]
+    if not math.isfinite(rows[best] + variance + rate):  # readings that no soil explains: begun anew
+        steady[0] = 0.0
+        return -1.0, 1.0, 0.0
     return max(rows[best] / load, -1.0), variance / (load * load), rate / load
 
 
