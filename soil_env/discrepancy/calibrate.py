@@ -1,7 +1,7 @@
 """Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
 
-Priors of the soil and the least squares are those of `soil_env.identification.table`, with slip and
-load exact. The whitened unknowns u minimise
+Priors of the soil and the least squares are those of `soil_env.identification.table`, with noise of
+slip and load as noise of the channels. The whitened unknowns u minimise
 
     J(u) = e'C^-1 e + |u|^2,    e = (y - f(u)) / sigma,    C = I + B B'
 

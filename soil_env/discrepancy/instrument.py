@@ -18,7 +18,6 @@ from soil_env.measurement.setup import Calibration, Setup
 from soil_env.slip import slips_of_radius
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import (
-    CHANNELS,
     PULL,
     SINKAGE,
     TORQUE,
@@ -41,18 +40,9 @@ def _entry(name: str, title: str, moves: tuple[Channel, ...], p: EffectParameter
     return Effect(name, title, moves, (p,), (form,), symbols=symbols, priors=priors or (lambda bench: {}))
 
 
-def _force(bench: Bench) -> dict[str, tuple[float, float, float]]:
-    return {"offset": (OFFSET * bench.load, -bench.load, bench.load)}
-
-
-def _torque(bench: Bench) -> dict[str, tuple[float, float, float]]:
-    size = bench.load * bench.radius
-    return {"offset": (OFFSET * size, -size, size)}
-
-
-def _spring(bench: Bench) -> dict[str, tuple[float, float, float]]:
-    rate = bench.load / bench.radius
-    return {"rate": (2.0 * rate, -8.0 * rate, 8.0 * rate)}
+def _within(name: str, sd: float, most: float, size: Callable[[Bench], float]) -> Callable[[Bench], dict]:
+    """Prior (sd, low, high) of a parameter that goes with a size of the rig, both over that size."""
+    return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
 
 
 _P = EffectParameter
@@ -62,13 +52,13 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
            "DP_measured = DP - W sin({angle_deg}); W_n = W cos({angle_deg})"),
     _entry("force_offset", "zero error of the drawbar pull", (PULL,),
            _P("offset", "d", "N", 0.0, -1e6, 1e6, 0.0, "offset of the load cell"), "DP_measured = DP + {offset}",
-           _force),
+           _within("offset", OFFSET, 1.0, lambda bench: bench.load)),
     _entry("force_gain", "gain error of the drawbar pull", (PULL,),
            _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the load cell"),
            "DP_measured = DP (1 + {gain})"),
     _entry("torque_offset", "zero error of the torque", (TORQUE,),
            _P("offset", "d", "N m", 0.0, -1e6, 1e6, 0.0, "offset of the torque sensor"), "T_measured = T + {offset}",
-           _torque),
+           _within("offset", OFFSET, 1.0, lambda bench: bench.load * bench.radius)),
     _entry("torque_gain", "gain error of the torque", (TORQUE,),
            _P("gain", "g", "", 0.0, -0.5, 0.5, 0.08, "relative error of the torque sensor"),
            "T_measured = T (1 + {gain})"),
@@ -86,7 +76,7 @@ INSTRUMENT: Mapping[str, Effect] = MappingProxyType({effect.name: effect for eff
            "W_true = W + {share} T/r"),
     _entry("spring_load", "a load that goes with the sinkage", (SINKAGE, PULL, TORQUE),
            _P("rate", "k", "N/m", 0.0, -1e6, 1e6, 0.0, "load that is lost over a metre of sinkage"),
-           "W_true = W - {rate} z", _spring),
+           "W_true = W - {rate} z", _within("rate", 2.0, 8.0, lambda bench: bench.load / bench.radius)),
 )})  # fmt: skip
 #: Everything that can be named.
 LISTED: Mapping[str, Effect] = MappingProxyType({**CATALOGUE, **INSTRUMENT})
@@ -195,19 +185,14 @@ def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) ->
 
 
 def nuisances(setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: tuple[str, ...]) -> np.ndarray:
-    """[N, 3, R] change of the readings [N, 3] by one sd of each error that is not among the named ones."""
-    sd, load, radius = _spread(setup.calibration, bench), rows.load, rows.wheels[:, 0]
-    of = {
-        "tilt": (PULL, -load * math.sin(math.radians(sd["tilt"]))),
-        "force_crosstalk": (PULL, sd["force_crosstalk"] * output[:, 2] / radius),
-        "torque_crosstalk": (TORQUE, sd["torque_crosstalk"] * output[:, 1] * radius),
-        "force_offset": (PULL, sd["force_offset"]),
-        "force_gain": (PULL, sd["force_gain"] * output[:, 1]),
-        "torque_offset": (TORQUE, sd["torque_offset"]),
-        "torque_gain": (TORQUE, sd["torque_gain"] * output[:, 2]),
-    }
-    there = [change for name, change in of.items() if name not in (*named, *exact(setup))]
-    out = np.zeros((load.size, len(CHANNELS), len(there)))
-    for k, (channel, change) in enumerate(there):
-        out[:, CHANNELS.index(channel), k] = change
-    return out
+    """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not named."""
+    spread, out = _spread(setup.calibration, bench), []
+    for name, effect in INSTRUMENT.items():
+        if len(effect.moves) > 1 or name in (*named, *exact(setup)):
+            continue
+        if name == "tilt":
+            out.append(np.outer(-rows.load * math.sin(math.radians(spread[name])), [0.0, 1.0, 0.0]))
+        else:
+            values = {f"{name}_{effect.parameters[0].name}": spread[name]}
+            out.append(reading(output, values, rows.wheels[:, 0]) - output)
+    return np.stack(out, axis=2) if out else np.zeros((*output.shape, 0))

@@ -42,6 +42,7 @@ _SOIL = {
     for short, parameter in (("friction", "friction_angle_deg"), ("cohesion", "cohesion"), ("modulus", "shear_modulus"))
     for condition in _COLUMNS
 }
+#: Laws of sensors, for which no law goes into a model.
 OF_SENSORS = ("torque_curve", "pull_curve")
 UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
     _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),

@@ -168,6 +168,11 @@ def test_who_is_left():
     assert again[0].repeat and not any(t.repeat for t in again[1:])
     off = np.abs(p.data.y - a.fit.output) / NOISE  # by the most probable candidate
     assert again[0].conditions["slip"] == p.data.rows.slip[np.argmax(off.max(axis=1))]
+    q, y = copy.copy(p), p.data.y.copy()
+    y[3, 1] += 40.0 * NOISE[1]
+    q.data, q.used = dataclasses.replace(p.data, y=y), p.used & (y == p.data.y)  # left out as an outlier
+    outlier = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
+    assert (outlier["slip"], outlier["load"]) == (p.data.rows.slip[3], p.data.rows.load[3])
     # The table has one pass: an effect that no pass could show has its prior odds, and runs of another pass.
     unseen = next_tests(p, finding(0.1, 0.0, 0.0, 0.9, untestable=("multipass", "grade")))
     assert [x.name for x in unseen[0].predicted] == ["base model", "bulldozing", "multipass"]

@@ -8,7 +8,7 @@ import numpy as np
 from soil_env._io.document import render
 from soil_env.discrepancy.calibrate import PRIOR_WIDTH
 from soil_env.discrepancy.data import CHANNELS, WHEEL
-from soil_env.discrepancy.instrument import LISTED
+from soil_env.discrepancy.instrument import LISTED, exact
 from soil_env.discrepancy.locate import Disagreement
 from soil_env.discrepancy.next_tests import NextTest
 from soil_env.discrepancy.result import LEFT, WORSE, Report
@@ -204,7 +204,7 @@ def summary(report: Report) -> str:
 
 def unseen(report: Report) -> list[str]:
     """Effects that the table cannot show; not those that the setup rules out."""
-    return [title(n) for n, why in report.finding.untestable.items() if not why.endswith("by the setup")]
+    return [title(n) for n in report.finding.untestable if n not in exact(report.problem.data.setup)]
 
 
 def cautions(report: Report) -> list[str]:
