@@ -24,7 +24,9 @@ UNNEEDED = ("soil_env", "agents", "torch", "stable_baselines3", "gymnasium", "nu
 ROOT = Path(__file__).resolve().parent
 PACKAGES = ("soil_env", "agents")
 
-_FORMULA = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
+_FORMULA = re.compile(
+    r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL
+)
 _TAG = re.compile(r"\\tag\{(.*?)\}")
 _CODE_LINE = re.compile(r"^Code: .*$", re.MULTILINE)
 _NO_LINK = re.compile(r'<autoref (?![^>]*optional)[^>]*identifier="([^".]*)"[^>]*>(.*?)</autoref>')
@@ -45,7 +47,9 @@ def on_files(files, *, config: dict, **_: object):
 
 def on_page_markdown(markdown: str, page, **_: object) -> str:
     """Markdown with links in its "Code:" lines."""
-    return _CODE_LINE.sub(lambda line: _NAME.sub(lambda name: _link(name[1], page.file.src_uri), line[0]), markdown)
+    return _CODE_LINE.sub(
+        lambda line: _NAME.sub(lambda name: _link(name[1], page.file.src_uri), line[0]), markdown
+    )
 
 
 def on_page_content(content: str, **_: object) -> str:
@@ -56,7 +60,9 @@ def on_page_content(content: str, **_: object) -> str:
 def on_env(env: object, **_: object) -> None:
     """Raise PluginError if the build has imported a module that it must not need."""
     if imported := [name for name in UNNEEDED if name in sys.modules]:
-        raise PluginError(f"the build imported {', '.join(imported)}: expected pages made from the sources alone")
+        raise PluginError(
+            f"the build imported {', '.join(imported)}: expected pages made from the sources alone"
+        )
 
 
 @cache
@@ -83,7 +89,9 @@ def api_pages() -> dict[str, tuple[str, str]]:
         page = "agents" if parts[0] == "agents" else parts[1] if own_page else "soil_env"
         sections[page].append(module)
     pages = {}
-    for page, names in sorted(sections.items(), key=lambda e: (e[0] != "soil_env", e[0] == "agents", e)):
+    for page, names in sorted(
+        sections.items(), key=lambda e: (e[0] != "soil_env", e[0] == "agents", e)
+    ):
         title = page if page in PACKAGES else f"soil_env.{page}"
         blocks = [
             f"## {name}\n\n::: {name}\n    options: {{show_root_heading: false, show_root_toc_entry: false}}\n"
@@ -107,7 +115,11 @@ def definitions() -> dict[str, list[str]]:
 def resolve(name: str) -> str:
     """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one module defines it."""
     *tail, last = name.split(".")
-    homes = [h for h in definitions().get(last, []) if h.split(".")[len(h.split(".")) - len(tail) :] == tail]
+    homes = [
+        h
+        for h in definitions().get(last, [])
+        if h.split(".")[len(h.split(".")) - len(tail) :] == tail
+    ]
     if len(homes) != 1:
         raise LookupError(f"{name}: expected one module that defines it, found {homes or 'none'}")
     return f"{homes[0]}.{last}"

@@ -35,7 +35,9 @@ from . import inputs
 from .config import NAMES, PPOConfig
 from .history import History, lines_of
 
-INFO, WEIGHTS, OPTIMIZER = "soil_env.json", "policy.pth", "policy.optimizer.pth"  # members of the zip
+INFO = "soil_env.json"  # members of the zip
+WEIGHTS = "policy.pth"
+OPTIMIZER = "policy.optimizer.pth"
 MOST_BYTES = 500_000_000  # of a member, unpacked
 _MOST_TEXT = 50_000_000  # of a JSON member
 
@@ -56,7 +58,9 @@ class Info(Checked):
     return_count: float
     clip: float = quantity("", 0.0)  # of a normalised input
     scenario: dict = field(default_factory=dict)  # resolved
-    model: dict = field(default_factory=dict)  # model.yaml of the world of the training; empty: no effects
+    model: dict = field(
+        default_factory=dict
+    )  # model.yaml of the world of the training; empty: no effects
 
     @cached_property
     def task(self) -> Scenario | RoverScenario:
@@ -80,9 +84,18 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 class ChoosingExtractor(MlpExtractor):
     """Hidden layers of the value network and of the drive, and one network that gives each line a score."""
 
-    def __init__(self, feature_dim: int, choice: int, lines: Sequence[list[int]], net_arch, activation_fn, device):
+    def __init__(
+        self,
+        feature_dim: int,
+        choice: int,
+        lines: Sequence[list[int]],
+        net_arch,
+        activation_fn,
+        device,
+    ):
         super().__init__(feature_dim, net_arch, activation_fn, device)
-        self.choice, self.lines = choice, lines
+        self.choice = choice
+        self.lines = lines
         hidden = MlpExtractor(len(lines[0]), net_arch, activation_fn, device).policy_net
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
@@ -92,7 +105,9 @@ class ChoosingExtractor(MlpExtractor):
         The scores are learned apart (`agents.choice`), so no gradient goes to them.
         """
         ahead, beside = (self.line_net(features[:, columns]).detach() for columns in self.lines)
-        return torch.cat([self.policy_net(features), ahead - beside, features[:, [self.choice]]], dim=1)
+        return torch.cat(
+            [self.policy_net(features), ahead - beside, features[:, [self.choice]]], dim=1
+        )
 
 
 class ChoosingPolicy(ActorCriticPolicy):
@@ -108,11 +123,15 @@ class ChoosingPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         arguments = self.net_arch, self.activation_fn, self.device
-        self.mlp_extractor: nn.Module = ChoosingExtractor(self.features_dim, *self.of_choice.values(), *arguments)
+        self.mlp_extractor: nn.Module = ChoosingExtractor(
+            self.features_dim, *self.of_choice.values(), *arguments
+        )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))  # normalised: above its mean
+        mean = torch.where(
+            choosing > 0.0, difference, self.action_net(hidden)
+        )  # normalised: above its mean
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:
@@ -122,7 +141,11 @@ class ChoosingPolicy(ActorCriticPolicy):
 def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
     """(policy class of SB3, its arguments) for observations with the entries `names`."""
     activation = {"relu": nn.ReLU, "tanh": nn.Tanh}[config.activation]
-    common = {"log_std_init": config.log_std_init, "net_arch": [config.layer] * 2, "activation_fn": activation}
+    common = {
+        "log_std_init": config.log_std_init,
+        "net_arch": [config.layer] * 2,
+        "activation_fn": activation,
+    }
     if "choice" in names:
         lines = lines_of(names, config.history)
         return ChoosingPolicy, common | {"choice": list(names).index("choice"), "lines": lines}
@@ -138,9 +161,13 @@ def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
             if archive.getinfo(name).file_size <= most:
                 return archive.read(name)
     except OSError as error:
-        raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected a model") from None
+        raise ParameterError(
+            f"{path}: cannot be read ({error.strerror or error}); expected a model"
+        ) from None
     except Exception as error:  # a broken zip fails in a dozen ways
-        raise ParameterError(f"{path}: not a model of Stable-Baselines3 ({one_line(error)})") from None
+        raise ParameterError(
+            f"{path}: not a model of Stable-Baselines3 ({one_line(error)})"
+        ) from None
     raise ParameterError(f"{path}: {name}: too large to be that of a model")
 
 
@@ -150,7 +177,9 @@ def read_mapping(path: Path, name: str) -> dict | None:
     try:
         mapping = None if content is None else json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise ParameterError(f"{path}: {name}: not a model: expected JSON ({one_line(error)})") from None
+        raise ParameterError(
+            f"{path}: {name}: not a model: expected JSON ({one_line(error)})"
+        ) from None
     if content is not None and not isinstance(mapping, dict):
         raise ParameterError(f"{path}: {name}: expected a mapping, got {type(mapping).__name__}")
     return mapping
@@ -169,7 +198,9 @@ def read_info(path: Path) -> Info:
         raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
     info = load(Info, mapping, f"{path}: {INFO}")
     try:
-        size = len(entries_of(info.task, info.observation)) + (info.history.size if info.history else 0)
+        size = len(entries_of(info.task, info.observation)) + (
+            info.history.size if info.history else 0
+        )
     except ParameterError as error:
         raise ParameterError(f"{path}: {INFO}: {error}") from None
     except ValueError as error:
@@ -177,8 +208,14 @@ def read_info(path: Path) -> Info:
     check_layout(info, path)
     for key in ("mean", "var"):
         values = np.array(getattr(info, key))
-        if values.size != size or not np.isfinite(values).all() or (key == "var" and (values < 0.0).any()):
-            raise ParameterError(f"{path}: {INFO}: {key}: expected {size} finite numbers, not below 0 for var")
+        if (
+            values.size != size
+            or not np.isfinite(values).all()
+            or (key == "var" and (values < 0.0).any())
+        ):
+            raise ParameterError(
+                f"{path}: {INFO}: {key}: expected {size} finite numbers, not below 0 for var"
+            )
     return info
 
 
@@ -186,9 +223,14 @@ def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = 
     """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
     scenario = info.task if scenario is None else scenario
     if isinstance(info.task, RoverScenario) != isinstance(scenario, RoverScenario):
-        own, other = ("rover", "wheel") if isinstance(info.task, RoverScenario) else ("wheel", "rover")
-        raise ParameterError(f"{where}: an agent of a {own}, for scenario {scenario.name!r} of a {other}")
-    expected, found = [e.name for e in entries_of(scenario, info.observation)], list(info.observation_names)
+        own, other = (
+            ("rover", "wheel") if isinstance(info.task, RoverScenario) else ("wheel", "rover")
+        )
+        raise ParameterError(
+            f"{where}: an agent of a {own}, for scenario {scenario.name!r} of a {other}"
+        )
+    expected = [e.name for e in entries_of(scenario, info.observation)]
+    found = list(info.observation_names)
     if found != expected:
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
         more = len(differing) - 4
@@ -206,20 +248,29 @@ def load_weights(path: Path, name: str, into) -> None:
             raise ValueError("it is missing")
         into.load_state_dict(torch.load(io.BytesIO(content), map_location="cpu", weights_only=True))
     except Exception as error:  # torch has no error class of its own for a broken file
-        raise ParameterError(f"{path}: {name}: cannot be loaded as weights ({one_line(error)})") from None
+        raise ParameterError(
+            f"{path}: {name}: cannot be loaded as weights ({one_line(error)})"
+        ) from None
 
 
 def load_agent(path: str | Path) -> Agent:
     """Load an agent from its zip or its run folder; ParameterError in one line if it cannot be used."""
     if not isinstance(path, (str, Path)):
-        raise ParameterError(f"path = {path!r:.60}: expected that of a run folder or of its model.zip")
+        raise ParameterError(
+            f"path = {path!r:.60}: expected that of a run folder or of its model.zip"
+        )
     path = Path(path) / "model.zip" if Path(path).is_dir() else Path(path)
     info = read_info(path)
     box = Scaling(entries_of(info.task, info.observation)).space
     box = info.history.space(box) if info.history else box
     rover = isinstance(info.task, RoverScenario)
     cls, arguments = network(info.ppo, info.observation_names)
-    policy = cls(box, rover_action_space(info.task.axles) if rover else action_space(), lambda _: 0.0, **arguments)
+    policy = cls(
+        box,
+        rover_action_space(info.task.axles) if rover else action_space(),
+        lambda _: 0.0,
+        **arguments,
+    )
     load_weights(path, WEIGHTS, policy)
     policy.set_training_mode(False)
     return Agent(policy, info)
@@ -237,11 +288,16 @@ class Agent:
     info: Info = field(repr=False)
 
     def __post_init__(self):
-        self.variant, self.timesteps, self.history = self.info.observation, self.info.timesteps, self.info.history
-        self.mean, self.sd = np.array(self.info.mean), np.sqrt(np.array(self.info.var) + 1e-8)
-        self.clip, self.name = self.info.clip, NAMES[self.variant]
+        self.variant = self.info.observation
+        self.timesteps = self.info.timesteps
+        self.history = self.info.history
+        self.mean = np.array(self.info.mean)
+        self.sd = np.sqrt(np.array(self.info.var) + 1e-8)
+        self.clip = self.info.clip
+        self.name = NAMES[self.variant]
         entries = entries_of(self.info.task, self.variant)
-        self.scaling, self._layout = Scaling(entries), inputs.Layout(entries, self.variant)
+        self.scaling = Scaling(entries)
+        self._layout = inputs.Layout(entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions for observations [n, D] or [D] in their units, and the memory for the next call; as SB3's predict.
@@ -255,12 +311,17 @@ class Agent:
         """
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))
-        count, fresh = len(batch), inputs.starts(episode_start, len(batch), state is None)
+        count = len(batch)
+        fresh = inputs.starts(episode_start, len(batch), state is None)
         if self.history is not None:
             shape = count, self.history.kept
-            kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
+            kept = (
+                np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
+            )
             batch, state = self.history.observe(batch, kept, fresh)
-        action, _ = self.policy.predict(self._normalised(batch), deterministic=inputs.switch(deterministic))
+        action, _ = self.policy.predict(
+            self._normalised(batch), deterministic=inputs.switch(deterministic)
+        )
         return (action[0] if seen.ndim == 1 else action), state
 
     def _normalised(self, seen: np.ndarray) -> np.ndarray:

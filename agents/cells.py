@@ -32,7 +32,12 @@ from .progress import console
 
 STUDY = "study.yaml"
 ATTEMPTS = 4  # at a cell whose worker has died
-_SINGLE_THREADED = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_SINGLE_THREADED = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+)
 
 Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (cell, result)
 
@@ -40,7 +45,8 @@ Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (ce
 @functools.cache
 def code_version() -> str:
     """Version of soil_env with a hash of its code and weights and of this package."""
-    here, there = Path(soil_env.__file__).parent, Path(__file__).parent
+    here = Path(soil_env.__file__).parent
+    there = Path(__file__).parent
     weights = [*sorted(here.rglob("immobilisation.json")), *sorted(there.glob("*.npz"))]
     files = [*sorted(here.rglob("*.py")), *weights, *sorted(there.rglob("*.py"))]
     return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
@@ -57,10 +63,13 @@ def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
             raise ParameterError(f"{folder}: is not empty and holds no study; give another --out")
         make_folder(folder)
         return False
-    begun, asked = read_yaml(path), yaml.safe_load(yaml.safe_dump(to_dict(study)))
+    begun = read_yaml(path)
+    asked = yaml.safe_load(yaml.safe_dump(to_dict(study)))
     other = [key for key in asked if key not in ignored and begun.get(key) != asked[key]]
     if other:
-        raise ParameterError(f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out")
+        raise ParameterError(
+            f"{folder}: holds another study (it differs in {', '.join(other)}); give another --out"
+        )
     return True
 
 
@@ -73,11 +82,15 @@ def load_study(cls, folder: Path):
     """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of other code."""
     path = Path(folder) / STUDY
     if not Path(folder).is_dir():
-        raise ParameterError(f"{path}: no such folder; expected that of a begun {cls.__name__.lower()}")
+        raise ParameterError(
+            f"{path}: no such folder; expected that of a begun {cls.__name__.lower()}"
+        )
     study = load(cls, read_yaml(path), str(path))
     if study.version != code_version():
         here = code_version()
-        raise ParameterError(f"{path}: begun with soil_env {study.version}, this is {here}; give another --out")
+        raise ParameterError(
+            f"{path}: begun with soil_env {study.version}, this is {here}; give another --out"
+        )
     return study
 
 
@@ -92,10 +105,18 @@ def read_cell(folder: Path, cell: Hashable, parse: Callable):
     try:
         return parse(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError) as error:
-        raise ParameterError(f"{path}: is damaged ({error}); delete it to have it done again") from None
+        raise ParameterError(
+            f"{path}: is damaged ({error}); delete it to have it done again"
+        ) from None
 
 
-def fill(work: Callable, cells: Iterable, folder: Path, engine: Engine, progress: Callable[[Hashable], None]) -> None:
+def fill(
+    work: Callable,
+    cells: Iterable,
+    folder: Path,
+    engine: Engine,
+    progress: Callable[[Hashable], None],
+) -> None:
     """Do the cells without a file; `progress` receives every finished cell, also those that were there already."""
     missing = []
     for cell in cells:
@@ -149,7 +170,8 @@ def _begin(work: Callable) -> None:
         if _Worker.busy:
             raise KeyboardInterrupt
 
-    console.quiet, _Worker.work = True, work
+    console.quiet = True
+    _Worker.work = work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, interrupt)
 
@@ -166,10 +188,14 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
     """`workers` processes of this machine, each single-threaded."""
     for name in _SINGLE_THREADED:
         os.environ.setdefault(name, "1")  # of the processes to come
-    left, deaths = deque(cells), Counter()
+    left = deque(cells)
+    deaths = Counter()
     while left:
-        others, running = multiprocessing.active_children(), {}
-        pool = ProcessPoolExecutor(min(workers, len(left)), multiprocessing.get_context("spawn"), _begin, (work,))
+        others = multiprocessing.active_children()
+        running = {}
+        pool = ProcessPoolExecutor(
+            min(workers, len(left)), multiprocessing.get_context("spawn"), _begin, (work,)
+        )
         try:
             while left or running:
                 while left and len(running) < workers:
@@ -183,7 +209,9 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
             left.extendleft(running.values())
             for cell in left:
                 if deaths[cell] >= ATTEMPTS:
-                    raise ParameterError(f"--workers: {cell}: its process died {ATTEMPTS} times") from None
+                    raise ParameterError(
+                        f"--workers: {cell}: its process died {ATTEMPTS} times"
+                    ) from None
         finally:
             if running:
                 for child in set(multiprocessing.active_children()) - set(others):
@@ -196,7 +224,9 @@ def _check_ray(address: str | None) -> None:
     try:
         import ray  # noqa: F401
     except ImportError:
-        raise ParameterError("--engine ray: Ray is not installed; expected: pip install 'soil_env[ray]'") from None
+        raise ParameterError(
+            "--engine ray: Ray is not installed; expected: pip install 'soil_env[ray]'"
+        ) from None
     address = address or os.environ.get("RAY_ADDRESS")
     if address in (None, "", "auto", "local"):
         return
@@ -204,7 +234,9 @@ def _check_ray(address: str | None) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
     except (OSError, ValueError) as error:
-        raise ParameterError(f"--engine ray: no cluster at {address} ({error}); expected HOST:PORT") from None
+        raise ParameterError(
+            f"--engine ray: no cluster at {address} ({error}); expected HOST:PORT"
+        ) from None
 
 
 def on_ray(
@@ -221,14 +253,18 @@ def on_ray(
     if ours:
         options = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is not None or not os.environ.get("RAY_ADDRESS"):
-            options["address"] = address or "local"  # "auto" tries a cluster that died here for minutes
+            options["address"] = (
+                address or "local"
+            )  # "auto" tries a cluster that died here for minutes
         if workers is not None:
             options["num_cpus"] = workers
         try:
             ray.init(**options)
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             where = address or "this machine"
-            raise ParameterError(f"--engine ray: no cluster at {where} ({_line(error, 0)})") from None
+            raise ParameterError(
+                f"--engine ray: no cluster at {where} ({_line(error, 0)})"
+            ) from None
     running: dict = {}
     try:
         shared = ray.put(work)

@@ -14,7 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch.nn import functional
 
 KEPT = 400_000  # newest choices that are learned from
-BATCH, RATE = 2048, 2e-3
+BATCH = 2048
+RATE = 2e-3
 PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 
@@ -23,12 +24,15 @@ class ChoiceVecEnv(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv, choice: int, lines: list[list[int]]):
         super().__init__(venv)
-        self.choice, self.lines = choice, lines
+        self.choice = choice
+        self.lines = lines
         self.taken = np.zeros((KEPT, len(lines[0])), dtype=np.float32)
         self.passed = np.zeros(KEPT, dtype=np.float32)
         self.count = 0  # of the choices whose end is known
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
-        self.on = np.zeros((self.num_envs, len(lines[0])), dtype=np.float32)  # the line that each wheel took last
+        self.on = np.zeros(
+            (self.num_envs, len(lines[0])), dtype=np.float32
+        )  # the line that each wheel took last
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
@@ -45,7 +49,9 @@ class ChoiceVecEnv(VecEnvWrapper):
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
         ahead, beside = (self.seen[:, columns] for columns in self.lines)
-        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]  # in a halt the last action decides
+        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[
+            choosing
+        ]  # in a halt the last action decides
         self.under_way |= choosing
         self.chose = choosing
         self.venv.step_async(actions)
@@ -59,7 +65,8 @@ class ChoiceVecEnv(VecEnvWrapper):
 
     def _keep(self, wheels: np.ndarray, passed) -> None:
         rows = np.arange(self.count, self.count + wheels.size) % KEPT
-        self.taken[rows], self.passed[rows] = self.on[wheels], passed
+        self.taken[rows] = self.on[wheels]
+        self.passed[rows] = passed
         self.count += wheels.size
 
 
@@ -68,7 +75,9 @@ class Chooser(BaseCallback):
 
     def __init__(self, model: PPO, rng: np.random.Generator):
         super().__init__()
-        self.normalised, self.rng, self.learned = model.get_vec_normalize_env(), rng, 0
+        self.normalised = model.get_vec_normalize_env()
+        self.rng = rng
+        self.learned = 0
         self.env = self.normalised.venv if isinstance(self.normalised.venv, ChoiceVecEnv) else None
         if self.env is not None:
             self.net = model.policy.mlp_extractor.line_net
@@ -77,7 +86,11 @@ class Chooser(BaseCallback):
     @property
     def choosing(self) -> np.ndarray:
         """Mask [wheels, 1] of those whose next action chooses a line."""
-        return np.zeros((self.normalised.num_envs, 1), bool) if self.env is None else self.env.choosing[:, None]
+        return (
+            np.zeros((self.normalised.num_envs, 1), bool)
+            if self.env is None
+            else self.env.choosing[:, None]
+        )
 
     def _on_step(self) -> bool:
         return True
@@ -89,14 +102,20 @@ class Chooser(BaseCallback):
         """Go on for `passes` over the choices since the last call; `left`: share of the training that is left."""
         if self.env is None or min(self.env.count, KEPT) < BATCH:
             return
-        env, moments = self.env, self.normalised.obs_rms
-        mean, sd = moments.mean[env.lines[0]], np.sqrt(moments.var[env.lines[0]] + self.normalised.epsilon)
+        env = self.env
+        moments = self.normalised.obs_rms
+        mean = moments.mean[env.lines[0]]
+        sd = np.sqrt(moments.var[env.lines[0]] + self.normalised.epsilon)
         self.optimizer.param_groups[0]["lr"] = RATE * max(left, 0.02)
         for _ in range(int(passes * (env.count - self.learned) / BATCH)):
             at = self.rng.integers(min(env.count, KEPT), size=BATCH)
-            lines = np.clip((env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs)
+            lines = np.clip(
+                (env.taken[at] - mean) / sd, -self.normalised.clip_obs, self.normalised.clip_obs
+            )
             score = self.net(torch.from_numpy(lines.astype(np.float32)))[:, 0]
-            loss = functional.binary_cross_entropy_with_logits(score, torch.from_numpy(env.passed[at]))
+            loss = functional.binary_cross_entropy_with_logits(
+                score, torch.from_numpy(env.passed[at])
+            )
             self.optimizer.zero_grad()
             loss.backward()
             self.optimizer.step()

@@ -7,7 +7,15 @@ from pathlib import Path
 import click
 import yaml
 
-from soil_env._io.loading import FieldError, ParameterError, config_dir, merge, nearest, parse_yaml, read_yaml
+from soil_env._io.loading import (
+    FieldError,
+    ParameterError,
+    config_dir,
+    merge,
+    nearest,
+    parse_yaml,
+    read_yaml,
+)
 from soil_env.cli.running import WholeNumber
 
 #: Settings of a click command that takes --KEY VALUE beside its options, as the argument `keys`.
@@ -18,15 +26,31 @@ _PACKAGES = ("stable_baselines3", "tensorboard", "torch", "tqdm")  # of the extr
 
 def keys_argument(command: Callable) -> Callable:
     """Add the argument `keys`: all options that the command does not have."""
-    return click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")(command)
+    return click.argument("keys", nargs=-1, type=click.UNPROCESSED, metavar="[--KEY VALUE]...")(
+        command
+    )
 
 
 def engine_options(command: Callable) -> Callable:
     """Add --engine, --workers and --address."""
     for option in (
-        click.option("--address", metavar="ADDRESS", help="Ray cluster (default: RAY_ADDRESS, else this machine)."),
-        click.option("--workers", metavar="N", type=WholeNumber(), help="Processes (default: this one; Ray: all)."),
-        click.option("--engine", metavar="ENGINE", default="local", help="local or ray, with the same results."),
+        click.option(
+            "--address",
+            metavar="ADDRESS",
+            help="Ray cluster (default: RAY_ADDRESS, else this machine).",
+        ),
+        click.option(
+            "--workers",
+            metavar="N",
+            type=WholeNumber(),
+            help="Processes (default: this one; Ray: all).",
+        ),
+        click.option(
+            "--engine",
+            metavar="ENGINE",
+            default="local",
+            help="local or ray, with the same results.",
+        ),
     ):
         command = option(command)
     return command
@@ -70,7 +94,9 @@ def unknown_option(key: str, known: Iterable[str]) -> ParameterError:
     """The error for an option that does not exist, with the nearest of the known ones."""
     names = {f"--{name.replace('_', '-')}" for name in known}
     option = f"--{key.replace('_', '-')}"
-    return ParameterError(f"unknown option {option}{nearest(option, names)} (known: {', '.join(sorted(names))})")
+    return ParameterError(
+        f"unknown option {option}{nearest(option, names)} (known: {', '.join(sorted(names))})"
+    )
 
 
 @contextmanager
@@ -104,7 +130,9 @@ def continued_by(command: str) -> Iterator[None]:
 
 def lacks_training(error: ImportError) -> bool:
     """True if an import failed because a package of the extra `train` is missing."""
-    return isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _PACKAGES
+    return (
+        isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _PACKAGES
+    )
 
 
 @contextmanager
@@ -123,7 +151,9 @@ def config_mapping(name: str | Path) -> dict:
     path = config_file(name)
     mapping = read_yaml(path)
     if not mapping:
-        raise ParameterError(f"{path}: is empty: expected keys with their values; for the defaults leave out --config")
+        raise ParameterError(
+            f"{path}: is empty: expected keys with their values; for the defaults leave out --config"
+        )
     return mapping
 
 

@@ -15,12 +15,19 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.vehicle import RoverScenario
 
-ACTION, PERIOD = "rim_acceleration", 0.5  # of the action; [s] between two actions
+ACTION = "rim_acceleration"  # of the action; [s] between two actions
+PERIOD = 0.5
 COMMON = layout("identified", CourseSpec(classes=3, lines=2))
 #: Entries after those: change of the rim command by an action of 1, stall torque [of weight x radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
-EDGES, WIDTH = (0.1, 0.25, 0.5, 0.8), 0.05  # slip from which each band counts, and over which it begins
-NAMES = (*(e.name for e in COMMON), *ADDED, "misfit", *(f"slip_band_{k + 1}" for k in range(len(EDGES))))
+EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts, and over which it begins
+WIDTH = 0.05
+NAMES = (
+    *(e.name for e in COMMON),
+    *ADDED,
+    "misfit",
+    *(f"slip_band_{k + 1}" for k in range(len(EDGES))),
+)
 
 
 class CommonScaling(Scaling):
@@ -29,7 +36,8 @@ class CommonScaling(Scaling):
     def __init__(self, scenario: Scenario):
         if isinstance(scenario, RoverScenario):
             raise ParameterError(f"scenario {scenario.name!r}: a rover; expected one of a wheel")
-        control, wheel = scenario.control, scenario.wheel
+        control = scenario.control
+        wheel = scenario.wheel
         if control.action != ACTION or abs(control.duration - PERIOD) > 1e-9:
             raise ParameterError(
                 f"scenario {scenario.name!r}: action {control.action!r} of {control.duration:g} s: expected {ACTION!r} "
@@ -48,14 +56,18 @@ class CommonScaling(Scaling):
         camera = float(scenario.course.classes > 0)
         self.added = np.array([*unseen, camera, change, stall, wheel.radius], dtype=np.float32)
         names = [e.name for e in own]
-        self.columns = [[names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")]
+        self.columns = [
+            [names.index(name)] for name in ("slip", "drawbar_pull", "load", "best_pull")
+        ]
 
     @property
     def space(self) -> spaces.Box:
         """Box of the common layout."""
         box = Scaling(COMMON).space
         count = len(NAMES) - len(COMMON)
-        low, high = (np.append(side, [x] * count) for side, x in ((box.low, -100.0), (box.high, 100.0)))
+        low, high = (
+            np.append(side, [x] * count) for side, x in ((box.low, -100.0), (box.high, 100.0))
+        )
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
     def __call__(self, values):
@@ -65,4 +77,6 @@ class CommonScaling(Scaling):
         begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]
         bands = [*(a - b for a, b in zip(begun, begun[1:], strict=False)), begun[-1]]
         misfit = np.clip(pull / np.maximum(load, 0.3) - best, -1.0, 1.0)
-        return np.concatenate([seen, 0.0 * seen[:, [0] * self.added.size] + self.added, misfit, *bands], axis=1)
+        return np.concatenate(
+            [seen, 0.0 * seen[:, [0] * self.added.size] + self.added, misfit, *bands], axis=1
+        )

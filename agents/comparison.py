@@ -25,18 +25,27 @@ _BLOCK = 500  # courses side by side
 _WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
 
 
-def compare(run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent) -> None:
+def compare(
+    run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent
+) -> None:
     """Evaluate every controller and the agent on the held-out courses, in a folder of the run folder."""
-    folder, model = Path(run) / FOLDER, str(Path(run) / "model.zip")
+    folder = Path(run) / FOLDER
+    model = str(Path(run) / "model.zip")
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
     with suppress(ParameterError):  # of a scenario that the policy of the package cannot drive
         DefaultPolicy(scenario)
         controllers.append(Contestant(NAME, 0, "class", SHIPPED_CLASS))
     controllers.append(Contestant(agent.name, 0, "model", model, digest(model)))
     asked = Evaluation(
-        to_dict(scenario), {c.key: c for c in controllers}, config.courses, block=min(_BLOCK, config.courses),
-        tuning_courses=config.tuning_courses, oracle_courses=config.oracle_courses, model=config.model, detailed=False,
-    )  # fmt: skip
+        to_dict(scenario),
+        {c.key: c for c in controllers},
+        config.courses,
+        block=min(_BLOCK, config.courses),
+        tuning_courses=config.tuning_courses,
+        oracle_courses=config.oracle_courses,
+        model=config.model,
+        detailed=False,
+    )
     try:
         if cells.is_begun(asked, folder, ignored=("tuned",)):
             asked = cells.load_study(Evaluation, folder)
@@ -52,7 +61,10 @@ def compare(run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, 
 def verdict(result: dict, name: str) -> str:
     """Courses finished by the agent `name`, against the best controller that does not know the true soil."""
     rows = result["controllers"]
-    best = max((n for n in rows if n not in (name, *_WITH_TRUE_SOIL)), key=lambda n: rows[n]["finished"]["value"])
+    best = max(
+        (n for n in rows if n not in (name, *_WITH_TRUE_SOIL)),
+        key=lambda n: rows[n]["finished"]["value"],
+    )
     difference = points(result["paired"][name][best]["finished"])
     return (
         f"{name} against {best}, the best of the others without the true soil: {difference} percentage points of "

@@ -31,18 +31,36 @@ class PPOConfig(Checked):
     n_steps: int = quantity("", 8, 65536, default=256, doc="steps of each wheel per update")
     batch_size: int = quantity("", 8, 1_000_000, default=8192, doc="transitions per gradient step")
     n_epochs: int = quantity("", 1, 100, default=3, doc="passes over a rollout")
-    learning_rate: float = quantity("", 1e-7, 1.0, default=1e-3, doc="learning rate of Adam at the start")
+    learning_rate: float = quantity(
+        "", 1e-7, 1.0, default=1e-3, doc="learning rate of Adam at the start"
+    )
     gamma: float = quantity("", 0.5, 1.0, default=0.999, doc="discount an action")
-    gae_lambda: float = quantity("", 0.0, 1.0, default=0.95, doc="bias against variance of the advantages")
-    clip_range: float = quantity("", 0.01, 1.0, default=0.2, doc="largest change of a probability ratio in an update")
+    gae_lambda: float = quantity(
+        "", 0.0, 1.0, default=0.95, doc="bias against variance of the advantages"
+    )
+    clip_range: float = quantity(
+        "", 0.01, 1.0, default=0.2, doc="largest change of a probability ratio in an update"
+    )
     ent_coef: float = quantity("", 0.0, 1.0, default=0.0, doc="weight of the entropy")
     layer: int = quantity("", 1, 4096, default=64, doc="units in each of two hidden layers")
-    activation: Literal["relu", "tanh"] = _text("relu", "activation of the hidden layers: relu or tanh")
-    log_std_init: float = quantity("", -5.0, 2.0, default=-1.4, doc="log of the initial standard deviation")
-    log_std_final: float | None = quantity("", -5.0, 2.0, default=-2.8, doc="the same at the end; empty: learned")
-    initial_action: float = quantity("", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy")
-    history: int = quantity("", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)")
-    threads: int = quantity("", 1, 256, default=2, doc="threads of the environment; the result is the same")
+    activation: Literal["relu", "tanh"] = _text(
+        "relu", "activation of the hidden layers: relu or tanh"
+    )
+    log_std_init: float = quantity(
+        "", -5.0, 2.0, default=-1.4, doc="log of the initial standard deviation"
+    )
+    log_std_final: float | None = quantity(
+        "", -5.0, 2.0, default=-2.8, doc="the same at the end; empty: learned"
+    )
+    initial_action: float = quantity(
+        "", -1.0, 1.0, default=0.3, doc="mean action of the untrained policy"
+    )
+    history: int = quantity(
+        "", 0, 1000, default=7, doc="past steps whose readings the network sees (agents.history)"
+    )
+    threads: int = quantity(
+        "", 1, 256, default=2, doc="threads of the environment; the result is the same"
+    )
 
     def __post_init__(self):
         super().__post_init__()
@@ -55,7 +73,9 @@ class PPOConfig(Checked):
 def check_oracle(config: TrainConfig) -> None:
     """FieldError if the oracle is to drive more than the `courses` compared."""
     if config.oracle_courses > config.courses:
-        problem = f" = {config.oracle_courses}: expected at most {config.courses}, the courses compared"
+        problem = (
+            f" = {config.oracle_courses}: expected at most {config.courses}, the courses compared"
+        )
         raise FieldError(config, "oracle_courses", problem)
 
 
@@ -85,21 +105,40 @@ class OfTask(OfWorld):
 class TrainConfig(OfWorld):
     """A training run: the keys of its YAML file and of the command line."""
 
-    scenario: str = _text("", f"a scenario of configs/scenarios, or a YAML file; empty: {DEFAULT_SCENARIO}")
+    scenario: str = _text(
+        "", f"a scenario of configs/scenarios, or a YAML file; empty: {DEFAULT_SCENARIO}"
+    )
     rover: str = _text("", "a rover of configs/rovers, or a YAML file, in place of a scenario")
     changes: dict = field(default_factory=dict)  # merged over the scenario
-    model: dict = field(default_factory=dict, metadata={"doc": "model.yaml with the effects that are on in the world"})
-    observation: Literal["blind", "identified", "true_soil"] = _text("identified", "blind, identified or true_soil")
-    hidden_worlds: int = quantity("", 0, 1000, default=0, doc="worlds with a hidden effect, mixed into the training")
+    model: dict = field(
+        default_factory=dict,
+        metadata={"doc": "model.yaml with the effects that are on in the world"},
+    )
+    observation: Literal["blind", "identified", "true_soil"] = _text(
+        "identified", "blind, identified or true_soil"
+    )
+    hidden_worlds: int = quantity(
+        "", 0, 1000, default=0, doc="worlds with a hidden effect, mixed into the training"
+    )
     name: str = _text("", "name of the run folder; empty: observation, scenario and time")
     runs: str = _text("runs", "folder of the run folders")
     seed: int = quantity("", 0, 2**31 - 1, default=0, doc="seed of the training")
-    timesteps: int = quantity("", 1, 10**12, default=4_000_000, doc="environment steps, in whole rollouts")
-    student: float = quantity("", 0.0, 1.0, default=0.225, doc="share of them as a student of best_slip_true, then PPO")
-    teacher_penalty: float = quantity("", 0.0, 100.0, default=0.02, doc="for leaving the teacher, at first")
-    checkpoint_every: int = quantity("", 1, 10**12, default=500_000, doc="environment steps between checkpoints")
+    timesteps: int = quantity(
+        "", 1, 10**12, default=4_000_000, doc="environment steps, in whole rollouts"
+    )
+    student: float = quantity(
+        "", 0.0, 1.0, default=0.225, doc="share of them as a student of best_slip_true, then PPO"
+    )
+    teacher_penalty: float = quantity(
+        "", 0.0, 100.0, default=0.02, doc="for leaving the teacher, at first"
+    )
+    checkpoint_every: int = quantity(
+        "", 1, 10**12, default=500_000, doc="environment steps between checkpoints"
+    )
     courses: int = quantity("", 1, 100_000, default=1000, doc="held-out courses of the comparison")
-    tuning_courses: int = quantity("", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune")
+    tuning_courses: int = quantity(
+        "", 0, 10**6, default=200, doc="to tune classical controllers on; 0: do not tune"
+    )
     oracle_courses: int | None = quantity(
         "", 0, 10**6, default=None, doc="of them that the oracle drives too; empty: 50, no rover"
     )
@@ -109,15 +148,25 @@ class TrainConfig(OfWorld):
         super().__post_init__()
         self._resolve()
         if self.hidden_worlds >= self.ppo.num_envs:
-            raise FieldError(self, "hidden_worlds", f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels")
+            raise FieldError(
+                self,
+                "hidden_worlds",
+                f" = {self.hidden_worlds}: expected fewer than ppo.num_envs wheels",
+            )
 
     def _resolve(self) -> None:
         """Fill in the scenario and the oracle's courses, of which a rover has none."""
         beside = f"expected none beside rover = {self.rover!r}"
         if self.rover and self.scenario:
-            raise FieldError(self, "scenario", f" = {self.scenario!r}: {beside}: the rover's file has its own")
+            raise FieldError(
+                self, "scenario", f" = {self.scenario!r}: {beside}: the rover's file has its own"
+            )
         if self.rover and self.oracle_courses:
-            raise FieldError(self, "oracle_courses", f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel")
+            raise FieldError(
+                self,
+                "oracle_courses",
+                f" = {self.oracle_courses!r}: {beside}: the oracle drives a wheel",
+            )
         if not self.rover and not self.scenario:
             object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
         if self.oracle_courses is None:

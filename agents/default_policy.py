@@ -26,7 +26,8 @@ _EXPECTED = f"expected an .npz of {__package__}.generalist; the shipped one come
 class DefaultPolicy:
     """A trained student with `predict` on observations `identified` of the `scenario`, in their units."""
 
-    name, variant = NAME, "identified"
+    name = NAME
+    variant = "identified"
 
     def __init__(self, scenario: Scenario | str, path: str | Path = WEIGHTS):
         known = isinstance(scenario, (Scenario, RoverScenario))
@@ -37,13 +38,21 @@ class DefaultPolicy:
             self.made = json.loads(str(arrays.pop("made")))
             names = tuple(self.made["observation_names"])
             self.history = History(names, int(self.made["history"]))
-            self.mean, self.sd = arrays["mean"], arrays["sd"]
+            self.mean = arrays["mean"]
+            self.sd = arrays["sd"]
             self.layers = [(arrays[f"{name}_weight"], arrays[f"{name}_bias"]) for name in LAYERS]
-            good = all(np.isfinite(values).all() for values in arrays.values()) and (self.sd > 0.0).all()
-            if not good or not self.mean.shape == self.sd.shape == (len(names) + self.history.size,):
+            good = (
+                all(np.isfinite(values).all() for values in arrays.values())
+                and (self.sd > 0.0).all()
+            )
+            if not good or not self.mean.shape == self.sd.shape == (
+                len(names) + self.history.size,
+            ):
                 raise ValueError
         except OSError as error:
-            raise ParameterError(f"{path}: cannot be read ({error.strerror or error}); expected an .npz") from None
+            raise ParameterError(
+                f"{path}: cannot be read ({error.strerror or error}); expected an .npz"
+            ) from None
         except Exception as error:  # a broken zip fails in a dozen ways
             raise ParameterError(
                 f"{path}: not the weights of a default policy ({type(error).__name__}): {_EXPECTED}"
@@ -52,19 +61,24 @@ class DefaultPolicy:
             raise ParameterError(
                 f"{path}: trained on another observation layout; expected that of {common_layout.__name__}"
             )
-        self.choice, self.lines = names.index("choice"), lines_of(names, self.history.steps)
+        self.choice = names.index("choice")
+        self.lines = lines_of(names, self.history.steps)
         try:
             if self.action(np.zeros((1, self.mean.size), dtype=np.float32)).shape != (1, 1):
                 raise ValueError
         except ValueError:
-            raise ParameterError(f"{path}: layers whose shapes do not fit each other: {_EXPECTED}") from None
-        self.clip, self._layout = CLIP, inputs.Layout(self.scaling.entries, self.variant)
+            raise ParameterError(
+                f"{path}: layers whose shapes do not fit each other: {_EXPECTED}"
+            ) from None
+        self.clip = CLIP
+        self._layout = inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as `agents.agent.Agent.predict`."""
         inputs.switch(deterministic)  # there is no other
         seen = self._layout.observed(observation)
-        batch, shape = np.atleast_2d(seen), (len(np.atleast_2d(seen)), self.history.kept)
+        batch = np.atleast_2d(seen)
+        shape = (len(np.atleast_2d(seen)), self.history.kept)
         fresh = inputs.starts(episode_start, len(batch), state is None)
         kept = np.zeros(shape, dtype=np.float32) if state is None else inputs.memory(state, shape)
         batch, state = self.history.observe(self.scaling(batch), kept, fresh)

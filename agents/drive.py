@@ -28,18 +28,46 @@ _SUFFIXES = (".png", ".gif", ".mp4")
 
 
 @click.command("drive")
-@click.option("--controller", metavar="NAME", help="Or a policy; or several (default best_slip_identified).")
-@click.option("--policy", metavar="NAME", help="default, a run folder, .npz, .onnx or m:Class; or several.")
-@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
+@click.option(
+    "--controller", metavar="NAME", help="Or a policy; or several (default best_slip_identified)."
+)
+@click.option(
+    "--policy", metavar="NAME", help="default, a run folder, .npz, .onnx or m:Class; or several."
+)
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    default=DEFAULT_SCENARIO,
+    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
+)
 @click.option("--rover", metavar="NAME", help="A rover or its YAML, in place of a scenario.")
 @seed_option("the course")
-@click.option("--frame", type=WholeNumber(1), metavar="N", help="Control period of a picture (default: the last).")
-@click.option("--every", type=WholeNumber(1), default=5, metavar="N", help="Control periods a video frame (default 5).")
-@click.option("--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy).")
+@click.option(
+    "--frame",
+    type=WholeNumber(1),
+    metavar="N",
+    help="Control period of a picture (default: the last).",
+)
+@click.option(
+    "--every",
+    type=WholeNumber(1),
+    default=5,
+    metavar="N",
+    help="Control periods a video frame (default 5).",
+)
+@click.option(
+    "--out", type=PATH, metavar="FILE", help="Picture (.png) or video (.gif; .mp4 needs moviepy)."
+)
 def command(
-    controller: str | None, policy: str | None, scenario: str, rover: str | None,
-    seed: int, frame: int | None, every: int, out: Path | None,
-) -> None:  # fmt: skip
+    controller: str | None,
+    policy: str | None,
+    scenario: str,
+    rover: str | None,
+    seed: int,
+    frame: int | None,
+    every: int,
+    out: Path | None,
+) -> None:
     """Drive one course and save a picture or a video.
 
     \b
@@ -55,20 +83,34 @@ def command(
         if out.suffix not in _SUFFIXES:
             raise ParameterError(f"--out {out}: expected a file {', '.join(_SUFFIXES)}")
         if out.suffix == ".mp4" and importlib.util.find_spec("moviepy") is None:
-            raise ParameterError(f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif')
+            raise ParameterError(
+                f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif'
+            )
         check_outputs(out.parent, [out.name])
-    if rover is not None and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT:
-        raise ParameterError(f"--scenario {scenario}: expected none beside --rover, whose file has its own")
+    if (
+        rover is not None
+        and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT
+    ):
+        raise ParameterError(
+            f"--scenario {scenario}: expected none beside --rover, whose file has its own"
+        )
     task = load_scenario(scenario) if rover is None else load_rover(rover)
     if policy is not None and controller is not None:
-        raise ParameterError(f"--policy {policy}: expected none beside --controller {controller}; several are one list")
+        raise ParameterError(
+            f"--policy {policy}: expected none beside --controller {controller}; several are one list"
+        )
     with controllers_as("--controller" if policy is None else "--policy"):
         named = controller or policy or "best_slip_identified"
-        drivers = {c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()}
+        drivers = {
+            c.name: load(c, task) for c in parse(named, known=controllers_of(task)[0]).values()
+        }
     make = partial(gymnasium.make, "soil_env:SoilWheel-v0", scenario=task, repeat=1, scaled=False)
     if rover is not None:
-        make = partial(gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full")
-    video, films = out is not None and out.suffix != ".png", {}
+        make = partial(
+            gymnasium.make, "soil_env:SoilRover-v0", rover=task, repeat=1, scaled=False, info="full"
+        )
+    video = out is not None and out.suffix != ".png"
+    films = {}
     for name, driver in drivers.items():
         control = getattr(driver, "drives", {})
         env = make(observation=driver.variant, render_mode="rgb_array" if out else None, **control)
@@ -77,7 +119,9 @@ def command(
         films[name] = frames or ([env.render()] if out else [])
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""
-        print(f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods{early}")
+        print(
+            f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods{early}"
+        )
     if out is not None:
         _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
         print(f"written: {out}")
@@ -111,16 +155,22 @@ def _drive(
     An action of the driver is held for so many control periods, as in the scenario.
     """
     observation, info = env.reset(seed=seed)
-    frames, memory, steps, over = [], None, 0, False
+    frames = []
+    memory = None
+    steps = 0
+    over = False
     while not over and (last is None or steps < last):
         if steps % held == 0:
             start = np.array([steps == 0])
-            action, memory = driver.predict(observation[None], state=memory, episode_start=start, deterministic=True)
+            action, memory = driver.predict(
+                observation[None], state=memory, episode_start=start, deterministic=True
+            )
             if not np.isfinite(action).all():
                 given = f"{action[0].tolist()} in control period {steps}"
                 raise ParameterError(f"{name}: predict gave {given}: expected finite numbers")
         observation, _, terminated, truncated, info = env.step(action[0])
-        over, steps = terminated or truncated, steps + 1
+        over = terminated or truncated
+        steps = steps + 1
         if every and (steps % every == 0 or over):
             frames.append(env.render())
     return frames, info, steps
@@ -138,6 +188,8 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
 
     images = [Image.fromarray(frame) for frame in frames]
     if len(images) > 1:
-        images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]  # keeps colours of small areas
+        images = [
+            image.quantize(64, Image.Quantize.FASTOCTREE) for image in images
+        ]  # keeps colours of small areas
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     images[0].save(path, **(more if path.suffix == ".gif" else {}))

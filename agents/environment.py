@@ -26,13 +26,23 @@ from .teachers import Teachers
 World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
 #: Effects that act in the simulated world on a course driven once; the others need a measuring rig or a second pass.
 HIDDEN = (
-    "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "penetration_rate", "shear_rate", "shear_softening",
-)  # fmt: skip
+    "rear_contact",
+    "stress_peak_shift",
+    "grousers",
+    "bulldozing",
+    "penetration_rate",
+    "shear_rate",
+    "shear_softening",
+)
 _HEIGHT = 0.07  # of lugs, as a share of the radius
 
 
 def normalised(
-    scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, world: World = None
+    scenario: Scenario | RoverScenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    world: World = None,
 ) -> VecNormalize:
     """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
     worlds = list(world) if isinstance(world, Sequence) else [world]
@@ -66,7 +76,8 @@ class CommonVecEnv(SoilWheelVecEnv):
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
         self.teacher = teacher
-        self.env.scaling, self.observation_names = common_layout.CommonScaling(scenario), common_layout.NAMES
+        self.env.scaling = common_layout.CommonScaling(scenario)
+        self.observation_names = common_layout.NAMES
         self.observation_space = self.scaling.space
 
 
@@ -81,7 +92,9 @@ class Moments(RunningMeanStd):
         """Take in the moments of a batch."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
         for values in (self.mean, self.var):
-            values[self.lines[0]] = values[self.lines[1]] = 0.5 * (values[self.lines[0]] + values[self.lines[1]])
+            values[self.lines[0]] = values[self.lines[1]] = 0.5 * (
+                values[self.lines[0]] + values[self.lines[1]]
+            )
 
 
 class SeveralWorlds(NativeVecEnv):
@@ -90,7 +103,9 @@ class SeveralWorlds(NativeVecEnv):
     def __init__(self, parts: Sequence[VecEnv]):
         self.parts = list(parts)
         self._owner = [part for part in self.parts for _ in range(part.num_envs)]
-        super().__init__(len(self._owner), self.parts[0].observation_space, self.parts[0].action_space)
+        super().__init__(
+            len(self._owner), self.parts[0].observation_space, self.parts[0].action_space
+        )
         self._starts = np.cumsum([0, *(part.num_envs for part in self.parts)])[:-1].tolist()
 
     def owners(self, indices=None) -> list[VecEnv]:
@@ -106,7 +121,9 @@ class SeveralWorlds(NativeVecEnv):
         return [s for part, own in zip(self.parts, seeds, strict=True) for s in part.seed(own)]
 
     def step_async(self, actions: np.ndarray) -> None:
-        for part, own in zip(self.parts, np.split(np.asarray(actions), self._starts[1:]), strict=True):
+        for part, own in zip(
+            self.parts, np.split(np.asarray(actions), self._starts[1:]), strict=True
+        ):
             part.step_async(own)
 
     def step_wait(self):
@@ -120,14 +137,17 @@ class TeacherPenalty(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv):
         super().__init__(venv)
-        self.penalty_weight, self.penalty = 0.0, 0.0
+        self.penalty_weight = 0.0
+        self.penalty = 0.0
 
     def penalise(self, weight: float) -> None:
         """Set the weight, of the actions to come."""
-        self.penalty_weight, self.penalty = weight, 0.0
+        self.penalty_weight = weight
+        self.penalty = 0.0
 
     def reset(self) -> np.ndarray:
-        self.teachers, self.fresh = Teachers(self.unwrapped), np.ones(self.num_envs, dtype=bool)
+        self.teachers = Teachers(self.unwrapped)
+        self.fresh = np.ones(self.num_envs, dtype=bool)
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -152,7 +172,9 @@ class HistoryVecEnv(VecEnvWrapper):
         self.kept = np.zeros((self.num_envs, history.kept), dtype=np.float32)
 
     def reset(self) -> np.ndarray:
-        out, self.kept[:] = self.history.observe(self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool))
+        out, self.kept[:] = self.history.observe(
+            self.venv.reset(), self.kept, np.ones(self.num_envs, dtype=bool)
+        )
         return out
 
     def step_wait(self):
@@ -167,7 +189,9 @@ class HistoryVecEnv(VecEnvWrapper):
         return out, rewards, dones, infos
 
 
-def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN) -> list[WheelSoilModel]:
+def hidden_worlds(
+    scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN
+) -> list[WheelSoilModel]:
     """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
 
     Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one standard deviation,
@@ -180,8 +204,11 @@ def hidden_worlds(scenario: Scenario, count: int, seed: int, names: Sequence[str
 def _drawn(scenario: Scenario, effect: Effect, rng: np.random.Generator) -> WheelSoilModel:
     form = effect.forms[rng.integers(len(effect.forms))]
     values = {name: _size(effect.parameter(name), rng) for name in form.free} | dict(form.fixed)
-    wheel, height = scenario.wheel, _HEIGHT * scenario.wheel.radius if effect.name == "grousers" else 0.0
-    return WheelSoilModel(ModelWheel(wheel.radius, wheel.width, height), effects={effect.name: values})
+    wheel = scenario.wheel
+    height = _HEIGHT * scenario.wheel.radius if effect.name == "grousers" else 0.0
+    return WheelSoilModel(
+        ModelWheel(wheel.radius, wheel.width, height), effects={effect.name: values}
+    )
 
 
 def _size(p: EffectParameter, rng: np.random.Generator) -> float:

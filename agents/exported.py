@@ -11,7 +11,8 @@ from soil_env.simulation.task import VARIANTS, layout
 
 from . import inputs
 
-POLICY, FORMAT = "policy.onnx", "soil_env policy 1"  # file in the folder of an export; first entry of its description
+POLICY = "policy.onnx"  # file in the folder of an export; first entry of its description
+FORMAT = "soil_env policy 1"
 
 
 class ExportedAgent:
@@ -22,7 +23,9 @@ class ExportedAgent:
         try:
             from .run_policy import Policy
         except ImportError:
-            raise ParameterError(f"{path}: needs onnxruntime: pip install 'soil_env[export]'") from None
+            raise ParameterError(
+                f"{path}: needs onnxruntime: pip install 'soil_env[export]'"
+            ) from None
         try:
             self.policy = Policy(path)
             content = self.policy.session.get_modelmeta().custom_metadata_map.get("policy", "{}")
@@ -31,14 +34,20 @@ class ExportedAgent:
             said = (str(error).splitlines() or [""])[0][:200]
             raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
         if self.content.get("format") != FORMAT:
-            raise ParameterError(f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} inside")
+            raise ParameterError(
+                f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} inside"
+            )
         self.variant = self.content["observation"]
-        self.control = load(Control, self.content["scenario"]["control"], f"{path}: scenario.control")
+        self.control = load(
+            Control, self.content["scenario"]["control"], f"{path}: scenario.control"
+        )
         self._layout = self._checked_layout()
 
     def _checked_layout(self) -> inputs.Layout:
         """The observation that the file reads; ParameterError if this version's of the same name is another one."""
-        course = load(CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course")
+        course = load(
+            CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course"
+        )
         entries = [(e["name"], e["low"], e["high"]) for e in self.content["inputs"]]
         own = layout(self.variant, course) if self.variant in VARIANTS else ()
         known = [(e.name, e.low, e.high) for e in own]

@@ -19,7 +19,15 @@ from stable_baselines3.common.callbacks import ConvertCallback
 
 import soil_env
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, config_dir, load, quantity, read_yaml, to_dict, unknown_value
+from soil_env._io.loading import (
+    Checked,
+    config_dir,
+    load,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_value,
+)
 from soil_env.cli.running import PATH, run
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
@@ -34,9 +42,13 @@ from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
 #: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft start without a limit.
-ACCELERATIONS, SHARES, SOFT_START = (1.0, 0.55, 0.3), (1.0, 0.6, 1.6), {"start": 1.0, "acceleration": 0.07}
+ACCELERATIONS = (1.0, 0.55, 0.3)
+SHARES = (1.0, 0.6, 1.6)
+SOFT_START = {"start": 1.0, "acceleration": 0.07}
 #: Rounds of it: courses in each world, and settings that are left after it; for one world, and for all of a ground.
-ROUNDS, OF_GROUND, TEACHING_SET = ((50, 3), (200, 2), (300, 1)), ((40, 3), (60, 1)), 5_000_011
+ROUNDS = ((50, 3), (200, 2), (300, 1))
+OF_GROUND = ((40, 3), (60, 1))
+TEACHING_SET = 5_000_011
 
 
 @dataclass(frozen=True)
@@ -46,7 +58,9 @@ class OnGround(Checked):
     wheels: int = quantity("", 2, 65536)
     scenario: str = field(default="", metadata={"doc": "empty: that of the ground's name"})
     changes: dict = field(default_factory=dict)
-    hidden: float = quantity("share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5)
+    hidden: float = quantity(
+        "share of the wheels that are in worlds with a hidden effect", 0.1, 0.9, default=0.5
+    )
 
 
 @dataclass(frozen=True)
@@ -79,11 +93,18 @@ class Generalist(Checked):
             scenario = load_scenario(own.scenario or name, own.changes)
             hidden = hidden_worlds(scenario, self.hidden, self.seed + k, self.effects)
             some = round(own.hidden * own.wheels) if hidden else 0
-            shares = own.wheels - some, *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist()
-            everywhere = chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+            shares = (
+                own.wheels - some,
+                *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist(),
+            )
+            everywhere = (
+                chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+            )
             taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
             for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
-                parts.append(CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world))
+                parts.append(
+                    CommonVecEnv(share, scenario, teacher, threads=self.ppo.threads, model=world)
+                )
             progress(k + 1)
         return ppo.learner(side_by_side(parts, self.ppo, self.seed), self.ppo, self.seed)
 
@@ -94,16 +115,22 @@ def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) 
     The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
     AISTATS). All settings drive the same courses.
     """
-    own, first = settings_of(scenario), 0
+    own = settings_of(scenario)
+    first = 0
     scaled = product(ACCELERATIONS, SHARES)
-    tried = [own | {"acceleration": a * own["acceleration"], "share": b * own["share"]} for a, b in scaled]
+    tried = [
+        own | {"acceleration": a * own["acceleration"], "share": b * own["share"]}
+        for a, b in scaled
+    ]
     tried.append(own | SOFT_START)
     for courses, left in rounds:
         earned = np.zeros(len(tried))
         for world in worlds:
             for k, settings in enumerate(tried):
                 teacher = Teacher(scenario, **settings)
-                earned[k] += run_courses(teacher, scenario, TEACHING_SET, courses, first, model=world).returns.mean()
+                earned[k] += run_courses(
+                    teacher, scenario, TEACHING_SET, courses, first, model=world
+                ).returns.mean()
             first += courses
         tried = [tried[k] for k in np.argsort(earned)[::-1][:left]]
     return tried[0]
@@ -111,13 +138,22 @@ def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) 
 
 def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
     """The content of the weights' file of a trained model."""
-    env, policy = model.get_vec_normalize_env(), model.policy
-    modules = [*policy.mlp_extractor.policy_net[::2], policy.action_net, *policy.mlp_extractor.line_net[::2]]
+    env = model.get_vec_normalize_env()
+    policy = model.policy
+    modules = [
+        *policy.mlp_extractor.policy_net[::2],
+        policy.action_net,
+        *policy.mlp_extractor.line_net[::2],
+    ]
     out = {"mean": env.obs_rms.mean, "sd": np.sqrt(env.obs_rms.var + env.epsilon)}
     for name, module in zip(default_policy.LAYERS, modules, strict=True):
-        out[f"{name}_weight"], out[f"{name}_bias"] = (x.detach().numpy() for x in (module.weight, module.bias))
+        out[f"{name}_weight"], out[f"{name}_bias"] = (
+            x.detach().numpy() for x in (module.weight, module.bias)
+        )
     made = {"observation_names": list(common_layout.NAMES), "history": history, **made}
-    return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {"made": np.array(json.dumps(made))}
+    return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {
+        "made": np.array(json.dumps(made))
+    }
 
 
 @click.command()
@@ -136,7 +172,8 @@ def command(config: Path | None, out: Path) -> None:
             chooser = Chooser(model, np.random.default_rng([asked.seed, 13]))
             watch = ConvertCallback(lambda *_: bar.update(model.num_timesteps) or True)
             model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
-    stream, made = io.BytesIO(), {"soil_env": soil_env.__version__, "config": to_dict(asked)}
+    stream = io.BytesIO()
+    made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
     np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
     replace_file(out, stream.getvalue())
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")

@@ -29,7 +29,8 @@ class History:
 
     def __init__(self, names: Sequence[str], steps: int):
         names = list(names)
-        self.steps, self.entries = steps, len(names)
+        self.steps = steps
+        self.entries = len(names)
         self.columns: list[int] = []
         for name in READINGS:  # of a wheel, or of each axle of a rover
             own = {name, *(f"{axle}_{name}" for axle in AXLES)}.intersection(names)
@@ -46,7 +47,9 @@ class History:
         self.bands = [k for k, name in enumerate(names) if name.startswith("slip_band_")]
         misfit = [names.index("misfit")] if self.bands else []
         #: (entry that says how much a step counts, entries averaged, weight of a step) of each average.
-        self.averages = [(k, self.columns, SHARE) for k in self.classes] + [(k, misfit, BAND_SHARE) for k in self.bands]
+        self.averages = [(k, self.columns, SHARE) for k in self.classes] + [
+            (k, misfit, BAND_SHARE) for k in self.bands
+        ]
         self.past = steps * len(self.columns)
         #: Numbers added to the observation.
         self.size = self.past + len(self.lines) * (len(self.columns) + 1) + 2 * len(self.bands)
@@ -54,13 +57,16 @@ class History:
     @property
     def of_lines(self) -> list[list[int]]:
         """Columns of each line in what `observe` returns."""
-        size, start = len(self.columns) + 1, self.entries + self.past
+        size = len(self.columns) + 1
+        start = self.entries + self.past
         return [[*range(start + k * size, start + (k + 1) * size)] for k in range(len(self.lines))]
 
     @property
     def kept(self) -> int:
         """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
-        return len(self.columns) + self.past + sum(len(columns) + 1 for _, columns, _ in self.averages)
+        return (
+            len(self.columns) + self.past + sum(len(columns) + 1 for _, columns, _ in self.averages)
+        )
 
     def observe(self, seen, kept, fresh):
         """(observation with its history, readings kept for the next step) for observations [n, D].
@@ -76,15 +82,21 @@ class History:
         first = m + self.past
         for column, averaged, share in self.averages:
             size = len(averaged) + 1
-            known = np.where(fresh[:, None], 0.0 * seen[:, [0] * size], kept[:, [*range(first, first + size)]])
+            known = np.where(
+                fresh[:, None], 0.0 * seen[:, [0] * size], kept[:, [*range(first, first + size)]]
+            )
             rate = share * driving * seen[:, [column]]
             sums = np.concatenate([seen[:, averaged], 0.0 * driving + 1.0], axis=1)
             now.append(known + rate * (sums - known))
             first += size
         kept = np.concatenate(now, axis=1) if self.averages else now[0]
         history = [kept[:, [*range(m, m + self.past)]]]
-        of_classes, of_bands = now[1 : 1 + len(self.classes)], now[1 + len(self.classes) :]
-        lines = [sum(seen[:, [c]] * sums for c, sums in zip(line, of_classes, strict=True)) for line in self.lines]
+        of_classes = now[1 : 1 + len(self.classes)]
+        of_bands = now[1 + len(self.classes) :]
+        lines = [
+            sum(seen[:, [c]] * sums for c, sums in zip(line, of_classes, strict=True))
+            for line in self.lines
+        ]
         for felt, size in [(x, m) for x in lines] + [(x, 1) for x in of_bands]:
             share = felt[:, [size]]
             history += [felt[:, [*range(0, size)]] / np.maximum(share, 1e-6), share]
@@ -105,5 +117,11 @@ def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
     """Columns of each of two lines in the input of a network; empty lists where there is no choice of a line."""
     if "choice" not in names:
         return [[], []]
-    own = [[k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n] for line in LINES]
-    return [a + b for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)]
+    own = [
+        [k for k, n in enumerate(names) if n.startswith(f"{line}_") and "_class_" not in n]
+        for line in LINES
+    ]
+    return [
+        a + b
+        for a, b in zip(own, History(names, history).of_lines if history else [[], []], strict=True)
+    ]

@@ -14,9 +14,14 @@ class Layout:
     """The entries of an observation with their bounds, to which every environment clips its observations."""
 
     def __init__(self, entries: Sequence[ObservedNumber], variant: str):
-        self.entries, self.variant = tuple(entries), variant
-        low, high = (np.array([getattr(e, side) for e in entries], dtype=np.float64) for side in ("low", "high"))
-        self._least, self._most = low - _ROUNDING * (high - low), high + _ROUNDING * (high - low)
+        self.entries = tuple(entries)
+        self.variant = variant
+        low, high = (
+            np.array([getattr(e, side) for e in entries], dtype=np.float64)
+            for side in ("low", "high")
+        )
+        self._least = low - _ROUNDING * (high - low)
+        self._most = high + _ROUNDING * (high - low)
 
     def observed(self, observation) -> np.ndarray:
         """Observations [n, D] or [D] as float32; ParameterError for another D, and for an entry out of its bounds."""
@@ -45,10 +50,14 @@ def starts(episode_start, count: int, default: bool) -> np.ndarray:
     """Mask of the courses that begin, [count] bool; ParameterError for another number of them, and for text."""
     flags = np.full(count, default) if episode_start is None else np.asarray(episode_start)
     if flags.dtype.kind not in "biuf":
-        raise ParameterError(f"episode_start = {episode_start!r:.60}: expected True or False for each observation")
+        raise ParameterError(
+            f"episode_start = {episode_start!r:.60}: expected True or False for each observation"
+        )
     fresh = flags.astype(bool).reshape(-1)
     if len(fresh) != count:
-        raise ParameterError(f"episode_start: {len(fresh)} values: expected {count}, one for each observation")
+        raise ParameterError(
+            f"episode_start: {len(fresh)} values: expected {count}, one for each observation"
+        )
     return fresh
 
 

@@ -20,27 +20,45 @@ from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_i
 from .config import PPOConfig
 from .environment import World, normalised
 
-_SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")  # named as in SB3
+_SAME = (
+    "n_steps",
+    "batch_size",
+    "n_epochs",
+    "gamma",
+    "gae_lambda",
+    "clip_range",
+    "ent_coef",
+)  # named as in SB3
 
 
 def build(
-    scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int, tensorboard: Path | None = None,
+    scenario: Scenario | RoverScenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    tensorboard: Path | None = None,
     world: World = None,
-) -> PPO:  # fmt: skip
+) -> PPO:
     """A fresh agent with its normalised vector environment."""
-    model = learner(normalised(scenario, observation, config, seed, world), config, seed, tensorboard)
+    model = learner(
+        normalised(scenario, observation, config, seed, world), config, seed, tensorboard
+    )
     model.origin = {"observation": observation, "ppo": to_dict(config)}
     return model
 
 
-def learner(env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path | None = None) -> PPO:
+def learner(
+    env: VecNormalize, config: PPOConfig, seed: int, tensorboard: Path | None = None
+) -> PPO:
     """A fresh agent in this vector environment."""
     torch.set_num_threads(1)  # the tensors are too small to be shared out
     policy, arguments = network(config, env.get_attr("observation_names")[0])
     model = PPO(
         policy,
         env,
-        learning_rate=lambda left: config.learning_rate * max(left, 0.05),  # of the share that is left
+        learning_rate=lambda left: (
+            config.learning_rate * max(left, 0.05)
+        ),  # of the share that is left
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
         tensorboard_log=None if tensorboard is None else str(tensorboard),
@@ -63,13 +81,15 @@ class Schedules(BaseCallback):
 
     def __init__(self, config: PPOConfig, penalty: float = 0.0):
         super().__init__()
-        self.config, self.penalty = config, penalty
+        self.config = config
+        self.penalty = penalty
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_start(self) -> None:
-        done, config = self.model.num_timesteps / self.model._total_timesteps, self.config
+        done = self.model.num_timesteps / self.model._total_timesteps
+        config = self.config
         if config.log_std_final is not None:
             log_std = config.log_std_init + done * (config.log_std_final - config.log_std_init)
             self.model.policy.log_std.requires_grad_(False).fill_(log_std)
@@ -102,24 +122,39 @@ def save(model: PPO, path: Path) -> None:
 
 
 def resume(
-    path: Path, scenario: Scenario | RoverScenario, observation: str, config: PPOConfig, seed: int,
-    tensorboard: Path | None, world: World = None,
-) -> PPO:  # fmt: skip
+    path: Path,
+    scenario: Scenario | RoverScenario,
+    observation: str,
+    config: PPOConfig,
+    seed: int,
+    tensorboard: Path | None,
+    world: World = None,
+) -> PPO:
     """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
     info = read_info(path)
     for key, stored, asked in (
         ("observation", info.observation, observation),
-        *((key, getattr(info.ppo, key), getattr(config, key)) for key in ("history", "layer", "activation")),
+        *(
+            (key, getattr(info.ppo, key), getattr(config, key))
+            for key in ("history", "layer", "activation")
+        ),
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
-    seed = (seed + info.timesteps) % 2**31  # other courses and other noise than at the start of the run
+    seed = (
+        seed + info.timesteps
+    ) % 2**31  # other courses and other noise than at the start of the run
     model = build(scenario, observation, config, seed, tensorboard, world)
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)
     model.num_timesteps = info.timesteps
     env = model.get_vec_normalize_env()
-    seen, returns = env.obs_rms, env.ret_rms
-    seen.mean, seen.var, seen.count = np.array(info.mean), np.array(info.var), info.count
-    returns.mean, returns.var, returns.count = np.array(info.return_mean), np.array(info.return_var), info.return_count
+    seen = env.obs_rms
+    returns = env.ret_rms
+    seen.mean = np.array(info.mean)
+    seen.var = np.array(info.var)
+    seen.count = info.count
+    returns.mean = np.array(info.return_mean)
+    returns.var = np.array(info.return_var)
+    returns.count = info.return_count
     return model

@@ -2,7 +2,14 @@
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from soil_env._io.document import Table, hanging
 
@@ -13,8 +20,12 @@ class Bar:
     """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
 
     def __init__(self, title: str, total: int, unit: str, done: int = 0):
-        self.title, self.total, self.unit, self.done = title, total, unit, done
-        self.printed, self.live = done, None
+        self.title = title
+        self.total = total
+        self.unit = unit
+        self.done = done
+        self.printed = done
+        self.live = None
         if console.is_terminal:
             self.live = Progress(
                 TextColumn("{task.description}"),
@@ -25,7 +36,9 @@ class Bar:
                 TimeRemainingColumn(),
                 console=console,
             )
-            self.task = self.live.add_task(escape(f"{title} [{unit}]"), total=total, completed=done, note="")
+            self.task = self.live.add_task(
+                escape(f"{title} [{unit}]"), total=total, completed=done, note=""
+            )
 
     def __enter__(self):
         if self.live:
@@ -41,9 +54,13 @@ class Bar:
         self.done = self.done + advance if done is None else done
         if self.live:
             self.live.update(self.task, completed=self.done, note=note)
-        elif self.done - self.printed >= 0.1 * self.total or (self.done >= self.total > self.printed):
+        elif self.done - self.printed >= 0.1 * self.total or (
+            self.done >= self.total > self.printed
+        ):
             self.printed = self.done
-            console.print(f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True)
+            console.print(
+                f"{self.title}: {self.done:,} of {self.total:,} {self.unit} {note}", soft_wrap=True
+            )
 
     def note(self, note: str, advance: int) -> None:
         """Advance the amount done, with a note beside it."""

@@ -24,19 +24,28 @@ class Policy:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3  # errors
-        self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.session = onnxruntime.InferenceSession(
+            str(path), options, providers=["CPUExecutionProvider"]
+        )
         own = {x.name: x for x in self.session.get_inputs()}
-        self.kept = own["history"].shape[1] if "history" in own else 0  # numbers kept from step to step
+        self.kept = (
+            own["history"].shape[1] if "history" in own else 0
+        )  # numbers kept from step to step
 
     def act(self, observation, memory=None, new_course=None):
         """(actions [n, 1] in [-1, 1], memory [n, kept]) for float32 observations [n, D] and the last memory.
 
         `new_course` [n] bool: rows where a course begins; all of them where there is no memory.
         """
-        count, feeds = len(observation), {"observation": observation}
+        count = len(observation)
+        feeds = {"observation": observation}
         if self.kept:
-            feeds["new_course"] = np.full(count, memory is None) if new_course is None else new_course
-            feeds["history"] = np.zeros((count, self.kept), np.float32) if memory is None else memory
+            feeds["new_course"] = (
+                np.full(count, memory is None) if new_course is None else new_course
+            )
+            feeds["history"] = (
+                np.zeros((count, self.kept), np.float32) if memory is None else memory
+            )
         action, *kept = self.session.run(None, feeds)
         return action, kept[0] if kept else None
 
@@ -54,8 +63,12 @@ def serve(policy):
 
 def compared(policy, course):
     """(largest difference of the actions on the steps of course.npz, times of a step of one wheel [us])."""
-    memory, worst, times = None, 0.0, []
-    for seen, fresh, expected in zip(course["observation"], course["new_course"], course["action"], strict=True):
+    memory = None
+    worst = 0.0
+    times = []
+    for seen, fresh, expected in zip(
+        course["observation"], course["new_course"], course["action"], strict=True
+    ):
         start = time.perf_counter()
         action, memory = policy.act(seen[None], None if fresh else memory)
         times.append(1e6 * (time.perf_counter() - start))
@@ -68,5 +81,7 @@ if __name__ == "__main__":
         serve(Policy())
     else:
         worst, times = compared(Policy(), np.load(HERE / "course.npz"))
-        print(f"{len(times)} steps: largest difference {worst:.1e}, {np.median(times):.0f} us a step, "
-              f"99 % within {np.percentile(times, 99):.0f} us")  # fmt: skip
+        print(
+            f"{len(times)} steps: largest difference {worst:.1e}, {np.median(times):.0f} us a step, "
+            f"99 % within {np.percentile(times, 99):.0f} us"
+        )

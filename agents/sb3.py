@@ -40,7 +40,9 @@ class NativeVecEnv(VecEnv):
     def env_method(self, method_name: str, *args, indices=None, **kwargs) -> list[Any]:
         """Call a method once for all courses that share it; the result for each course."""
         owners = self.owners(indices)
-        found = {owner: getattr(owner, method_name)(*args, **kwargs) for owner in dict.fromkeys(owners)}
+        found = {
+            owner: getattr(owner, method_name)(*args, **kwargs) for owner in dict.fromkeys(owners)
+        }
         return [found[owner] for owner in owners]
 
     def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
@@ -56,13 +58,25 @@ class CourseVecEnv(NativeVecEnv):
     not be written to.
     """
 
-    def __init__(self, kind: type[CourseVectorEnv], num_envs: int, task, observation: str, model, options: dict):
-        self.model, self.observation_variant = load_model(model), observation
+    def __init__(
+        self,
+        kind: type[CourseVectorEnv],
+        num_envs: int,
+        task,
+        observation: str,
+        model,
+        options: dict,
+    ):
+        self.model = load_model(model)
+        self.observation_variant = observation
         own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
         self.env = env = kind(num_envs, task, observation, **own, **options)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self.scenario, self.simulation, self.observation_names = env.scenario, env.simulation, env.observation_names
-        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
+        self.scenario = env.scenario
+        self.simulation = env.simulation
+        self.observation_names = env.observation_names
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         self._start = time.time()
 
     @property
@@ -89,7 +103,8 @@ class CourseVecEnv(NativeVecEnv):
         self._lengths += 1
         infos: list[dict[str, Any]] = [{}] * self.num_envs
         if done.any():
-            now, last = round(time.time() - self._start, 6), seen
+            now = round(time.time() - self._start, 6)
+            last = seen
             for k in np.flatnonzero(done):
                 infos[k] = {
                     "terminal_observation": last[k],
@@ -106,21 +121,34 @@ class CourseVecEnv(NativeVecEnv):
 class SoilWheelVecEnv(CourseVecEnv):
     """`num_envs` wheels; keyword arguments as in `SoilWheelVectorEnv`."""
 
-    def __init__(self, num_envs: int, scenario=DEFAULT_SCENARIO, observation="identified", model=None, **options):
+    def __init__(
+        self,
+        num_envs: int,
+        scenario=DEFAULT_SCENARIO,
+        observation="identified",
+        model=None,
+        **options,
+    ):
         super().__init__(SoilWheelVectorEnv, num_envs, scenario, observation, model, options)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [num_envs, D]."""
         names = [e.name for e in layout(self.observation_variant, self.scenario.course)]
         own = dict(zip(names, self.simulation.worlds.observation.T, strict=True))
-        own |= zip((e.name for e in truth(self.scenario.course)), self.simulation.true_soils().T, strict=True)
+        own |= zip(
+            (e.name for e in truth(self.scenario.course)),
+            self.simulation.true_soils().T,
+            strict=True,
+        )
         return np.column_stack([own[e.name] for e in layout("true_soil", self.scenario.course)])
 
 
 class SoilRoverVecEnv(CourseVecEnv):
     """`num_envs` rovers; keyword arguments as in `SoilRoverVectorEnv`."""
 
-    def __init__(self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options):
+    def __init__(
+        self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options
+    ):
         super().__init__(SoilRoverVectorEnv, num_envs, rover, observation, model, options)
 
     def true_soil(self) -> np.ndarray:

@@ -22,8 +22,10 @@ from .teachers import Teachers
 ROUND = 64  # steps of each wheel
 KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
-BATCH, RATE = 2048, 2e-3
-NOISE, MEMORY = 0.2, 0.8  # of the action: its sd, and its correlation from step to step
+BATCH = 2048
+RATE = 2e-3
+NOISE = 0.2  # of the action: its sd, and its correlation from step to step
+MEMORY = 0.8
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 VALUE_STEPS = 600  # of the value network
 
@@ -44,7 +46,9 @@ class Lessons:
             getattr(self, name)[self.count % len(self.seen)] = values
         self.count += 1
 
-    def drawn(self, rng: np.random.Generator, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def drawn(
+        self, rng: np.random.Generator, among: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Indices (step, wheel) of a batch of steps, or `among` [n] numbers of steps."""
         wheels = self.seen.shape[1]
         last = min(self.count, len(self.seen)) * wheels
@@ -54,17 +58,24 @@ class Lessons:
     def returns(self, gamma: float) -> tuple[np.ndarray, np.ndarray]:
         """(discounted returns [steps, wheels], numbers of the steps whose course has ended since)."""
         steps = len(self.seen)
-        out, known = np.zeros_like(self.reward), np.zeros(self.done.shape, dtype=bool)
-        following, ends = np.zeros_like(out[0]), np.zeros_like(self.done[0])
+        out = np.zeros_like(self.reward)
+        known = np.zeros(self.done.shape, dtype=bool)
+        following = np.zeros_like(out[0])
+        ends = np.zeros_like(self.done[0])
         for k in (np.arange(self.count, self.count - min(self.count, steps), -1) - 1) % steps:
             ends |= self.done[k]
             following = self.reward[k] + gamma * np.where(self.done[k], 0.0, following)
-            out[k], known[k] = following, ends
+            out[k] = following
+            known[k] = ends
         return out, np.flatnonzero(known)
 
 
 def teach(
-    model: PPO, steps: int, seed: int, progress: Callable[[int], None] = lambda _: None, most: int = KEPT
+    model: PPO,
+    steps: int,
+    seed: int,
+    progress: Callable[[int], None] = lambda _: None,
+    most: int = KEPT,
 ) -> None:
     """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more.
 
@@ -72,12 +83,22 @@ def teach(
     """
     env = model.get_vec_normalize_env()
     assert env is not None
-    policy, rng, wheels = model.policy, np.random.default_rng([seed, 11]), env.num_envs
+    policy = model.policy
+    rng = np.random.default_rng([seed, 11])
+    wheels = env.num_envs
     rounds = math.ceil(steps / (ROUND * wheels))
-    teachers, fresh = Teachers(env.unwrapped), np.ones(wheels, dtype=bool)
-    seen, wander = env.reset(), np.zeros((wheels, *env.action_space.shape))
-    kept = Lessons(wheels, seen.shape[1], min(rounds, max(1, most // (ROUND * wheels))) * ROUND, wander.shape[1])
-    optimizer, chooser = torch.optim.Adam(policy.parameters(), RATE), Chooser(model, rng)
+    teachers = Teachers(env.unwrapped)
+    fresh = np.ones(wheels, dtype=bool)
+    seen = env.reset()
+    wander = np.zeros((wheels, *env.action_space.shape))
+    kept = Lessons(
+        wheels,
+        seen.shape[1],
+        min(rounds, max(1, most // (ROUND * wheels))) * ROUND,
+        wander.shape[1],
+    )
+    optimizer = torch.optim.Adam(policy.parameters(), RATE)
+    chooser = Chooser(model, rng)
     for k in range(rounds):
         for _ in range(ROUND):
             action, weight = teachers.lesson(fresh)
@@ -85,7 +106,9 @@ def teach(
             if k > 0:
                 action = model.predict(seen, deterministic=True)[0]
             wander = MEMORY * wander + np.sqrt(1.0 - MEMORY**2) * rng.normal(size=wander.shape)
-            turned = np.where(rng.random((wheels, 1)) < max(0.5 * (1.0 - k / rounds), FLIPPED), -action, action)
+            turned = np.where(
+                rng.random((wheels, 1)) < max(0.5 * (1.0 - k / rounds), FLIPPED), -action, action
+            )
             action = np.where(chooser.choosing, turned, np.clip(action + NOISE * wander, -1.0, 1.0))
             seen, _, fresh, _ = env.step(action.astype(np.float32))
             kept.add(**row, reward=env.get_original_reward(), done=fresh)
@@ -109,7 +132,9 @@ def teach(
 def _lesson_loss(policy, env: VecNormalize, kept: Lessons, at) -> torch.Tensor:
     """Squared errors of the accelerations."""
     action, weight = (torch.from_numpy(x[at]) for x in (kept.action, kept.weight))
-    mean = policy.get_distribution(torch.from_numpy(env.normalize_obs(kept.seen[at]))).distribution.mean
+    mean = policy.get_distribution(
+        torch.from_numpy(env.normalize_obs(kept.seen[at]))
+    ).distribution.mean
     return (weight * (mean - action).square().mean(dim=1)).mean()
 
 

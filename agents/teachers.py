@@ -42,7 +42,8 @@ class Teacher(BestSlipTrue):
     """`best_slip_true` whose ramp goes on from the speed that the student commands now."""
 
     def __init__(self, scenario: Scenario, **settings: float):
-        own, top = settings_of(scenario) | settings, scenario.wheel.radius * scenario.wheel.no_load_speed
+        own = settings_of(scenario) | settings
+        top = scenario.wheel.radius * scenario.wheel.no_load_speed
         rims = {name: own[name] * top for name in ("start", "speed")}
         super().__init__(scenario, acceleration=own["acceleration"], **rims)
         self.share = own["share"]
@@ -79,7 +80,8 @@ class RoverTeacher(RoverController):
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
-        manner, self.own = MANNERS.get(scenario.name, Manner()), _OfWheels(scenario)
+        manner = MANNERS.get(scenario.name, Manner())
+        self.own = _OfWheels(scenario)
         rims = {name: getattr(manner, name) * self.own.top_speed for name in ("start", "speed")}
         self.own.settings |= rims | {"acceleration": manner.acceleration}
         self.own.shares = manner.shares
@@ -113,7 +115,9 @@ class Teachers:
     def lesson(self, fresh: np.ndarray) -> tuple[np.ndarray, ...]:
         """(actions, weights) of all wheels or rovers [n]; `fresh` [n]: a course begins."""
         out = []
-        for k, ((part, teacher), new) in enumerate(zip(self.parts, np.split(fresh, self.starts), strict=True)):
+        for k, ((part, teacher), new) in enumerate(
+            zip(self.parts, np.split(fresh, self.starts), strict=True)
+        ):
             *lesson, self.states[k] = teacher.lesson(part.true_soil(), self.states[k], new)
             out.append(lesson)
         return tuple(np.concatenate(column) for column in zip(*out, strict=True))

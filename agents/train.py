@@ -22,14 +22,23 @@ def _keys() -> str:
             default = "" if f.default in ("", None, dataclasses.MISSING) else str(f.default)
             lines.append(f"  --{f.name:17s}{default:11s} {f.metadata.get('doc', '')}".rstrip())
     own = " ".join(f"{f.name}={f.default}" for f in dataclasses.fields(PPOConfig))
-    lines += textwrap.wrap(f"--ppo.KEY          {own}", 100, initial_indent="  ", subsequent_indent=" " * 21)
+    lines += textwrap.wrap(
+        f"--ppo.KEY          {own}", 100, initial_indent="  ", subsequent_indent=" " * 21
+    )
     lines.append("  --changes.KEY      any key of the scenario, as --changes.course.length 20")
     return "\n".join(lines)
 
 
 @click.command("train", context_settings=WITH_KEYS, epilog=_keys())
-@click.option("--config", type=PATH, metavar="YAML", help="Config keys, own or shipped file; options replace them.")
-@click.option("--resume", type=PATH, metavar="RUN", help="Run folder to continue; takes no other option.")
+@click.option(
+    "--config",
+    type=PATH,
+    metavar="YAML",
+    help="Config keys, own or shipped file; options replace them.",
+)
+@click.option(
+    "--resume", type=PATH, metavar="RUN", help="Run folder to continue; takes no other option."
+)
 @keys_argument
 def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> None:
     """Train an agent and compare it with the classical controllers.
@@ -50,11 +59,14 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     if resume is not None:
         if config is not None or changes:
             raise ParameterError("--resume takes no other option: the run folder has its config")
-        folder, (settings, scenario) = resume, training.open_run(resume)
+        folder = resume
+        (settings, scenario) = training.open_run(resume)
     else:
-        mapping, where = {}, "command line"
+        mapping = {}
+        where = "command line"
         if config is not None:
-            mapping, where = config_mapping(config), f"{config}, command line"
+            mapping = config_mapping(config)
+            where = f"{config}, command line"
             load_config(mapping, str(config))  # errors of the file alone name the file alone
         settings = load_config(merge(mapping, changes), where)
         try:

@@ -22,7 +22,8 @@ from .config import TrainConfig, load_config
 from .environment import hidden_worlds
 from .progress import Bar, show
 
-MODEL, CHECKPOINT = "model.zip", "checkpoint.zip"
+MODEL = "model.zip"
+CHECKPOINT = "checkpoint.zip"
 _RECENT = 1000  # courses whose mean return and rates are shown
 _STUCK = [cause.name for cause in IMMOBILISED]
 
@@ -32,8 +33,11 @@ class _Watch(BaseCallback):
 
     def __init__(self, folder: Path, every: int, bar: Bar):
         super().__init__()
-        self.folder, self.every, self.bar = folder, every, bar
-        self.next_save, self.ended = 0, deque(maxlen=_RECENT)  # (cause, return)
+        self.folder = folder
+        self.every = every
+        self.bar = bar
+        self.next_save = 0  # (cause, return)
+        self.ended = deque(maxlen=_RECENT)
 
     def _on_training_start(self) -> None:
         self.next_save = self.num_timesteps + self.every
@@ -47,10 +51,17 @@ class _Watch(BaseCallback):
         note = ""
         if self.ended:
             causes, returns = zip(*self.ended, strict=True)
-            stuck, finished = np.isin(causes, _STUCK).mean(), np.mean([cause == "FINISHED" for cause in causes])
-            for name, value in (("immobilised", stuck), ("finished", finished), ("return", np.mean(returns))):
+            stuck = np.isin(causes, _STUCK).mean()
+            finished = np.mean([cause == "FINISHED" for cause in causes])
+            for name, value in (
+                ("immobilised", stuck),
+                ("finished", finished),
+                ("return", np.mean(returns)),
+            ):
                 self.logger.record(f"courses/{name}", value)
-            note = f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            note = (
+                f"return {np.mean(returns):.2f}, immobilised {stuck:.1%}, finished {finished:.1%}"
+            )
         self.bar.update(self.num_timesteps, note=note)
 
     def _on_rollout_start(self) -> None:
@@ -61,7 +72,9 @@ class _Watch(BaseCallback):
 
 def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     """The task of a config: its rover, if the config names one, else its scenario."""
-    scenario = (load_rover if config.rover else load_scenario)(config.rover or config.scenario, config.changes)
+    scenario = (load_rover if config.rover else load_scenario)(
+        config.rover or config.scenario, config.changes
+    )
     if scenario.belief.method == "none":
         raise ParameterError(
             "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which reads "
@@ -81,7 +94,9 @@ def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> 
         for file, content in (("config", config), ("scenario", scenario)):
             replace_file(folder / f"{file}.yaml", yaml.safe_dump(to_dict(content), sort_keys=False))
     except FileExistsError:
-        raise ParameterError(f"{folder}: exists; give another --name, or --resume {folder}") from None
+        raise ParameterError(
+            f"{folder}: exists; give another --name, or --resume {folder}"
+        ) from None
     except OSError as error:
         raise ParameterError(f"{folder}: cannot be written ({error.strerror})") from None
     return folder
@@ -91,8 +106,14 @@ def open_run(folder: Path) -> tuple[TrainConfig, Scenario | RoverScenario]:
     """Config and scenario of an existing run folder."""
     folder = Path(folder)
     if not folder.is_dir():
-        near = sorted(p.parent.name for p in folder.parent.glob("*/config.yaml")) if folder.parent.is_dir() else []
-        raise ParameterError(f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else ""))
+        near = (
+            sorted(p.parent.name for p in folder.parent.glob("*/config.yaml"))
+            if folder.parent.is_dir()
+            else []
+        )
+        raise ParameterError(
+            f"{folder}: no such run folder" + (f" (found: {', '.join(near)})" if near else "")
+        )
     config = load_config(read_yaml(folder / "config.yaml"), str(folder / "config.yaml"))
     load_task = load_rover if config.rover else load_scenario
     return config, load_task(folder / "scenario.yaml")
@@ -103,13 +124,17 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
     folder = Path(folder)
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
-    for left_over in (folder / CHECKPOINT, *folder.glob(".*.partial*")):  # a kill may have left them beside the model
+    for left_over in (
+        folder / CHECKPOINT,
+        *folder.glob(".*.partial*"),
+    ):  # a kill may have left them beside the model
         left_over.unlink(missing_ok=True)
     return load_agent(folder / MODEL)
 
 
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
-    checkpoint, worlds = folder / CHECKPOINT, config.world
+    checkpoint = folder / CHECKPOINT
+    worlds = config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
     task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds
@@ -121,15 +146,21 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     with Bar("Training", config.timesteps, "steps", model.num_timesteps) as bar:
         if model.num_timesteps == 0 and config.student > 0.0:
             try:
-                student.teach(model, round(config.student * config.timesteps), config.seed, bar.update)
+                student.teach(
+                    model, round(config.student * config.timesteps), config.seed, bar.update
+                )
             except KeyboardInterrupt:
-                show("A student keeps no checkpoint before it is done: it will start again from step 0.")
+                show(
+                    "A student keeps no checkpoint before it is done: it will start again from step 0."
+                )
                 raise
             ppo.save(model, checkpoint)
         left = config.timesteps - model.num_timesteps
         if left > 0:
             chooser = Chooser(model, np.random.default_rng([config.seed, model.num_timesteps, 13]))
-            schedules = ppo.Schedules(config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0)
+            schedules = ppo.Schedules(
+                config.ppo, config.teacher_penalty if config.student > 0.0 else 0.0
+            )
             calls = [schedules, chooser, _Watch(folder, config.checkpoint_every, bar)]
             try:
                 model.learn(left, callback=calls, reset_num_timesteps=False, tb_log_name="PPO")

@@ -22,9 +22,25 @@ ACTIONS = get_args(get_type_hints(Control)["action"])
 
 @click.command("tune")
 @click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder, made if missing.")
-@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Shipped one (default {DEFAULT_SCENARIO}).")
-@click.option("--actions", metavar="A,B", default=",".join(ACTIONS), help="Actions of the drive (default: all).")
-@click.option("--courses", metavar="N", type=WholeNumber(1, 10**6), default=300, help="Tuning courses (default 300).")
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    default=DEFAULT_SCENARIO,
+    help=f"Shipped one (default {DEFAULT_SCENARIO}).",
+)
+@click.option(
+    "--actions",
+    metavar="A,B",
+    default=",".join(ACTIONS),
+    help="Actions of the drive (default: all).",
+)
+@click.option(
+    "--courses",
+    metavar="N",
+    type=WholeNumber(1, 10**6),
+    default=300,
+    help="Tuning courses (default 300).",
+)
 def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     """Tune the classical controllers on a scenario.
 
@@ -43,9 +59,16 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
         for action in actions.split(","):
             task = load_scenario(scenario, {"control": {"action": action}})
             chosen = tuned_settings(task, courses, log=out / f"trials-{action}.log", anew=True)
-            settings[action] = {n: {key: float(f"{v:.4g}") for key, v in own.items()} for n, own in chosen.items()}
-    content = {"courses": courses, "seed": TUNING_SET, "trials": trials_of(courses),
-               "version": code_version(), "settings": settings}  # fmt: skip
+            settings[action] = {
+                n: {key: float(f"{v:.4g}") for key, v in own.items()} for n, own in chosen.items()
+            }
+    content = {
+        "courses": courses,
+        "seed": TUNING_SET,
+        "trials": trials_of(courses),
+        "version": code_version(),
+        "settings": settings,
+    }
     typed = f"soil-env tune --scenario {scenario} --courses {courses} --actions {actions}"
     made = f"# Settings of the classical controllers, found by {typed}\n"
     replace_file(out / f"{scenario}.yaml", made + yaml.safe_dump(content, sort_keys=False))

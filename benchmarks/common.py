@@ -21,7 +21,11 @@ RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results"
 
 def spread(values) -> dict[str, float]:
     """Median, lowest and highest of rounds."""
-    return {"median": float(np.median(values)), "low": float(np.min(values)), "high": float(np.max(values))}
+    return {
+        "median": float(np.median(values)),
+        "low": float(np.min(values)),
+        "high": float(np.max(values)),
+    }
 
 
 def share(values: Iterable[bool]) -> dict | None:
@@ -31,7 +35,13 @@ def share(values: Iterable[bool]) -> dict | None:
         return None
     interval = binomtest(sum(values), len(values)).proportion_ci(method="wilson")
     value = sum(values) / len(values)
-    return {"count": sum(values), "of": len(values), "value": value, "low": interval.low, "high": interval.high}
+    return {
+        "count": sum(values),
+        "of": len(values),
+        "value": value,
+        "low": interval.low,
+        "high": interval.high,
+    }
 
 
 def machine() -> dict[str, Any]:
@@ -39,12 +49,17 @@ def machine() -> dict[str, Any]:
     name = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+        name = next(
+            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
+        )
     return {
         "processor": name,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None, "python": platform.python_version(),
-    } | {name: version(name) for name in ("numpy", "numba")}  # fmt: skip
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "python": platform.python_version(),
+    } | {name: version(name) for name in ("numpy", "numba")}
 
 
 def machine_text(machine: dict[str, Any]) -> str:
@@ -58,7 +73,9 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
     """Options --smoke and --out of the study of this name."""
     text = f"Folder of {name}.json and {name}.md (default docs/results)."
     out = click.option("--out", type=PATH, metavar="OUT", default=RESULTS, help=text)
-    smoke = click.option("--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing.")
+    smoke = click.option(
+        "--smoke", is_flag=True, help="Run every part in seconds; numbers mean nothing."
+    )
     return lambda command: smoke(out(command))
 
 

@@ -36,7 +36,8 @@ def _grounds(x, patch, course, courses, border, out):
         soil, _, here = ground_at(courses, course[k], x[k], patch[k], border)
         for j in range(7):
             out[k, j] = soil[j]
-        out[k, 7], out[k, 8] = here, x[k] - courses.edges[course[k], here]
+        out[k, 7] = here
+        out[k, 8] = x[k] - courses.edges[course[k], here]
 
 
 class SwingingSpeed(ConstantSpeed):
@@ -59,7 +60,11 @@ def controller_of(name: str, scenario: Scenario) -> Any:
 
 
 def record(
-    controller: Any, scenario: Scenario, courses: int, seed: int, model: WheelSoilModel | None = None
+    controller: Any,
+    scenario: Scenario,
+    courses: int,
+    seed: int,
+    model: WheelSoilModel | None = None,
 ) -> list[dict[str, np.ndarray]]:
     """Drive courses of a seed; return of each a log of T control periods.
 
@@ -67,47 +72,80 @@ def record(
     them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
     `halt_left` [T] s.
     """
-    wheel, weight = scenario.wheel, scenario.weight
-    r, top = wheel.radius, wheel.radius * wheel.no_load_speed
+    wheel = scenario.wheel
+    weight = scenario.weight
+    r = wheel.radius
+    top = wheel.radius * wheel.no_load_speed
     twist = weight * r
     scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
-    true, halts, readings, known, running, ground = [], [], [], [], [], np.empty((courses, 9))
+    true = []
+    halts = []
+    readings = []
+    known = []
+    running = []
+    ground = np.empty((courses, 9))
     for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
         w = sim.worlds
-        x, patch = np.array(w.state["x"]), np.array(w.counts["patch"])
+        x = np.array(w.state["x"])
+        patch = np.array(w.counts["patch"])
         _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
         load = np.array(w.state["mass"]) * scenario.gravity
         true.append(truth(ground[:, :7], np.array(w.state["bearing_sinkage"]), load, scenario))
         halts.append(np.array(w.state["halt_left"]))
         readings.append(w.observation[:, _READ] * scale)
-        known.append(np.column_stack([w.ids.estimate, w.ids.best_pull[:, 0], w.ids.sd, w.ids.best_pull[:, 1]]))
+        known.append(
+            np.column_stack(
+                [w.ids.estimate, w.ids.best_pull[:, 0], w.ids.sd, w.ids.best_pull[:, 1]]
+            )
+        )
         running.append(alive.copy())
-    columns = {"truth": np.array(true), "halt_left": np.array(halts), "readings": np.array(readings, float)}
+    columns = {
+        "truth": np.array(true),
+        "halt_left": np.array(halts),
+        "readings": np.array(readings, float),
+    }
     columns["estimate"], columns["sd"] = np.split(np.array(known), 2, axis=2)
     steps = np.sum(running, axis=0)
-    return [{name: rows[: steps[k], k].copy() for name, rows in columns.items()} for k in range(courses)]
+    return [
+        {name: rows[: steps[k], k].copy() for name, rows in columns.items()} for k in range(courses)
+    ]
 
 
 def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.ndarray, ...]:
     """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`, halts left out."""
     driven = np.concatenate([log["halt_left"] == 0.0 for log in logs])
     course = np.repeat(np.arange(len(logs)), [len(log["halt_left"]) for log in logs])[driven]
-    true, estimate, sd = (np.concatenate([log[name] for log in logs])[driven] for name in ("truth", "estimate", "sd"))
+    true, estimate, sd = (
+        np.concatenate([log[name] for log in logs])[driven] for name in ("truth", "estimate", "sd")
+    )
     numbers = identifier_numbers(scenario)
     return estimate - true, sd, np.append(numbers.prior, numbers.prior_pull[0]) - true, course
 
 
-def truth(soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario) -> np.ndarray:
+def truth(
+    soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
+) -> np.ndarray:
     """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and loads [N]."""
-    wheel, belief = scenario.wheel, scenario.belief
+    wheel = scenario.wheel
+    belief = scenario.belief
     slip, pull = np.empty((2, len(soil)))
-    soil, load = np.ascontiguousarray(soil), np.ascontiguousarray(load)
-    best_points(np.arange(len(soil)), soil, load, wheel.radius, wheel.width, wheel.stall_torque, slip, pull)
+    soil = np.ascontiguousarray(soil)
+    load = np.ascontiguousarray(load)
+    best_points(
+        np.arange(len(soil)), soil, load, wheel.radius, wheel.width, wheel.stall_torque, slip, pull
+    )
     depth = np.log(np.maximum(bearing, 1e-4))
     ln_s = np.log(soil[:, 3]) + (soil[:, 4] - belief.sinkage_exponent) * depth
     gain = np.log(soil[:, 5] / belief.dig_gain)
     return np.column_stack(
-        [np.arctan(soil[:, 0]), np.log(soil[:, 2]), ln_s, soil[:, 1], gain, np.maximum(pull / load, -1.0)]
+        [
+            np.arctan(soil[:, 0]),
+            np.log(soil[:, 2]),
+            ln_s,
+            soil[:, 1],
+            gain,
+            np.maximum(pull / load, -1.0),
+        ]
     )
 
 
@@ -127,7 +165,9 @@ class SwingingSlip:
         self.period: float = scenario.control.period
         self.step: float = scenario.control.rim_acceleration * self.period / top
         self.phase = 2.0 * math.pi * np.arange(scenario.axles) / scenario.axles
-        self.time, self.speed, self.last = 0.0, None, None
+        self.time = 0.0
+        self.speed = None
+        self.last = None
 
     def __call__(self, speed: np.ndarray) -> np.ndarray:
         """Rim speeds from the measured speeds of the bodies [rovers], of the highest rim speed."""
@@ -136,7 +176,8 @@ class SwingingSlip:
         rim = np.clip(np.maximum(self.speed, 0.3)[:, None] / (1.0 - slip), 0.0, 0.8)
         if self.last is not None:
             rim = self.last + np.clip(rim - self.last, -self.step, self.step)
-        self.time, self.last = self.time + self.period, rim
+        self.time = self.time + self.period
+        self.last = rim
         return rim
 
 
@@ -145,7 +186,9 @@ def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarra
     return lambda speed: np.full((len(speed), scenario.axles), 0.5)
 
 
-def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any) -> dict[str, np.ndarray]:
+def record_rover(
+    scenario: RoverScenario, courses: int, seed: int, control: Any
+) -> dict[str, np.ndarray]:
     """Drive courses of a seed; return arrays [T, courses, axles, ...].
 
     "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
@@ -155,19 +198,30 @@ def record_rover(scenario: RoverScenario, courses: int, seed: int, control: Any)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))
-    w, rows = simulation.worlds, simulation.wheels
-    going, log = np.ones(courses, dtype=bool), []
-    course, ground = np.repeat(np.arange(courses), rows.shape[1]), np.empty((rows.size, 9))
+    w = simulation.worlds
+    rows = simulation.wheels
+    going = np.ones(courses, dtype=bool)
+    log = []
+    course = np.repeat(np.arange(courses), rows.shape[1])
+    ground = np.empty((rows.size, 9))
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
-        x, patch = np.array(w.rovers.wheels["x"])[rows.ravel()], np.array(w.rovers.counts["patch"])[rows.ravel()]
+        x = np.array(w.rovers.wheels["x"])[rows.ravel()]
+        patch = np.array(w.rovers.counts["patch"])[rows.ravel()]
         _grounds(x, patch, course, w.courses, scenario.course.border, ground)
-        soil = np.column_stack([np.arctan(ground[:, 0]), np.log(ground[:, 2]), ground[:, 1], ground[:, 7:]])
+        soil = np.column_stack(
+            [np.arctan(ground[:, 0]), np.log(ground[:, 2]), ground[:, 1], ground[:, 7:]]
+        )
         driven = going & (np.array(w.rovers.body["halt_left"]) == 0.0)
-        log.append({
-            "soil": soil.reshape(*rows.shape, 5), "driven": np.repeat(driven[:, None], rows.shape[1], 1),
-            "alone": w.ids.estimate[rows], "alone_sd": w.ids.sd[rows],
-            "pooled": w.known.estimate[rows], "pooled_sd": w.known.sd[rows],
-        })  # fmt: skip
+        log.append(
+            {
+                "soil": soil.reshape(*rows.shape, 5),
+                "driven": np.repeat(driven[:, None], rows.shape[1], 1),
+                "alone": w.ids.estimate[rows],
+                "alone_sd": w.ids.sd[rows],
+                "pooled": w.known.estimate[rows],
+                "pooled_sd": w.known.sd[rows],
+            }
+        )
         going &= w.cause == Cause.RUNNING.value
     return {name: np.array([row[name] for row in log]) for name in log[0]}

@@ -39,7 +39,9 @@ class Runner(NamedTuple):
 def vector(env: Any) -> Runner:
     """Run a vector environment."""
     env.reset(seed=0)
-    draws = np.random.default_rng(0).uniform(0.0, 0.8, (16, *env.action_space.shape)).astype(np.float32)
+    draws = (
+        np.random.default_rng(0).uniform(0.0, 0.8, (16, *env.action_space.shape)).astype(np.float32)
+    )
     held = itertools.cycle(np.repeat(draws, HELD, axis=0))
     return Runner(env.num_envs, lambda: env.step(next(held)))
 
@@ -47,7 +49,11 @@ def vector(env: Any) -> Runner:
 def single(env: gymnasium.Env) -> Runner:
     """Run one environment, reset where an episode ends."""
     env.reset(seed=0)
-    draws = np.random.default_rng(0).uniform(0.0, 0.8, (512, *env.action_space.shape)).astype(np.float32)
+    draws = (
+        np.random.default_rng(0)
+        .uniform(0.0, 0.8, (512, *env.action_space.shape))
+        .astype(np.float32)
+    )
     held = itertools.cycle(np.repeat(draws, HELD, axis=0))
 
     def step() -> None:
@@ -63,12 +69,16 @@ def runners(size: int, threads: int) -> dict[str, Runner]:
     torque: dict[str, Any] = {"action": "torque", "threads": threads}
     return {
         "wheels, mixed": vector(SoilWheelVectorEnv(size, "mixed", **torque)),
-        "wheels, mixed, blind, no identifier": vector(SoilWheelVectorEnv(size, "mixed", **torque, **BLIND)),
+        "wheels, mixed, blind, no identifier": vector(
+            SoilWheelVectorEnv(size, "mixed", **torque, **BLIND)
+        ),
         "wheels, default scenario": vector(SoilWheelVectorEnv(size, **torque)),
         "rovers, two axles": vector(SoilRoverVectorEnv(size, "lunar_micro_rover", **torque)),
         "rovers, three axles": vector(SoilRoverVectorEnv(size, "mars_rover", **torque)),
         "one wheel, mixed": single(SoilWheelEnv("mixed", action="torque")),
-        "one rover, two axles": single(SoilRoverEnv("lunar_micro_rover", action="torque", info="none")),
+        "one rover, two axles": single(
+            SoilRoverEnv("lunar_micro_rover", action="torque", info="none")
+        ),
     }
 
 
@@ -77,7 +87,8 @@ def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, 
     found: dict[str, list[float]] = {name: [] for name in runners}
     for turn in range(rounds + 1):
         for name, runner in runners.items():
-            steps, start = 0, time.perf_counter()
+            steps = 0
+            start = time.perf_counter()
             while time.perf_counter() - start < seconds:
                 for _ in range(max(1, 256 // runner.size)):
                     runner.step()
@@ -98,8 +109,17 @@ def command(smoke: bool, out: Path) -> None:
     speeds = {name: spread(values) for name, values in found.items()}
     write_json(file, {"machine": about, "size": size, "rates": speeds})
     text = f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on {machine_text(about)}."
-    rows = [(name, *(f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high"))) for name, v in speeds.items()]
-    write(out, NAME, "Speed", text, {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), rows)})
+    rows = [
+        (name, *(f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high")))
+        for name, v in speeds.items()
+    ]
+    write(
+        out,
+        NAME,
+        "Speed",
+        text,
+        {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), rows)},
+    )
 
 
 if __name__ == "__main__":

@@ -25,9 +25,11 @@ from soil_env import ParameterError
 FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
 FIELDS = ("beta", "Vry", "avg_Vry", "slip", "avg_Fy", "avg_Fz", "avg_Z")
 HEADER = ("run", "time", "slip", "load", "speed", "sinkage", "drawbar_pull")
-RADIUS, WIDTH = 0.058, 0.05  # [m] set_rover_params.m
+RADIUS = 0.058  # [m] set_rover_params.m
+WIDTH = 0.05
 GROUSER_HEIGHT = {"smooth": 0.0, "grouser": 0.005}  # [m] the same
-TRAVEL, WINDOW = 10.0, 72.5  # [mm/s] nominal; [s] middle of the averages
+TRAVEL = 10.0  # [mm/s] nominal; [s] middle of the averages
+WINDOW = 72.5
 #: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, from p = k z^n of the 18 flat plates of the repository:
 #: the median n, and the median pressure at 20 mm, amid the wheels' 14 to 26 mm. k and n are correlated from plate to
 #: plate: the sd of S is the scatter of ln k at a given n, and that of n what the scatter of ln p at 20 mm leaves.
@@ -41,13 +43,18 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
     except Exception as error:  # a damaged file leads the reader into errors of any kind
         raise ParameterError(f"{path}: not a whole MATLAB 5 file ({error})") from None
     if results is None or set(FIELDS) - set(results.dtype.names or ()):
-        raise ParameterError(f"{path}: expected a variable all_results with the fields {', '.join(FIELDS)}")
-    rows, repeats = [], {}
+        raise ParameterError(
+            f"{path}: expected a variable all_results with the fields {', '.join(FIELDS)}"
+        )
+    rows = []
+    repeats = {}
     for number, entry in enumerate(results.ravel(), start=1):
         run = {field: float(np.asarray(entry[field]).item()) for field in FIELDS}
         if run["beta"] != 0.0 or run["Vry"] < TRAVEL:
             continue
-        rim, load, sinkage = run["avg_Vry"], -run["avg_Fz"], -run["avg_Z"] / 1000.0
+        rim = run["avg_Vry"]
+        load = -run["avg_Fz"]
+        sinkage = -run["avg_Z"] / 1000.0
         expected = (rim - TRAVEL) / max(TRAVEL, rim)
         if not (abs(run["slip"] - expected) <= 1e-3 and load > 0.0 and abs(sinkage) < RADIUS):
             raise ParameterError(
@@ -59,7 +66,9 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
         numbers = (WINDOW, run["slip"], load, TRAVEL / 1000.0, sinkage, -run["avg_Fy"])
         rows.append((run["Vry"], (name, *(f"{x:.7g}" for x in numbers))))
     if not rows:
-        raise ParameterError(f"{path}: none of its {results.size} runs is left: expected some with beta = 0")
+        raise ParameterError(
+            f"{path}: none of its {results.size} runs is left: expected some with beta = 0"
+        )
     return [row for _, row in sorted(rows)]
 
 
@@ -81,9 +90,13 @@ soil:
 
 def convert(path: Path, out: Path) -> dict[str, int]:
     """Read the files in `path`, or in its raw-data-processing, and write tables and setups; runs by wheel."""
-    home = next((p for p in (path, path / "raw-data-processing") if (p / FILES["smooth"]).is_file()), None)
+    home = next(
+        (p for p in (path, path / "raw-data-processing") if (p / FILES["smooth"]).is_file()), None
+    )
     if home is None or not (home / FILES["grouser"]).is_file():
-        raise ParameterError(f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/")
+        raise ParameterError(
+            f"{path}: expected {' and '.join(FILES.values())} there or in raw-data-processing/"
+        )
     runs = {wheel: read_runs(home / name, wheel) for wheel, name in FILES.items()}
     out.mkdir(parents=True, exist_ok=True)
     for wheel, rows in runs.items():
@@ -95,9 +108,15 @@ def convert(path: Path, out: Path) -> dict[str, int]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Convert and print what was written."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("path", type=Path, help="clone of the repository, or the folder of its .mat files")
-    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for tables and setups")
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument(
+        "path", type=Path, help="clone of the repository, or the folder of its .mat files"
+    )
+    p.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for tables and setups"
+    )
     options = p.parse_args(arguments)
     try:
         runs = convert(options.path, options.out)

@@ -64,26 +64,61 @@ class Recorder:
 
     def readings(self, seconds: float, reading: dict[str, float], radius: float) -> None:
         """One set of readings in SI units as messages."""
-        vector, quaternion = T["geometry_msgs/msg/Vector3"], T["geometry_msgs/msg/Quaternion"]
-        none, zero = np.zeros(0), vector(0.0, 0.0, 0.0)
-        speed, torque = np.array([reading["wheel_speed"]]), np.array([reading["torque"]])
-        self.write("/joint_states", seconds, "sensor_msgs/msg/JointState", ["wheel"], none, speed, torque)
-        pose = T["geometry_msgs/msg/Pose"](T["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0))
+        vector = T["geometry_msgs/msg/Vector3"]
+        quaternion = T["geometry_msgs/msg/Quaternion"]
+        none = np.zeros(0)
+        zero = vector(0.0, 0.0, 0.0)
+        speed = np.array([reading["wheel_speed"]])
+        torque = np.array([reading["torque"]])
+        self.write(
+            "/joint_states", seconds, "sensor_msgs/msg/JointState", ["wheel"], none, speed, torque
+        )
+        pose = T["geometry_msgs/msg/Pose"](
+            T["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)
+        )
         twist = T["geometry_msgs/msg/Twist"](vector(reading["speed"], 0.0, 0.0), zero)
         self.write(
-            "/odom", seconds, "nav_msgs/msg/Odometry", "wheel",
+            "/odom",
+            seconds,
+            "nav_msgs/msg/Odometry",
+            "wheel",
             T["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
             T["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
-        )  # fmt: skip
-        force = T["geometry_msgs/msg/Wrench"](vector(reading["drawbar_pull"], 0.0, reading["load"]), zero)
+        )
+        force = T["geometry_msgs/msg/Wrench"](
+            vector(reading["drawbar_pull"], 0.0, reading["load"]), zero
+        )
         self.write("/wheel/wrench", seconds, "geometry_msgs/msg/WrenchStamped", force)
-        half = -0.5 * reading["pitch"]  # REP 103: a positive rotation about y, to the left, is nose down
+        half = (
+            -0.5 * reading["pitch"]
+        )  # REP 103: a positive rotation about y, to the left, is nose down
         up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
         felt = vector(reading["acceleration"], 0.0, 0.0)
-        self.write("/imu", seconds, "sensor_msgs/msg/Imu", up, np.zeros(9), zero, unknown, felt, np.zeros(9))
-        height, older = radius - reading["sinkage"], "variance" not in T["sensor_msgs/msg/Range"].__dataclass_fields__
-        self.write("/range", seconds, "sensor_msgs/msg/Range", 0, 0.1, 0.0, 2.0, height, *(() if older else (0.0,)))
+        self.write(
+            "/imu",
+            seconds,
+            "sensor_msgs/msg/Imu",
+            up,
+            np.zeros(9),
+            zero,
+            unknown,
+            felt,
+            np.zeros(9),
+        )
+        height = radius - reading["sinkage"]
+        older = "variance" not in T["sensor_msgs/msg/Range"].__dataclass_fields__
+        self.write(
+            "/range",
+            seconds,
+            "sensor_msgs/msg/Range",
+            0,
+            0.1,
+            0.0,
+            2.0,
+            height,
+            *(() if older else (0.0,)),
+        )
         self.write("/wheel/slip", seconds, "std_msgs/msg/Float64", reading["slip"])
         self.write("/motor/torque", seconds, "std_msgs/msg/Float64", reading["motor_torque"])
 
@@ -91,18 +126,30 @@ class Recorder:
 def drive(recorder: Recorder, seed: int, steps: int):
     """Drive one course, record it; the scenario and the estimates that the environment gave on the way."""
     env = gymnasium.make("soil_env:SoilWheel-v0", action="torque", scaled=False).unwrapped
-    names, scenario = env.observation_names, env.scenario
-    weight, radius = scenario.weight, scenario.wheel.radius
+    names = env.observation_names
+    scenario = env.scenario
+    weight = scenario.weight
+    radius = scenario.wheel.radius
     top = radius * scenario.wheel.no_load_speed
     unit = {
-        "slip": 1.0, "sinkage": radius, "drawbar_pull": weight, "load": weight, "torque": weight * radius, "speed": top,
-        "rim_speed": top, "pitch": 1.0, "motor_torque": weight * radius, "acceleration": scenario.gravity,
-    }  # fmt: skip
+        "slip": 1.0,
+        "sinkage": radius,
+        "drawbar_pull": weight,
+        "load": weight,
+        "torque": weight * radius,
+        "speed": top,
+        "rim_speed": top,
+        "pitch": 1.0,
+        "motor_torque": weight * radius,
+        "acceleration": scenario.gravity,
+    }
     env.reset(seed=seed)
     online = []
     for step in range(1, steps + 1):
         observation, _, terminated, truncated, info = env.step([0.35 + 0.2 * math.sin(0.15 * step)])
-        reading = {name: scale * float(observation[names.index(name)]) for name, scale in unit.items()}
+        reading = {
+            name: scale * float(observation[names.index(name)]) for name, scale in unit.items()
+        }
         reading["wheel_speed"] = reading.pop("rim_speed") / radius
         recorder.readings(step * scenario.control.period, reading, radius)
         online.append(info["estimate"])
@@ -113,27 +160,50 @@ def drive(recorder: Recorder, seed: int, steps: int):
 
 def map_of(scenario) -> str:
     """map.yaml of such a bag, with the wheel, the sensors and the belief of the scenario."""
-    wheel, noise, weight = scenario.wheel, scenario.noise, scenario.weight
+    wheel = scenario.wheel
+    noise = scenario.noise
+    weight = scenario.weight
     belief = replace(scenario.belief, spread=scenario.belief.spread or scenario.spread)
     sd = {
-        "wheel_speed": noise.wheel_speed, "speed": noise.speed, "slip": noise.slip, "pitch": noise.pitch,
-        "drawbar_pull": noise.drawbar_pull * weight, "load": noise.load * weight,
-        "torque": noise.torque * weight * wheel.radius, "sinkage": noise.sinkage,
-        "motor_torque": noise.motor_torque * weight * wheel.radius, "acceleration": noise.acceleration,
-    }  # fmt: skip
+        "wheel_speed": noise.wheel_speed,
+        "speed": noise.speed,
+        "slip": noise.slip,
+        "pitch": noise.pitch,
+        "drawbar_pull": noise.drawbar_pull * weight,
+        "load": noise.load * weight,
+        "torque": noise.torque * weight * wheel.radius,
+        "sinkage": noise.sinkage,
+        "motor_torque": noise.motor_torque * weight * wheel.radius,
+        "acceleration": noise.acceleration,
+    }
     depth = {"topic": "/range", "field": "range", "unit": "m", "sign": -1, "offset": wheel.radius}
-    channels = {name: {**source, "sd": sd[name]} for name, source in {**CHANNELS, "sinkage": depth}.items()}
-    rover = {n: getattr(wheel, n) for n in ("radius", "width", "body_mass", "inertia", "stall_torque", "no_load_speed")}
-    same = {"period": scenario.control.period, "gravity": scenario.gravity, "relaxation": scenario.relaxation}
-    return yaml.safe_dump({"wheel": rover, "channels": channels, **same, "belief": to_dict(belief)}, sort_keys=False)
+    channels = {
+        name: {**source, "sd": sd[name]} for name, source in {**CHANNELS, "sinkage": depth}.items()
+    }
+    rover = {
+        n: getattr(wheel, n)
+        for n in ("radius", "width", "body_mass", "inertia", "stall_torque", "no_load_speed")
+    }
+    same = {
+        "period": scenario.control.period,
+        "gravity": scenario.gravity,
+        "relaxation": scenario.relaxation,
+    }
+    return yaml.safe_dump(
+        {"wheel": rover, "channels": channels, **same, "belief": to_dict(belief)}, sort_keys=False
+    )
 
 
 def main() -> None:
     """Record, read back, compare."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     p.add_argument("--seed", type=int, default=0, help="seed of the course")
     p.add_argument("--steps", type=int, default=600, help="control periods at most")
-    p.add_argument("--out", type=Path, default=Path("drive"), help="folder of the bag, which must not exist")
+    p.add_argument(
+        "--out", type=Path, default=Path("drive"), help="folder of the bag, which must not exist"
+    )
     options = p.parse_args()
     if options.out.exists():
         p.error(f"--out {options.out}: exists: expected the folder of a new bag")
@@ -149,9 +219,15 @@ def main() -> None:
     for name, values in found.values.items():
         if name in online[0]:
             given = np.array([e[name] for e in online])
-            worst = max(worst, float(np.max(np.abs(values - given) / np.maximum(np.abs(given), 1e-9))))
-    print(f"{len(online)} sets of readings; phi {found.values['friction_angle_deg'][-1]:.2f} deg at the end")
-    print(f"largest relative difference of an estimate from the bag to that of the drive: {worst:.1e}")
+            worst = max(
+                worst, float(np.max(np.abs(values - given) / np.maximum(np.abs(given), 1e-9)))
+            )
+    print(
+        f"{len(online)} sets of readings; phi {found.values['friction_angle_deg'][-1]:.2f} deg at the end"
+    )
+    print(
+        f"largest relative difference of an estimate from the bag to that of the drive: {worst:.1e}"
+    )
 
 
 if __name__ == "__main__":

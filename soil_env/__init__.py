@@ -31,7 +31,9 @@ def __getattr__(name: str) -> object:
 
 if "SoilWheel-v0" not in registry:
     register(
-        id="SoilWheel-v0", entry_point="soil_env.env:SoilWheelEnv", vector_entry_point="soil_env.env:SoilWheelVectorEnv"
+        id="SoilWheel-v0",
+        entry_point="soil_env.env:SoilWheelEnv",
+        vector_entry_point="soil_env.env:SoilWheelVectorEnv",
     )
 if "SoilRover-v0" not in registry:
     register(

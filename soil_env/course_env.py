@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from soil_env.rendering.view import CourseView
 
 _RUNNING = Cause.RUNNING.value
-_ONLY, _NONE = np.ones(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
+_ONLY = np.ones(1, dtype=np.bool_)
+_NONE = np.zeros(1, dtype=np.bool_)
 
 
 def check_count(name: str, count: object) -> None:
@@ -40,7 +41,11 @@ def _checked_seed(name: str, seed: object) -> int:
 
 
 def scenario_changes(
-    changes: dict[str, Any], action: str | None, repeat: int | None, own: tuple[str, ...], kind: type[Scenario]
+    changes: dict[str, Any],
+    action: str | None,
+    repeat: int | None,
+    own: tuple[str, ...],
+    kind: type[Scenario],
 ) -> dict[str, Any]:
     """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those that are none.
 
@@ -53,12 +58,16 @@ def scenario_changes(
     if repeat is not None:
         check_count("repeat", repeat)
         repeat = int(repeat)
-    given = {name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None}
+    given = {
+        name: value for name, value in (("action", action), ("repeat", repeat)) if value is not None
+    }
     if not given:
         return changes
     control = changes.get("control", {})
     if not isinstance(control, dict):
-        raise ParameterError(f"{next(iter(given))}: expected only where `control` is not given as an object")
+        raise ParameterError(
+            f"{next(iter(given))}: expected only where `control` is not given as an object"
+        )
     return {**changes, "control": {**control, **given}}
 
 
@@ -68,13 +77,19 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
     try:
         a = np.asarray(actions, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{what} = {actions!r:.80}: expected numbers in [-1, 1], shape {shape}") from None
+        raise ValueError(
+            f"{what} = {actions!r:.80}: expected numbers in [-1, 1], shape {shape}"
+        ) from None
     if a.shape != shape:
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
     finite = np.isfinite(a)
     if not finite.all():
-        row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()  # the first that is wrong
-        raise ValueError(f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]")
+        row = (
+            () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
+        )  # the first that is wrong
+        raise ValueError(
+            f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]"
+        )
     return a.clip(-1.0, 1.0)
 
 
@@ -106,7 +121,10 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self.action_space: gymnasium.spaces.Box = actions
         self._shape: tuple[int, ...] = actions.shape
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / scenario.control.duration))}
+        self.metadata = {
+            **self.metadata,
+            "render_fps": max(1, round(1.0 / scenario.control.duration)),
+        }
         self._renderer: CourseView | None = None
         self._seeded = False
         self._over = True
@@ -131,7 +149,9 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         super().reset(seed=seed)
         if options:
             given = sorted(map(str, options)) if isinstance(options, dict) else options
-            raise ValueError(f"reset options {given!r:.80}: expected none; scenarios are set when the env is made")
+            raise ValueError(
+                f"reset options {given!r:.80}: expected none; scenarios are set when the env is made"
+            )
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
             self._seeded = True
@@ -145,10 +165,14 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
                 self.render()
         return self.scaling(self.simulation.worlds.observation[0]), self.infos.one(0)
 
-    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: ArrayLike
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
         if self._over:
-            raise gymnasium.error.ResetNeeded("step() before reset(), or after the end of the episode")
+            raise gymnasium.error.ResetNeeded(
+                "step() before reset(), or after the end of the episode"
+            )
         commands = actions_of(action, self._shape)
         self.simulation.step(0, commands if commands.size > 1 else commands.item())
         self.infos.follow(_NONE)
@@ -214,12 +238,16 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
             if count is not None:
                 check_count(name, count)
         if render_mode is not None:
-            raise ParameterError("render_mode: the vector env does not render; use a single environment")
+            raise ParameterError(
+                "render_mode: the vector env does not render; use a single environment"
+            )
         try:
             mode = AutoresetMode(autoreset_mode)
         except ValueError:
             known = ", ".join(repr(m.value) for m in AutoresetMode)
-            raise ParameterError(f"autoreset_mode = {autoreset_mode!r}: expected one of {known}") from None
+            raise ParameterError(
+                f"autoreset_mode = {autoreset_mode!r}: expected one of {known}"
+            ) from None
         self.num_envs: int = int(num_envs)
         self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": mode}
         self.autoreset_mode = mode
@@ -227,24 +255,34 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         self._rngs: list[np.random.Generator | None] | None = None
         self._done = np.ones(self.num_envs, dtype=np.bool_)
 
-    def _set_spaces(self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool) -> None:
+    def _set_spaces(
+        self, entries: Sequence[ObservedNumber], actions: gymnasium.spaces.Box, scaled: bool
+    ) -> None:
         """Spaces of these entries and actions; `scenario` is there already."""
         self.observation_names: tuple[str, ...] = tuple(e.name for e in entries)
         self.scaling: Scaling = Scaling(entries, scaled)
         self.single_observation_space: gymnasium.spaces.Box = self.scaling.space
         self.single_action_space: gymnasium.spaces.Box = actions
-        self.observation_space: gymnasium.Space[Any] = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space: gymnasium.Space[Any] = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space: gymnasium.Space[Any] = batch_space(
+            self.single_observation_space, self.num_envs
+        )
+        self.action_space: gymnasium.Space[Any] = batch_space(
+            self.single_action_space, self.num_envs
+        )
         self._shape: tuple[int, ...] = (self.num_envs, *actions.shape)
         held = self.scenario.control.held
         # [control periods] after which an episode is truncated
         self._longest = np.inf if self._most_steps is None else self._most_steps * held
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all courses, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
-        mask, seeds = self._mask(options), self._seeds(seed)
+        mask = self._mask(options)
+        seeds = self._seeds(seed)
         if self._rngs is None:
             self._rngs = [None] * self.num_envs
         for k in np.flatnonzero(mask).tolist():
@@ -264,12 +302,16 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         options = dict(options or {})
         given = options.pop("reset_mask", None)
         if options:
-            raise ValueError(f"reset options {sorted(map(str, options))}: expected only 'reset_mask'")
+            raise ValueError(
+                f"reset options {sorted(map(str, options))}: expected only 'reset_mask'"
+            )
         if given is None:
             return np.ones(self.num_envs, dtype=np.bool_)
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
-            raise ValueError(f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of {mask.dtype}")
+            raise ValueError(
+                f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of {mask.dtype}"
+            )
         return mask
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
@@ -280,21 +322,31 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
             first = _checked_seed("seed", seed)
             return [first + k for k in range(self.num_envs)]
         if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
-            raise ParameterError(f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None")
+            raise ParameterError(
+                f"seed = {seed!r:.80}: expected a whole number, {self.num_envs} of them, or None"
+            )
         if len(seed) != self.num_envs:
             raise ParameterError(f"seed: expected {self.num_envs} seeds, got {len(seed)}")
         return [None if s is None else _checked_seed(f"seed[{k}]", s) for k, s in enumerate(seed)]
 
     def step(
         self, actions: ArrayLike
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+        dict[str, Any],
+    ]:
         """One action for each course. Returns (observations, rewards, terminations, truncations, info)."""
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")
         commands = actions_of(actions, self._shape)
         worlds = self.simulation.worlds
         if self.autoreset_mode == AutoresetMode.DISABLED and self._done.any():
-            raise gymnasium.error.ResetNeeded("a course has ended: reset(options={'reset_mask': ...}) it first")
+            raise gymnasium.error.ResetNeeded(
+                "a course has ended: reset(options={'reset_mask': ...}) it first"
+            )
         self.simulation.step_all(commands, self._done.view(np.int8))  # True restarts
         self.infos.follow(self._done)
         terminated = worlds.cause != _RUNNING
@@ -307,7 +359,13 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
             self.simulation.restart_where(self._done)
             self.infos.renew(self._done)
             self._done[:] = False
-        return self.scaling(worlds.observation), reward, terminated, truncated, self.infos.many() | finals
+        return (
+            self.scaling(worlds.observation),
+            reward,
+            terminated,
+            truncated,
+            self.infos.many() | finals,
+        )
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""
@@ -315,7 +373,8 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
 
     def _finals(self) -> dict[str, Any]:
         """Last observations and infos of the courses that have ended, before they are reset."""
-        worlds, ended = self.simulation.worlds, self._done.copy()
+        worlds = self.simulation.worlds
+        ended = self._done.copy()
         final = np.full(self.num_envs, None, dtype=object)
         for k in np.flatnonzero(ended):
             final[k] = self.scaling(worlds.observation[k])

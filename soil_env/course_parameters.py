@@ -29,18 +29,34 @@ class CourseSpec(Checked):
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)
     patch_length: tuple[float, float] = quantity("m", 0.2, 1e4, default=(1.2, 3.0))
-    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next")
+    border: float = quantity(
+        "m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next"
+    )
     grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
     margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
     payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
-    halt_interval: tuple[float, float] = quantity("m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts")
+    halt_interval: tuple[float, float] = quantity(
+        "m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts"
+    )
     halt_time: float = quantity("s", 0.0, 1e3, default=0.8, doc="length of a halt; 0 = none")
-    classes: int = quantity("", 0, MOST_CLASSES, default=0, doc="terrain classes; 0 = a soil of its own for each patch")
-    class_scatter: float = quantity("of spread", 0.0, 1.0, default=0.2, doc="of the patches of a class about its soil")
-    lines: int = quantity("", 1, 2, default=1, doc="lines over a patch between which the wheel may choose")
-    dead_ends: float = quantity("", 0.0, 1.0, default=0.0, doc="share of patches with an impassable line")
-    deficit: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.04, 0.1), doc="of an impassable line")
-    halt_before: tuple[float, float] = quantity("m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two lines")
+    classes: int = quantity(
+        "", 0, MOST_CLASSES, default=0, doc="terrain classes; 0 = a soil of its own for each patch"
+    )
+    class_scatter: float = quantity(
+        "of spread", 0.0, 1.0, default=0.2, doc="of the patches of a class about its soil"
+    )
+    lines: int = quantity(
+        "", 1, 2, default=1, doc="lines over a patch between which the wheel may choose"
+    )
+    dead_ends: float = quantity(
+        "", 0.0, 1.0, default=0.0, doc="share of patches with an impassable line"
+    )
+    deficit: tuple[float, float] = quantity(
+        "of weight", 0.0, 1.0, default=(0.04, 0.1), doc="of an impassable line"
+    )
+    halt_before: tuple[float, float] = quantity(
+        "m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two lines"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -48,13 +64,21 @@ class CourseSpec(Checked):
             self._check_lines()
         shortest = self.patch_length[0]
         if self.border > shortest:
-            raise FieldError(self, "border", f" = {self.border}: expected at most the shortest patch, {shortest} m")
+            raise FieldError(
+                self,
+                "border",
+                f" = {self.border}: expected at most the shortest patch, {shortest} m",
+            )
 
     def _check_lines(self) -> None:
         if self.classes < 2:
-            raise FieldError(self, "classes", f" = {self.classes}: expected at least 2 where lines = 2")
+            raise FieldError(
+                self, "classes", f" = {self.classes}: expected at least 2 where lines = 2"
+            )
         if self.halt_time == 0.0:
-            raise FieldError(self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in")
+            raise FieldError(
+                self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in"
+            )
         (low, high), most = self.halt_before, self.patch_length[0] - self.border
         if low < self.border or high > most:
             expected = f"between the border, {self.border} m, and the shortest patch less the border, {most:g} m"
@@ -71,6 +95,8 @@ class Camera(Checked):
     """
 
     range: float = quantity("m", 0.1, 100.0, default=2.0)
-    label_error: float = quantity("", 0.0, 1.0, default=0.05, doc="probability of another class than the true one")
+    label_error: float = quantity(
+        "", 0.0, 1.0, default=0.05, doc="probability of another class than the true one"
+    )
     grade_noise: float = quantity("rad", 0.0, 1.0, default=0.01)
     border_noise: float = quantity("m", 0.0, 1.0, default=0.03)

@@ -12,13 +12,27 @@ from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
 from soil_env.identification.online.estimate import published, soil_of_numbers
-from soil_env.parameters import DEFAULT_SCENARIO, CourseSpec, Scenario, Soil, SoilState, load_scenario
+from soil_env.parameters import (
+    DEFAULT_SCENARIO,
+    CourseSpec,
+    Scenario,
+    Soil,
+    SoilState,
+    load_scenario,
+)
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
-__all__ = ["IMMOBILISED", "SoilWheelEnv", "SoilWheelVectorEnv", "action_space", "build_scenario", "observation_space"]
+__all__ = [
+    "IMMOBILISED",
+    "SoilWheelEnv",
+    "SoilWheelVectorEnv",
+    "action_space",
+    "build_scenario",
+    "observation_space",
+]
 #: Keywords that are no part of a scenario.
 _OWN = ("scenario", "observation", "action", "repeat", "render_mode", "model", "info", "scaled")
 _OWN_OF_MANY = ("num_envs", "autoreset_mode", "max_episode_steps", "threads", *_OWN)
@@ -32,10 +46,14 @@ def build_scenario(
     own: tuple[str, ...] = _OWN,
 ) -> Scenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
-    return load_scenario(scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword")
+    return load_scenario(
+        scenario, scenario_changes(changes, action, repeat, own, Scenario), "keyword"
+    )
 
 
-def observation_space(variant: str, course: CourseSpec | None = None, scaled: bool = True) -> gymnasium.spaces.Box:
+def observation_space(
+    variant: str, course: CourseSpec | None = None, scaled: bool = True
+) -> gymnasium.spaces.Box:
     """Box of the observation variant on such a `course`, float32."""
     return Scaling(layout(variant, course), scaled).space
 
@@ -272,22 +290,31 @@ class SoilWheelEnv(CourseEnv):
         super().__init__(scenario, entries, observation, action_space(), render_mode, scaled)
         self.model: WheelSoilModel | None = load_model(model)
         info = checked(info, observation)
-        self.simulation: Simulation = Simulation(1, self.scenario, observation, 1, self.model, asks(info))
+        self.simulation: Simulation = Simulation(
+            1, self.scenario, observation, 1, self.model, asks(info)
+        )
         self.infos: Infos = Infos(self.simulation, info)
 
     def estimate(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging."""
         if self.simulation.worlds.ids is None:
-            raise ParameterError("estimate: nothing is identified; expected observation='identified' or info='full'")
-        ids, belief = self.simulation.worlds.ids, self.scenario.belief
-        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain)
+            raise ParameterError(
+                "estimate: nothing is identified; expected observation='identified' or info='full'"
+            )
+        ids = self.simulation.worlds.ids
+        belief = self.scenario.belief
+        numbers = published(
+            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), belief.dig_gain
+        )
         return soil_of_numbers(numbers, belief)
 
     def true_soil(self) -> SoilState:
         """The undisturbed soil under the wheel: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
         soil: SoilState
-        soil, _, _ = ground_at(w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border)
+        soil, _, _ = ground_at(
+            w.courses, 0, w.state.x[0], w.counts.patch[0], self.scenario.course.border
+        )
         return soil
 
 
@@ -321,8 +348,17 @@ class SoilWheelVectorEnv(CourseVectorEnv):
         self.scenario: Scenario = build_scenario(scenario, action, repeat, changes, _OWN_OF_MANY)
         self._set_spaces(layout(observation, self.scenario.course), action_space(), scaled)
         info = checked(info)
-        finals = self.autoreset_mode == AutoresetMode.SAME_STEP and info != "none" and observation == "identified"
+        finals = (
+            self.autoreset_mode == AutoresetMode.SAME_STEP
+            and info != "none"
+            and observation == "identified"
+        )
         self.simulation: Simulation = Simulation(
-            self.num_envs, self.scenario, observation, threads, load_model(model), finals or asks(info)
+            self.num_envs,
+            self.scenario,
+            observation,
+            threads,
+            load_model(model),
+            finals or asks(info),
         )
         self.infos: Infos = Infos(self.simulation, info)

@@ -36,11 +36,20 @@ from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import steady_state
 
-__all__ = ["Estimate", "OnlineIdentifier", "Readings", "Status", "Traversability", "largest_readings", "slips"]
+__all__ = [
+    "Estimate",
+    "OnlineIdentifier",
+    "Readings",
+    "Status",
+    "Traversability",
+    "largest_readings",
+    "slips",
+]
 
 _NAN = math.nan
 #: [s] between two sets of readings, for which the filter is made; a warning outside.
-SHORTEST_STEP, LONGEST_STEP = 1e-3, 10.0
+SHORTEST_STEP = 1e-3
+LONGEST_STEP = 10.0
 _UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
 
 
@@ -59,7 +68,9 @@ class Readings(NamedTuple):
     slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
     pitch: float = _NAN  # [rad]
     motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
-    acceleration: float = _NAN  # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
+    acceleration: float = (
+        _NAN  # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
+    )
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
@@ -83,7 +94,10 @@ def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
             expected = f"a number [{unit or '-'}], NaN where nothing was measured"
             return TypeError(f"{name} = {value!r}: expected {expected}")
         if value == value and limit == limit and not abs(value) <= limit:
-            return ValueError(f"{name} = {value:g} {unit}".rstrip() + f": expected at most {limit:g} {unit}".rstrip())
+            return ValueError(
+                f"{name} = {value:g} {unit}".rstrip()
+                + f": expected at most {limit:g} {unit}".rstrip()
+            )
     return None
 
 
@@ -131,7 +145,9 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V braking."""
-    slip = (rim_speed - speed) / np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), REST_SPEED)
+    slip = (rim_speed - speed) / np.maximum(
+        np.maximum(np.abs(rim_speed), np.abs(speed)), REST_SPEED
+    )
     out: np.ndarray = np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
     return out
 
@@ -158,19 +174,39 @@ class OnlineIdentifier:
         gravity: float = 9.81,
         relaxation: float = 2.0,
     ) -> None:
-        for name, value, kind in (("wheel", wheel, Wheel), ("belief", belief, Belief), ("noise", noise, Noise)):
+        for name, value, kind in (
+            ("wheel", wheel, Wheel),
+            ("belief", belief, Belief),
+            ("noise", noise, Noise),
+        ):
             if not isinstance(value, kind):
                 known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
-                raise TypeError(f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}")
+                raise TypeError(
+                    f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}"
+                )
         if not isinstance(belief.soils, Mapping):
-            raise TypeError(f"belief.soils = {belief.soils!r}: expected a mapping of names to weights")
+            raise TypeError(
+                f"belief.soils = {belief.soils!r}: expected a mapping of names to weights"
+            )
         if period is None:
             raise ParameterError("period = None: expected a number [s]")
-        any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)  # a scenario has one; nothing here reads it
+        any_soil = Soil(
+            30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6
+        )  # a scenario has one; nothing here reads it
         try:
             control = replace(Control(period=period), substep=min(period, 0.05))
-            self._set(Scenario(wheel, {"any": 1.0}, {"any": any_soil}, gravity=gravity, relaxation=relaxation,
-                               belief=belief, noise=noise, control=control))  # fmt: skip
+            self._set(
+                Scenario(
+                    wheel,
+                    {"any": 1.0},
+                    {"any": any_soil},
+                    gravity=gravity,
+                    relaxation=relaxation,
+                    belief=belief,
+                    noise=noise,
+                    control=control,
+                )
+            )
         except ParameterError as error:  # begins with the class that the argument went into
             raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
 
@@ -178,7 +214,9 @@ class OnlineIdentifier:
     def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
         """The identifier that an environment of this scenario runs."""
         if not isinstance(scenario, Scenario):
-            raise TypeError(f"scenario = {scenario!r}: expected a Scenario, as of soil_env.parameters.load_scenario")
+            raise TypeError(
+                f"scenario = {scenario!r}: expected a Scenario, as of soil_env.parameters.load_scenario"
+            )
         identifier = cls.__new__(cls)
         identifier._set(scenario)
         return identifier
@@ -186,19 +224,34 @@ class OnlineIdentifier:
     def _set(self, scenario: Scenario) -> None:
         self.scenario = scenario
         wheel = scenario.wheel
-        self._radius, self._weight = wheel.radius, scenario.weight
+        self._radius = wheel.radius
+        self._weight = scenario.weight
         twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._start, self._observe, self._assess = FastCall(_start), FastCall(observe_values), FastCall(assess_ground)
+        self._start = FastCall(_start)
+        self._observe = FastCall(observe_values)
+        self._assess = FastCall(assess_ground)
         self._numbers = identifier_numbers(scenario)
         self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
         top = wheel.radius * wheel.no_load_speed
-        units = (1.0, wheel.radius, self._weight, self._weight, twist, top, top, 1.0, twist, scenario.gravity)
+        units = (
+            1.0,
+            wheel.radius,
+            self._weight,
+            self._weight,
+            twist,
+            top,
+            top,
+            1.0,
+            twist,
+            scenario.gravity,
+        )
         self._unknown = [_UNKNOWN * unit for unit in units]
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
-        self._ids, self._values = new_identifiers(1), np.zeros(len(SensorReading._fields))
+        self._ids = new_identifiers(1)
+        self._values = np.zeros(len(SensorReading._fields))
         self.reset()
 
     def reset(self) -> None:
@@ -221,7 +274,9 @@ class OnlineIdentifier:
         `LONGEST_STEP` after the last.
         """
         if not isinstance(readings, Readings):
-            raise TypeError(f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)")
+            raise TypeError(
+                f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)"
+            )
         if refusal := _refusal(readings, self._largest):
             raise refusal
         period = self._period(readings.time)
@@ -259,15 +314,20 @@ class OnlineIdentifier:
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
-        ids, out = self._ids, np.empty((1, 6))
-        self._assess(np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out)
+        ids = self._ids
+        out = np.empty((1, 6))
+        self._assess(
+            np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out
+        )
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
 
     def _period(self, time: float) -> float:
         """Time [s] since the last update."""
         if abs(time) == math.inf:
-            raise ValueError(f"time = {time!r} s: expected a finite number, or NaN for one period after the last")
+            raise ValueError(
+                f"time = {time!r} s: expected a finite number, or NaN for one period after the last"
+            )
         passed = time - self._time
         if 0.0 < passed < math.inf:
             if not SHORTEST_STEP <= passed <= LONGEST_STEP:
@@ -279,38 +339,74 @@ class OnlineIdentifier:
             return passed
         if passed != passed:
             return self._numbers.filter.period
-        raise ValueError(f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s")
+        raise ValueError(
+            f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s"
+        )
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
         """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
-        rim, speed = r.wheel_speed * self._radius, r.speed
+        rim = r.wheel_speed * self._radius
+        speed = r.speed
         if speed != speed:
             speed = float(travel_speeds(rim, r.slip))
         elif rim != rim and r.slip < 1.0:
             rim = float(rim_speeds(speed, r.slip))
         if abs(rim) > self._largest.wheel_speed * self._radius or abs(speed) > self._largest.speed:
-            raise ValueError(f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}")
+            raise ValueError(
+                f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}"
+            )
         return rim, speed
 
     def _put(self, r: Readings, rim: float, speed: float) -> None:
         """Store readings and their standard deviations for the compiled code; missing ones have no weight."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
-        load, slip = self._weight * math.cos(pitch), r.slip
+        load = self._weight * math.cos(pitch)
+        slip = r.slip
         if slip != slip:
             slip = float(slips(np.array([rim]), np.array([speed]))[0])
-        given = (r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, r.speed, r.wheel_speed, 0.0, r.motor_torque,
-                 r.acceleration)  # fmt: skip
-        instead = min(max(slip, -1.0), 1.0), self._sinkage, 0.0, load, 0.0, speed, rim, pitch, 0.0, 0.0
-        noise, values = self._numbers.filter.noise, self._values
+        given = (
+            r.slip,
+            r.sinkage,
+            r.drawbar_pull,
+            r.load,
+            r.torque,
+            r.speed,
+            r.wheel_speed,
+            0.0,
+            r.motor_torque,
+            r.acceleration,
+        )
+        instead = (
+            min(max(slip, -1.0), 1.0),
+            self._sinkage,
+            0.0,
+            load,
+            0.0,
+            speed,
+            rim,
+            pitch,
+            0.0,
+            0.0,
+        )
+        noise = self._numbers.filter.noise
+        values = self._values
         for i, measured in enumerate(given):
             missing = measured != measured
             values[i] = instead[i] if missing or i in _DERIVED else measured
             noise[i] = self._unknown[i] if missing else self._sd[i]
 
     def _published(self, renewed: bool) -> Estimate:
-        ids, gain = self._ids, self.scenario.belief.dig_gain
-        numbers = published(ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), gain)
-        return Estimate(**numbers, status=_STATUS[ids.status.item(0)], renewed=renewed, borders=int(ids.borders[0]))
+        ids = self._ids
+        gain = self.scenario.belief.dig_gain
+        numbers = published(
+            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), gain
+        )
+        return Estimate(
+            **numbers,
+            status=_STATUS[ids.status.item(0)],
+            renewed=renewed,
+            borders=int(ids.borders[0]),
+        )
 
 
 def _finite(given: object) -> bool:
@@ -320,11 +416,17 @@ def _finite(given: object) -> bool:
 
 def _bearing_sinkage(scenario: Scenario) -> float:
     """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
-    b, wheel = scenario.belief, scenario.wheel
+    b = scenario.belief
+    wheel = scenario.wheel
     soil = SoilState(
-        math.tan(math.radians(b.friction_angle_deg)), b.cohesion, b.shear_modulus, b.sinkage_coefficient,
-        b.sinkage_exponent, 0.0, b.dig_recovery,
-    )  # fmt: skip
+        math.tan(math.radians(b.friction_angle_deg)),
+        b.cohesion,
+        b.shear_modulus,
+        b.sinkage_coefficient,
+        b.sinkage_exponent,
+        0.0,
+        b.dig_recovery,
+    )
     return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 

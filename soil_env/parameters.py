@@ -53,7 +53,9 @@ class Wheel(Checked):
     inertia: float = quantity("kg m2", 1e-6, 1e5, doc="at least 2 % of body_mass radius^2")
     stall_torque: float = quantity("N m", 1e-3, 1e6)
     no_load_speed: float = quantity("rad/s", 1e-3, 1e3)
-    body_mass: float = quantity("kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload")
+    body_mass: float = quantity(
+        "kg", 0.1, 1e5, doc="mass this wheel carries and accelerates, without payload"
+    )
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -67,7 +69,9 @@ class Wheel(Checked):
 def check_lugs(height: float, radius: float) -> None:
     """Raise `ParameterError` for lugs [m] that are no shorter than the radius [m] of their wheel."""
     if height >= radius:
-        raise ParameterError(f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m")
+        raise ParameterError(
+            f"grouser_height = {height:g}: expected metres, less than the wheel radius {radius:g} m"
+        )
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,15 @@ class Noise(Checked):
     speed: float = quantity("m/s", 0.0, 10.0, default=0.005)
     wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
     pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
-    odometry_scale: float = quantity("", 0.0, 0.3, default=0.015, doc="scale error of odometry, constant on a course")
-    motor_torque: float = quantity("of weight x radius", 0.0, 1.0, default=0.01, doc="from the motor's current")
-    acceleration: float = quantity("m/s2", 0.0, 10.0, default=0.03, doc="accelerometer along the course")
+    odometry_scale: float = quantity(
+        "", 0.0, 0.3, default=0.015, doc="scale error of odometry, constant on a course"
+    )
+    motor_torque: float = quantity(
+        "of weight x radius", 0.0, 1.0, default=0.01, doc="from the motor's current"
+    )
+    acceleration: float = quantity(
+        "m/s2", 0.0, 10.0, default=0.03, doc="accelerometer along the course"
+    )
 
 
 @dataclass(frozen=True)
@@ -119,24 +129,41 @@ class Belief(Checked):
     dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
     dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
     model_error: float = quantity(
-        "of load", 1e-4, 0.3, default=1e-3, doc="1-sigma error of the laws, as long as no reading contradicts them"
+        "of load",
+        1e-4,
+        0.3,
+        default=1e-3,
+        doc="1-sigma error of the laws, as long as no reading contradicts them",
     )
     method: Literal["filter", "none"] = "filter"
     friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation")
     friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation")
     stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation")
-    border: float = quantity("m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next")
+    border: float = quantity(
+        "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next"
+    )
     grade_change_deg: float = quantity(
-        "deg", 0.0, 60.0, default=8.0,
+        "deg",
+        0.0,
+        60.0,
+        default=8.0,
         doc="sd of the change of grade from one soil to the next; 0 = the grade says nothing of soil",
-    )  # fmt: skip
-    soils: dict[str, float] = field(default_factory=dict)  # library of soils that may come, with weights
+    )
+    soils: dict[str, float] = field(
+        default_factory=dict
+    )  # library of soils that may come, with weights
     spread: SoilSpread | None = None  # of the soils of that library; None: as those of the courses
 
     def __post_init__(self) -> None:
         super().__post_init__()
         correlation_factor(
-            self, 4, {(0, 1): "friction_cohesion", (0, 2): "friction_stiffness", (2, 3): "stiffness_shear_modulus"}
+            self,
+            4,
+            {
+                (0, 1): "friction_cohesion",
+                (0, 2): "friction_stiffness",
+                (2, 3): "stiffness_shear_modulus",
+            },
         )
 
 
@@ -145,8 +172,12 @@ class Limits(Checked):
     """Thresholds beyond which a wheel counts as immobilised (see `task.Cause`)."""
 
     no_progress_distance: float = quantity("m", 1e-3, 1e3, default=0.1)
-    no_progress_time: float = quantity("s", 0.1, 1e3, default=10.0, doc="to get that much further, halts left out")
-    stalled_rim_speed: float = quantity("m/s", 1e-4, 1.0, default=0.01, doc="below it the wheel counts as not turning")
+    no_progress_time: float = quantity(
+        "s", 0.1, 1e3, default=10.0, doc="to get that much further, halts left out"
+    )
+    stalled_rim_speed: float = quantity(
+        "m/s", 1e-4, 1.0, default=0.01, doc="below it the wheel counts as not turning"
+    )
     bogged_sinkage: float = quantity("of radius", 0.05, 1.4, default=0.8)
 
 
@@ -156,9 +187,13 @@ class RewardWeights(Checked):
 
     progress: float = quantity("per course", 0.0, 1e4, default=10.0)
     energy: float = quantity("per weight x course length", 0.0, 1e4, default=1.0)
-    immobilisation: float = quantity("", 0.0, 1e4, default=10.0, doc="cost of it, and of the time limit")
+    immobilisation: float = quantity(
+        "", 0.0, 1e4, default=10.0, doc="cost of it, and of the time limit"
+    )
     information: float = quantity("per nat", 0.0, 1e4, default=0.0)
-    information_discount: float = quantity("a step", 0.0, 1.0, default=0.999, doc="the agent's own discount")
+    information_discount: float = quantity(
+        "a step", 0.0, 1.0, default=0.999, doc="the agent's own discount"
+    )
 
 
 #: Control periods that an action lasts unless `Control.repeat` says otherwise.
@@ -176,7 +211,9 @@ class Control(Checked):
     substep: float = quantity("s", 1e-4, 0.5, default=0.1, doc="longest step of the integrator")
     time_limit: float = quantity("s", 1.0, 1e5, default=90.0, doc="time to finish the course in")
     action: Literal["torque", "wheel_speed", "rim_acceleration"] = "rim_acceleration"
-    rim_acceleration: float = quantity("m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1")
+    rim_acceleration: float = quantity(
+        "m/s2", 1e-3, 1e3, default=0.3, doc="of the commanded rim, action 1 or -1"
+    )
     repeat: int | None = quantity("control periods", 1, 1e5, default=None)
 
     def __post_init__(self) -> None:
@@ -201,10 +238,14 @@ class Scenario(Checked):
 
     wheel: Wheel
     soils: dict[str, float] = field(default_factory=dict)  # name of a soil -> weight in the draw
-    own_soils: dict[str, Soil] = field(default_factory=dict)  # soils by name, beside and before the presets
+    own_soils: dict[str, Soil] = field(
+        default_factory=dict
+    )  # soils by name, beside and before the presets
     name: str = "unnamed"
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
-    relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
+    relaxation: float = quantity(
+        "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
+    )
     spread: SoilSpread = SoilSpread()
     course: CourseSpec = CourseSpec()
     noise: Noise = Noise()
@@ -219,7 +260,10 @@ class Scenario(Checked):
         if not self.soils:
             raise ParameterError("soils: expected at least one soil name with its weight")
         library = self.library
-        for place, weights, least in (("soils", self.soils, ">= 0"), ("belief.soils", self.belief.soils, "> 0")):
+        for place, weights, least in (
+            ("soils", self.soils, ">= 0"),
+            ("belief.soils", self.belief.soils, "> 0"),
+        ):
             for name, weight in weights.items():
                 if name not in library:
                     raise unknown_key(name, library, place)
@@ -229,7 +273,9 @@ class Scenario(Checked):
         for name in self.soils:
             library[name].lumped(self.wheel.width)
         if self.belief.method == "none" and self.reward.information > 0.0:
-            raise ParameterError("reward.information: expected 0 where belief.method = 'none' identifies nothing")
+            raise ParameterError(
+                "reward.information: expected 0 where belief.method = 'none' identifies nothing"
+            )
         if sum(self.soils.values()) <= 0.0:
             raise ParameterError("soils: expected at least one weight > 0")
 
@@ -257,7 +303,9 @@ class Scenario(Checked):
 @cache
 def _library(kind: str, cls: type) -> dict[str, Any]:
     path = config_dir() / f"{kind}.yaml"
-    return {name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()}
+    return {
+        name: load(cls, entry, f"{path.name}: {name}") for name, entry in read_yaml(path).items()
+    }
 
 
 def soils() -> dict[str, Soil]:
@@ -296,7 +344,9 @@ def shipped(folder: str) -> list[str]:
 
 
 def load_scenario(
-    which: str | Path | Scenario = DEFAULT_SCENARIO, changes: dict[str, Any] | None = None, place: str = "changes"
+    which: str | Path | Scenario = DEFAULT_SCENARIO,
+    changes: dict[str, Any] | None = None,
+    place: str = "changes",
 ) -> Scenario:
     """A scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
@@ -320,7 +370,8 @@ def load_scenario_as(
     from the rest of the mapping."""
     singular = folder.removesuffix("s")
     if isinstance(which, kind):
-        mapping, where = to_dict(which), f"{singular} {which.name!r}"
+        mapping = to_dict(which)
+        where = f"{singular} {which.name!r}"
         _check_kind(mapping, {}, folder, where)
     elif not isinstance(which, (str, Path)) or which == "":
         expected = f"expected a name or the path of a YAML file, or a {kind.__name__}"
@@ -331,12 +382,17 @@ def load_scenario_as(
             path = config_dir() / folder / f"{which}.yaml"
             if not path.is_file():
                 if Path(which).is_dir():
-                    raise ParameterError(f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file")
+                    raise ParameterError(
+                        f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file"
+                    )
                 for other in ("scenarios", "rovers"):
                     if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
-                        raise ParameterError(f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}")
+                        raise ParameterError(
+                            f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}"
+                        )
                 raise unknown_value(which, shipped(folder), singular)
-        mapping, where = read_yaml(path), path.name if path.parent == config_dir() / folder else str(path)
+        mapping = read_yaml(path)
+        where = path.name if path.parent == config_dir() / folder else str(path)
         _check_kind(mapping, changes or {}, folder, f"{singular}: {str(which)!r}")
         mapping.setdefault("name", path.stem)
     if changes:
@@ -361,14 +417,24 @@ def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, w
     if folder == "scenarios" and "vehicle" in mapping:
         raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
     if folder == "rovers" and mapping and known.issuperset((*mapping, *changes)):
-        raise ParameterError(f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}")
+        raise ParameterError(
+            f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}"
+        )
 
 
 #: Numbers of `Belief` that a library of soils takes the place of.
 _PRIOR = (
-    "friction_angle_deg", "friction_sd_deg", "shear_modulus", "shear_modulus_sd", "sinkage_coefficient",
-    "sinkage_coefficient_sd", "cohesion", "cohesion_sd", "sinkage_exponent_sd", "dig_gain_sd",
-)  # fmt: skip
+    "friction_angle_deg",
+    "friction_sd_deg",
+    "shear_modulus",
+    "shear_modulus_sd",
+    "sinkage_coefficient",
+    "sinkage_coefficient_sd",
+    "cohesion",
+    "cohesion_sd",
+    "sinkage_exponent_sd",
+    "dig_gain_sd",
+)
 
 
 def refuse_idle_prior(belief: dict[str, Any], where: str, changes: Iterable[str] = ()) -> None:
@@ -376,7 +442,11 @@ def refuse_idle_prior(belief: dict[str, Any], where: str, changes: Iterable[str]
 
     A saved one has the defaults of all: those are let pass, but not as `changes`.
     """
-    idle = [name for name in _PRIOR if name in belief and (name in changes or belief[name] != getattr(Belief, name))]
+    idle = [
+        name
+        for name in _PRIOR
+        if name in belief and (name in changes or belief[name] != getattr(Belief, name))
+    ]
     if belief.get("soils") and idle:
         raise ParameterError(
             f"{where}: belief.{idle[0]}: without effect beside belief.soils, whose mean and covariance are the prior; "
@@ -395,12 +465,17 @@ def _merged(
     mapping = dict(mapping)
     changes = dict(changes)
     belief = mapping.get("belief")
-    believed, asked = belief if isinstance(belief, dict) else {}, changes.get("belief")
-    asked = to_dict(asked) if isinstance(asked, Checked) else asked if isinstance(asked, dict) else {}
+    believed = belief if isinstance(belief, dict) else {}
+    asked = changes.get("belief")
+    asked = (
+        to_dict(asked) if isinstance(asked, Checked) else asked if isinstance(asked, dict) else {}
+    )
     if "soils" in changes:
         if believed.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
             given = changes["soils"]
-            kept = {k: v for k, v in given.items() if v != 0.0} if isinstance(given, dict) else given
+            kept = (
+                {k: v for k, v in given.items() if v != 0.0} if isinstance(given, dict) else given
+            )
             mapping["belief"] = believed = believed | {"soils": kept}
         mapping["soils"] = changes.pop("soils")
     if "soils" in asked:
@@ -410,7 +485,9 @@ def _merged(
         mapping["wheel"] = changes.pop("wheel")
     if isinstance(mapping.get("wheel"), str):
         mapping["wheel"] = {"preset": mapping["wheel"]}
-    mapping = merge(mapping, {k: to_dict(v) if isinstance(v, Checked) else v for k, v in changes.items()})
+    mapping = merge(
+        mapping, {k: to_dict(v) if isinstance(v, Checked) else v for k, v in changes.items()}
+    )
     if "wheel" in mapping:
         mapping["wheel"] = with_preset(mapping["wheel"], where)
     return load(kind, complete(mapping), where)

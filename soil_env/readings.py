@@ -19,13 +19,27 @@ class SensorReading(NamedTuple):
     rim_speed: float  # [m/s]
     pitch: float  # [rad], uphill positive
     motor_torque: float  # [N m]
-    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and g sin(grade)
+    acceleration: (
+        float  # [m/s2] of an accelerometer along the course: that of travel, and g sin(grade)
+    )
 
 
 def sensor_noise(scenario: Scenario) -> np.ndarray:
     """Standard deviations of a `SensorReading` [10], in its units."""
-    n, r, weight = scenario.noise, scenario.wheel.radius, scenario.weight
-    return np.array([
-        n.slip, n.sinkage, n.drawbar_pull * weight, n.load * weight, n.torque * weight * r, n.speed,
-        n.wheel_speed * r, n.pitch, n.motor_torque * weight * r, n.acceleration,
-    ])  # fmt: skip
+    n = scenario.noise
+    r = scenario.wheel.radius
+    weight = scenario.weight
+    return np.array(
+        [
+            n.slip,
+            n.sinkage,
+            n.drawbar_pull * weight,
+            n.load * weight,
+            n.torque * weight * r,
+            n.speed,
+            n.wheel_speed * r,
+            n.pitch,
+            n.motor_torque * weight * r,
+            n.acceleration,
+        ]
+    )

@@ -31,7 +31,9 @@ def build_rover(
     own: tuple[str, ...] = _OWN,
 ) -> RoverScenario:
     """The scenario that the keyword arguments of an environment describe; `own`: those that are no part of it."""
-    return load_rover(rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword")
+    return load_rover(
+        rover, scenario_changes(changes, action, repeat, own, RoverScenario), "keyword"
+    )
 
 
 def rover_action_space(axles: int) -> gymnasium.spaces.Box:
@@ -169,16 +171,22 @@ class SoilRoverEnv(CourseEnv):
     ):
         scenario = build_rover(rover, action, repeat, changes)
         entries = rover_layout(observation, scenario.axles)
-        super().__init__(scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled)
+        super().__init__(
+            scenario, entries, observation, rover_action_space(scenario.axles), render_mode, scaled
+        )
         self.model: WheelSoilModel | None = load_model(model)
         info = checked(info, observation)
-        self.simulation: RoverSimulation = RoverSimulation(1, scenario, observation, 1, self.model, asks(info))
+        self.simulation: RoverSimulation = RoverSimulation(
+            1, scenario, observation, 1, self.model, asks(info)
+        )
         self.infos: RoverInfos = RoverInfos(self.simulation, info)
 
     def true_soils(self) -> tuple[SoilState, ...]:
         """The undisturbed soil under each axle: for analysis and references, never part of a fair observation."""
         w = self.simulation.worlds
-        wheels, counts, border = w.rovers.wheels, w.rovers.counts, self.scenario.course.border
+        wheels = w.rovers.wheels
+        counts = w.rovers.counts
+        border = self.scenario.course.border
         rows = self.simulation.wheels[0].tolist()
         return tuple(ground_at(w.courses, 0, wheels.x[k], counts.patch[k], border)[0] for k in rows)
 

@@ -17,12 +17,14 @@ def signed_slip(rim_speed, travel_speed, floor):
 
     `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
     """
-    u, v = abs(rim_speed), abs(travel_speed)
+    u = abs(rim_speed)
+    v = abs(travel_speed)
     scale = larger(larger(u, v), floor)
     slip = larger(-1.0, smaller(1.0, (rim_speed - travel_speed) / scale))
     rolling = where_less(v, u, 1.0, 0.0)  # the rim is the faster one
     moving = where_less(larger(u, v), floor, 0.0, 1.0)
-    sign_u, sign_v = where_less(rim_speed, 0.0, -1.0, 1.0), where_less(travel_speed, 0.0, -1.0, 1.0)
+    sign_u = where_less(rim_speed, 0.0, -1.0, 1.0)
+    sign_v = where_less(travel_speed, 0.0, -1.0, 1.0)
     inside = where_less(abs(slip), 1.0, 1.0, 0.0)
     return (
         slip,

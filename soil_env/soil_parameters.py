@@ -28,7 +28,9 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
     """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker); `ParameterError` if it is not positive."""
     s = k_c / width + k_phi
     if s <= 0.0:
-        raise ParameterError(f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0")
+        raise ParameterError(
+            f"soil: k_c/b + k_phi = {s:g} for a wheel of width {width:g} m: expected > 0"
+        )
     return s
 
 
@@ -50,8 +52,12 @@ class Soil(Checked):
     k_phi: float | None = quantity("N/m^(n+2)", 0.0, 1e13, default=None)
     sinkage_coefficient: float | None = quantity("N/m^(n+2)", 1.0, 1e13, default=None)
     density: float = quantity("kg/m3", 50.0, 4000.0, default=1500.0)
-    dig_gain: float = quantity("", 0.0, 20.0, default=0.0, doc="slip-sinkage, effects.slip_sinkage_ratio")
-    dig_recovery: float = quantity("", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio")
+    dig_gain: float = quantity(
+        "", 0.0, 20.0, default=0.0, doc="slip-sinkage, effects.slip_sinkage_ratio"
+    )
+    dig_recovery: float = quantity(
+        "", 0.05, 5.0, default=0.5, doc="slip-sinkage, effects.slip_sinkage_ratio"
+    )
     source: str = ""
 
     def __post_init__(self) -> None:
@@ -75,9 +81,14 @@ class Soil(Checked):
     def state(self, width: float) -> SoilState:
         """The soil as the compiled kernels take it, under a wheel of width b [m]."""
         return SoilState(
-            self.tan_phi, self.cohesion, self.shear_modulus, self.lumped(width), self.sinkage_exponent,
-            self.dig_gain, self.dig_recovery,
-        )  # fmt: skip
+            self.tan_phi,
+            self.cohesion,
+            self.shear_modulus,
+            self.lumped(width),
+            self.sinkage_exponent,
+            self.dig_gain,
+            self.dig_recovery,
+        )
 
 
 @dataclass(frozen=True)
@@ -110,10 +121,17 @@ class SoilSpread(Checked):
 
     def factor(self) -> np.ndarray:
         """Lower Cholesky factor [5, 5] of the correlations of (friction, cohesion, K, stiffness, dig gain)."""
-        return correlation_factor(self, 5, {
-            (0, 1): "friction_cohesion", (0, 3): "friction_stiffness", (0, 2): "friction_shear_modulus",
-            (2, 3): "stiffness_shear_modulus", (3, 4): "stiffness_dig_gain",
-        })  # fmt: skip
+        return correlation_factor(
+            self,
+            5,
+            {
+                (0, 1): "friction_cohesion",
+                (0, 3): "friction_stiffness",
+                (0, 2): "friction_shear_modulus",
+                (2, 3): "stiffness_shear_modulus",
+                (3, 4): "stiffness_dig_gain",
+            },
+        )
 
 
 def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], str]) -> np.ndarray:
@@ -125,4 +143,6 @@ def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], s
         return np.linalg.cholesky(c)
     except np.linalg.LinAlgError:
         where = type(owner).__name__
-        raise ParameterError(f"{where}: the correlations contradict each other (not positive definite)") from None
+        raise ParameterError(
+            f"{where}: the correlations contradict each other (not positive definite)"
+        ) from None

@@ -21,20 +21,29 @@ class Vehicle(Checked):
     """
 
     mass: float = quantity("kg", 0.6, 4e5, doc="of the whole rover, without payload")
-    axles: tuple[float, ...] = quantity("m", 0.0, 100.0, doc="behind the front axle, which is the first, at 0")
+    axles: tuple[float, ...] = quantity(
+        "m", 0.0, 100.0, doc="behind the front axle, which is the first, at 0"
+    )
     centre: float = quantity("m", 0.0, 100.0, doc="centre of mass, behind the front axle")
     centre_height: float = quantity("m", -10.0, 100.0, doc="centre of mass, above the axles")
     bogie: Literal["none", "front", "rear"] = "none"
     pivot: float = quantity("m", 0.0, 100.0, default=0.0, doc="of the bogie, behind the front axle")
-    pivot_height: float = quantity("m", -10.0, 100.0, default=0.0, doc="of the bogie, above the axles")
+    pivot_height: float = quantity(
+        "m", -10.0, 100.0, default=0.0, doc="of the bogie, above the axles"
+    )
     source: str = ""
 
     def __post_init__(self) -> None:
-        count, given = len(self.axles), f" = {self.axles!r}"
+        count = len(self.axles)
+        given = f" = {self.axles!r}"
         if not 2 <= count <= MOST_AXLES:
             raise FieldError(self, "axles", f"{given}: expected 2 or 3 axles")
-        if self.axles[0] != 0.0 or any(b <= a for a, b in zip(self.axles, self.axles[1:], strict=False)):
-            expected = "metres behind the front axle, front to rear: 0 first, each larger than the last"
+        if self.axles[0] != 0.0 or any(
+            b <= a for a, b in zip(self.axles, self.axles[1:], strict=False)
+        ):
+            expected = (
+                "metres behind the front axle, front to rear: 0 first, each larger than the last"
+            )
             raise FieldError(self, "axles", f"{given}: expected {expected}")
         super().__post_init__()
         if (self.bogie == "none") != (count == 2):
@@ -67,7 +76,8 @@ class Vehicle(Checked):
         if self.bogie == "none":
             rear = self.centre / a[1]
             return 1.0 - rear, rear
-        first, single = self.first_on_bogie, 2 if self.bogie == "front" else 0
+        first = self.first_on_bogie
+        single = 2 if self.bogie == "front" else 0
         alone = (self.pivot - self.centre) / (self.pivot - a[single])
         behind = (self.pivot - a[first]) / (a[first + 1] - a[first])
         pair = (1.0 - alone) * (1.0 - behind), (1.0 - alone) * behind
@@ -83,15 +93,20 @@ class RoverScenario(Scenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.course.classes:
-            raise FieldError(self, "course.classes", f" = {self.course.classes}: expected 0 for a rover")
-        places, least = self.vehicle.axles, 2.0 * self.wheel.radius
+            raise FieldError(
+                self, "course.classes", f" = {self.course.classes}: expected 0 for a rover"
+            )
+        places = self.vehicle.axles
+        least = 2.0 * self.wheel.radius
         nearest = min(b - a for a, b in zip(places, places[1:], strict=False))
         if nearest < least:
             expected = f"wheels of {self.wheel.radius:g} m radius apart, axles at least {least:g} m behind each other"
             raise FieldError(self, "vehicle.axles", f" = {places!r}: expected {expected}")
         share = mass_of_wheel(self.vehicle)
         if abs(self.wheel.body_mass - share) > 1e-6 * share:
-            expected = f"expected none, or the vehicle's mass over its number of wheels, {share:g} kg"
+            expected = (
+                f"expected none, or the vehicle's mass over its number of wheels, {share:g} kg"
+            )
             raise FieldError(self, "wheel.body_mass", f" = {self.wheel.body_mass:g}: {expected}")
 
     @property
@@ -115,7 +130,9 @@ def rover_names() -> list[str]:
 
 
 def load_rover(
-    which: str | Path | RoverScenario = DEFAULT_ROVER, changes: dict[str, Any] | None = None, place: str = "changes"
+    which: str | Path | RoverScenario = DEFAULT_ROVER,
+    changes: dict[str, Any] | None = None,
+    place: str = "changes",
 ) -> RoverScenario:
     """A rover's scenario by name, by path of a YAML file, or as it is, with `changes` (nested mapping) merged over it.
 
@@ -124,14 +141,19 @@ def load_rover(
     """
     wheel = (changes or {}).get("wheel")
     if isinstance(wheel, dict) and "body_mass" in wheel:
-        raise ParameterError(f"{place}: wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares")
-    scenario: RoverScenario = load_scenario_as(RoverScenario, "rovers", which, changes, place, _with_mass)
+        raise ParameterError(
+            f"{place}: wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares"
+        )
+    scenario: RoverScenario = load_scenario_as(
+        RoverScenario, "rovers", which, changes, place, _with_mass
+    )
     return scenario
 
 
 def _with_mass(mapping: dict[str, Any]) -> dict[str, Any]:
     """The mapping of a scenario with the mass on a wheel, which follows from the vehicle's wherever that is sound."""
-    vehicle, wheel = mapping.get("vehicle"), mapping.get("wheel")
+    vehicle = mapping.get("vehicle")
+    wheel = mapping.get("wheel")
     if not isinstance(vehicle, dict) or not isinstance(wheel, dict):
         return mapping
     share = 0.1  # where the vehicle is refused

@@ -24,8 +24,11 @@ class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs)
         if not isinstance(inner, SoilWheelEnv) or "choice" not in inner.observation_names:
             raise ParameterError(f"LineAction: {env}: expected SoilWheel-v0 with two lines")
         if env.action_space.shape != (1,):
-            raise ParameterError(f"LineAction: {env}: has {env.action_space}: expected an action of one number")
-        self._inner, self._choice = inner, inner.observation_names.index("choice")
+            raise ParameterError(
+                f"LineAction: {env}: has {env.action_space}: expected an action of one number"
+            )
+        self._inner = inner
+        self._choice = inner.observation_names.index("choice")
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def action(self, action: ArrayLike) -> NDArray[np.float64]:

@@ -10,10 +10,16 @@ TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 PYTHONPATH = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
 
-for name, value in (("SDL_VIDEODRIVER", "dummy"), ("SDL_AUDIODRIVER", "dummy"), ("MPLBACKEND", "Agg")):
+for name, value in (
+    ("SDL_VIDEODRIVER", "dummy"),
+    ("SDL_AUDIODRIVER", "dummy"),
+    ("MPLBACKEND", "Agg"),
+):
     os.environ.setdefault(name, value)
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")  # matrices and networks are small, and as many tests run as there are cores
+    os.environ.setdefault(
+        name, "1"
+    )  # matrices and networks are small, and as many tests run as there are cores
 
 # A shell starts what runs in the background with Ctrl-C ignored, and processes started from here would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -38,7 +44,9 @@ def unrendered(monkeypatch):
     """Figures are composed but not rendered, which takes longer than what many a small study computes."""
     from matplotlib.figure import Figure
 
-    monkeypatch.setattr(Figure, "savefig", lambda figure, stream, **options: stream.write(b"not rendered"))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, stream, **options: stream.write(b"not rendered")
+    )
 
 
 @pytest.fixture(scope="session")
@@ -49,7 +57,9 @@ def cluster():
 
     patch = pytest.MonkeyPatch()
     patch.setenv("PYTHONPATH", PYTHONPATH)
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
     cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
     yield cluster

@@ -74,7 +74,8 @@ def _pair(choices: Random, low: float, high: float) -> list[float]:
 
 def _within(c: Random, f: dataclasses.Field) -> float:
     """Draw a number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
-    low, high = f.metadata["low"], f.metadata["high"]
+    low = f.metadata["low"]
+    high = f.metadata["high"]
     return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
 
 
@@ -100,16 +101,20 @@ def _scenario(c: Random, most_substeps: int) -> dict:
     out["noise"] = _noise(c)
     out["belief"] = _belief(c) if c.pick([True, False]) else {}
     out["limits"] = _half(c, Limits)
-    out["reward"] = {name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)]) for name in
-                     ("progress", "energy", "immobilisation")}  # fmt: skip
+    out["reward"] = {
+        name: c.pick([0.0, 1.0, 10.0, c.number(0.0, 1e4)])
+        for name in ("progress", "energy", "immobilisation")
+    }
     out["reward"]["information"] = out["reward"]["energy"]
     period = c.pick([0.1, _log(c, 1e-3, 1.0)])
     substep = c.pick([0.05, period, max(_log(c, 1e-4, 0.5), period / most_substeps)])
     out["control"] = {
-        "period": period, "substep": min(max(substep, period / most_substeps, 1e-4), 0.5),
-        "time_limit": _log(c, 1.0, 300.0), "action": c.pick(["torque", "wheel_speed", "rim_acceleration"]),
+        "period": period,
+        "substep": min(max(substep, period / most_substeps, 1e-4), 0.5),
+        "time_limit": _log(c, 1.0, 300.0),
+        "action": c.pick(["torque", "wheel_speed", "rim_acceleration"]),
         "repeat": 1,  # the invariants are those of a control period
-    }  # fmt: skip
+    }
     return out
 
 
@@ -135,26 +140,30 @@ def _wheel(c: Random, gravity: float):
     pressure = _log(c, 300.0, 1e5)  # [Pa] on a patch of width x radius / 2
     mass = min(max(0.5 * pressure * radius * width / gravity, 0.1), 1e5)
     return {
-        "radius": radius, "width": width, "body_mass": mass,
+        "radius": radius,
+        "width": width,
+        "body_mass": mass,
         "inertia": min(max(mass * radius**2 * _log(c, 0.0201, 10.0), 1e-6), 1e5),
         "stall_torque": min(max(mass * gravity * radius * _log(c, 0.1, 10.0), 1e-3), 1e6),
         "no_load_speed": min(max(_log(c, 0.02, 10.0) / radius, 1e-3), 1e3),
-    }  # fmt: skip
+    }
 
 
 def _course(c: Random) -> dict:
     length = c.pick([2.0, 10.0, _log(c, 1.0, 60.0)])
     shortest = _log(c, 0.2, 10.0)
     course = {
-        "length": length, "patch_length": [shortest, shortest * c.number(1.0, 4.0)],
+        "length": length,
+        "patch_length": [shortest, shortest * c.number(1.0, 4.0)],
         "border": min(_log(c, 0.01, 10.0), shortest),
-    }  # fmt: skip
+    }
     others = {
-        "grade_deg": lambda: _pair(c, -25.0, 35.0), "margin": lambda: _pair(c, 0.0, 0.15),
+        "grade_deg": lambda: _pair(c, -25.0, 35.0),
+        "margin": lambda: _pair(c, 0.0, 0.15),
         "payload": lambda: c.pick([[0.0, 0.0], [0.0, 1.0], _pair(c, 0.0, 20.0)]),
         "halt_interval": lambda: sorted(_log(c, 0.05, 30.0) for _ in range(2)),
         "halt_time": lambda: c.pick([0.0, 0.8, _log(c, 1e-3, 1e3)]),
-    }  # fmt: skip
+    }
     return course | {name: draw() for name, draw in others.items() if c.pick([True, False])}
 
 
@@ -180,7 +189,8 @@ def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
         values = {} if wide else dict(form.fixed)
         for name in names:
             p = effect.parameter(name)
-            low, high = p.low, p.high
+            low = p.low
+            high = p.high
             if (effect.name, name) == ("drivetrain_friction", "constant"):
                 high = 0.3 * w.stall_torque
             elif (effect.name, name) == ("drivetrain_friction", "viscous"):
@@ -188,7 +198,8 @@ def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
             elif not wide and p.scale > 0.0:
                 middle = p.neutral if p.centre is None else p.centre
                 spread = 2.0 * p.scale * (1.0 if p.centre is None else middle)
-                low, high = max(low, middle - spread), min(high, middle + spread)
+                low = max(low, middle - spread)
+                high = min(high, middle + spread)
             values[name] = c.number(low, high)
         effects[effect.name] = values
     height = c.pick([0.0, c.number(0.0, min(0.3 * w.radius, 1.0))])
@@ -197,10 +208,13 @@ def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
     if c.pick([True, False, False, False]):
         terms = tuple(
             ResidualTerm(
-                c.pick(["drawbar_pull", "torque"]), c.number(-0.1, 0.1),
+                c.pick(["drawbar_pull", "torque"]),
+                c.number(-0.1, 0.1),
                 {c.pick(list(GROUPS)): c.pick([0.5, 1.0, 2.0]) for _ in range(2)},
                 {group: [0.0, 1.0] for group in GROUPS},
             )
             for _ in range(c.pick([1, 2]))
-        )  # fmt: skip
-    return WheelSoilModel(ModelWheel(w.radius, w.width, height), soil, effects, terms, scenario.gravity)
+        )
+    return WheelSoilModel(
+        ModelWheel(w.radius, w.width, height), soil, effects, terms, scenario.gravity
+    )

@@ -19,7 +19,9 @@ from tests import oracle_cases
 FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
-SEARCHED = 1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
+SEARCHED = (
+    1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
+)
 
 
 def tolerance(case: str, values: np.ndarray) -> float:
@@ -31,7 +33,8 @@ def tolerance(case: str, values: np.ndarray) -> float:
 
 def differences(want: np.ndarray, got: np.ndarray) -> np.ndarray:
     """|got - want| over the scale of the quantity: the largest |want| along the first axis; inf where one is nan."""
-    want, got = np.asarray(want, float), np.asarray(got, float)
+    want = np.asarray(want, float)
+    got = np.asarray(got, float)
     scale = np.max(np.abs(np.where(np.isfinite(want), want, 0.0)), axis=0)
     with np.errstate(invalid="ignore"):
         off = np.abs(got - want) / np.where(scale > 0.0, scale, 1.0)
@@ -54,23 +57,28 @@ def first_difference(case: str, want: dict, got: dict) -> str | None:
             text = f"{new.dtype}{list(new.shape)} instead of {old.dtype}{list(old.shape)}"
             found.append((-1, 0.0, f"{case}: {name}: {text}"))
         else:
-            off, limit = differences(old, new), tolerance(case, old)
+            off = differences(old, new)
+            limit = tolerance(case, old)
             wrong = np.argwhere(off > limit)
             if len(wrong):
                 rows = wrong[wrong[:, 0] == wrong[0, 0]]  # of the first time, the worst
                 at = tuple(max(rows.tolist(), key=lambda i: off[tuple(i)]))
                 when = f" (control period {int(want['period'][at[0]])})" if "period" in want else ""
-                found.append((
-                    at[0], -off[at],
-                    f"{case}: {name} at {list(at)}{when}: {new[at]:.15g} instead of {old[at]:.15g}, "
-                    f"relative difference {off[at]:.2g}, tolerance {limit:.1g}",
-                ))  # fmt: skip
+                found.append(
+                    (
+                        at[0],
+                        -off[at],
+                        f"{case}: {name} at {list(at)}{when}: {new[at]:.15g} instead of {old[at]:.15g}, "
+                        f"relative difference {off[at]:.2g}, tolerance {limit:.1g}",
+                    )
+                )
     return min(found)[2] if found else None
 
 
 def save(results: dict) -> None:
     """Write the file: all numbers in two arrays, and an index of them in JSON with the texts."""
-    index, parts = {}, {"float32": [], "float64": []}
+    index = {}
+    parts = {"float32": [], "float64": []}
     for case, quantities in results.items():
         index[case] = {}
         for name, value in quantities.items():
@@ -86,8 +94,10 @@ def save(results: dict) -> None:
 def recorded() -> dict:
     """{case: {quantity: array or text}} of the file."""
     with np.load(FILE) as data:
-        index, numbers = json.loads(data["index"].tobytes()), {k: data[k] for k in ("float32", "float64")}
-    at, results = {"float32": 0, "float64": 0}, {}
+        index = json.loads(data["index"].tobytes())
+        numbers = {k: data[k] for k in ("float32", "float64")}
+    at = {"float32": 0, "float64": 0}
+    results = {}
     for case, quantities in index.items():
         results[case] = {}
         for name, value in quantities.items():
@@ -102,8 +112,12 @@ def recorded() -> dict:
 
 def main() -> None:
     """Record all cases, or those that are named."""
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--only", default="", help="cases whose names contain one of these, with commas between")
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument(
+        "--only", default="", help="cases whose names contain one of these, with commas between"
+    )
     only = p.parse_args().only.split(",")
     old = recorded() if any(only) else {}
     chosen = {case: any(part in case for part in only) for case in oracle_cases.CASES}

@@ -23,7 +23,9 @@ def world(effects: dict, law=(), **soil) -> WheelSoilModel:
 def make(maker=gymnasium.make, gravity=9.81, **options):
     """The environment of the keyword arguments."""
     return maker(
-        "soil_env:SoilWheel-v0", **{"action": "torque", "scenario": "mixed", "scaled": False} | options, gravity=gravity
+        "soil_env:SoilWheel-v0",
+        **{"action": "torque", "scenario": "mixed", "scaled": False} | options,
+        gravity=gravity,
     )
 
 
@@ -46,7 +48,9 @@ def drive(level: float, steps: int = 252, seed: int = 3, env=None, **options) ->
     rover = env is not None
     env = env if rover else make(disable_env_checker=True, info="full", **options)
     observation, info = env.reset(seed=seed)
-    out, total, ends = {"period": [], "observation": [], "return": []}, 0.0, []
+    out = {"period": [], "observation": [], "return": []}
+    total = 0.0
+    ends = []
     for k in range(steps):
         commands = [action(k + 3 * axle, level) for axle in range(env.action_space.shape[0])]
         observation, reward, terminated, truncated, info = env.step(np.array(commands))
@@ -56,7 +60,9 @@ def drive(level: float, steps: int = 252, seed: int = 3, env=None, **options) ->
             out["period"].append(float(k))
             out["observation"].append(observation)
             out["return"].append(total)
-            for group in ("state",) if rover else ("state", "reward_terms", "estimate", "traversability"):
+            for group in (
+                ("state",) if rover else ("state", "reward_terms", "estimate", "traversability")
+            ):
                 for name, value in info[group].items():
                     if isinstance(value, float) and not name.startswith(_LEFT_OUT):
                         out.setdefault(f"{group}.{name}", []).append(value)
@@ -73,17 +79,24 @@ def drive_rover(**options) -> dict:
 
 def drive_many(count: int, steps: int = 200, **options) -> dict:
     """The same of several wheels at once, each at a level of its own; the wheels end and start again."""
-    env = make(gymnasium.make_vec, num_envs=count, vectorization_mode="vector_entry_point", **options)
+    env = make(
+        gymnasium.make_vec, num_envs=count, vectorization_mode="vector_entry_point", **options
+    )
     observation, info = env.reset(seed=5)
     out = {"period": [], "observation": [], "return": [], "x": []}
-    total, over, ends = np.zeros(count), np.zeros(count, bool), []
+    total = np.zeros(count)
+    over = np.zeros(count, bool)
+    ends = []
     for k in range(steps):
         if options.get("autoreset_mode") == "Disabled" and over.any():
             env.reset(options={"reset_mask": over})
         levels = np.array([[action(k + 7 * j, 0.2 + 0.06 * j)] for j in range(count)])
         observation, reward, terminated, truncated, info = env.step(levels)
-        total, over = total + reward, terminated | truncated
-        cause = info.get("final_info", info)["cause"]  # in SameStep mode `info` is of after the reset
+        total = total + reward
+        over = terminated | truncated
+        cause = info.get("final_info", info)[
+            "cause"
+        ]  # in SameStep mode `info` is of after the reset
         ends += [f"{k} {j} {cause[j]}" for j in np.flatnonzero(over)]
         if k % 25 == 24:
             for name, value in zip(out, (float(k), observation, total, info["x"]), strict=True):
@@ -94,23 +107,44 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
 def predict(models: dict, count: int = 20) -> dict:
     """Steady sinkage, drawbar pull and torque at conditions of every kind."""
     rng = np.random.default_rng(11)
-    slip = np.concatenate([[-1.0, -0.3, 0.0, 0.02, 0.3, 0.97, 1.0], rng.uniform(-0.2, 0.9, count - 7)])
+    slip = np.concatenate(
+        [[-1.0, -0.3, 0.0, 0.02, 0.3, 0.97, 1.0], rng.uniform(-0.2, 0.9, count - 7)]
+    )
     conditions = {
-        "slip": slip, "load": rng.uniform(60, 250, count), "speed": rng.uniform(0.01, 0.6, count),
-        "pass": rng.integers(1, 5, count), "grade_deg": rng.uniform(-15, 15, count),
-    }  # fmt: skip
+        "slip": slip,
+        "load": rng.uniform(60, 250, count),
+        "speed": rng.uniform(0.01, 0.6, count),
+        "pass": rng.integers(1, 5, count),
+        "grade_deg": rng.uniform(-15, 15, count),
+    }
     out = {}
     for name, model in models.items():
         values = model.predict(conditions)
-        out |= {f"{name}.{part}": getattr(values, part) for part in ("sinkage", "drawbar_pull", "torque")}
+        out |= {
+            f"{name}.{part}": getattr(values, part)
+            for part in ("sinkage", "drawbar_pull", "torque")
+        }
         out[f"{name}.floating"] = str(values.supported)
     return out
 
 
-SOIL = {"friction_angle_deg": 31, "cohesion": 3500, "shear_modulus": 0.028, "sinkage_coefficient": 740000,
-        "sinkage_exponent": 0.64, "dig_gain": 0, "density": 1600}  # fmt: skip
-SOFT = {"friction_angle_deg": 36, "cohesion": 200, "shear_modulus": 0.012, "sinkage_coefficient": 1300000,
-        "sinkage_exponent": 1.05, "dig_gain": 1.5}  # fmt: skip
+SOIL = {
+    "friction_angle_deg": 31,
+    "cohesion": 3500,
+    "shear_modulus": 0.028,
+    "sinkage_coefficient": 740000,
+    "sinkage_exponent": 0.64,
+    "dig_gain": 0,
+    "density": 1600,
+}
+SOFT = {
+    "friction_angle_deg": 36,
+    "cohesion": 200,
+    "shear_modulus": 0.012,
+    "sinkage_coefficient": 1300000,
+    "sinkage_exponent": 1.05,
+    "dig_gain": 1.5,
+}
 
 
 def identify(csv: str, setup: str) -> dict:
@@ -120,7 +154,10 @@ def identify(csv: str, setup: str) -> dict:
 
     read = read_setup(ROOT / setup)
     found = identify_table(read_table(ROOT / csv, read.wheel), read)
-    out = {name: np.array([p.value, p.low, p.high, p.sd_over_prior]) for name, p in found.parameters.items()}
+    out = {
+        name: np.array([p.value, p.low, p.high, p.sd_over_prior])
+        for name, p in found.parameters.items()
+    }
     out |= {f"fitted.{name}": np.array([*f.fitted, f.noise]) for name, f in found.fits.items()}
     out |= {"covariance": found.covariance, "condition": np.array([found.condition])}
     return out | {"free": ", ".join(found.free), "converged": str(found.converged)}

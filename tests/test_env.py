@@ -23,19 +23,28 @@ from soil_env.vehicle import load_rover, rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 BOTH = pytest.mark.parametrize("make", [SoilWheelEnv, SoilRoverEnv], ids=["wheel", "rover"])
-ALL = pytest.mark.parametrize("make", [
-    SoilWheelEnv, SoilRoverEnv, partial(SoilWheelVectorEnv, 2), partial(SoilRoverVectorEnv, 2)
-], ids=["wheel", "rover", "wheels", "rovers"])  # fmt: skip
+ALL = pytest.mark.parametrize(
+    "make",
+    [SoilWheelEnv, SoilRoverEnv, partial(SoilWheelVectorEnv, 2), partial(SoilRoverVectorEnv, 2)],
+    ids=["wheel", "rover", "wheels", "rovers"],
+)
 
 
 def run(env, seed, steps, command=None):
     """(observations, rewards, infos) of steps until the end under random, held actions, or always the same one."""
-    rng, motors = np.random.default_rng(0), env.action_space.shape
+    rng = np.random.default_rng(0)
+    motors = env.action_space.shape
     observation, info = env.reset(seed=seed)
-    rows, rewards, infos = [observation], [], [info]
+    rows = [observation]
+    rewards = []
+    infos = [info]
     for k in range(steps):
         if k % 5 == 0:
-            action = rng.uniform(0.1, 0.6, motors) if command is None else np.broadcast_to(command, motors)
+            action = (
+                rng.uniform(0.1, 0.6, motors)
+                if command is None
+                else np.broadcast_to(command, motors)
+            )
         observation, reward, over, truncated, info = env.step(action)
         assert not truncated
         rows.append(observation)
@@ -51,7 +60,8 @@ def run(env, seed, steps, command=None):
 def test_a_seed_is_a_course_and_its_noise(make, mode):
     """In a new environment and in a used one; resets without a seed go on from the last one."""
     used = make(action=mode)
-    first, again = run(used, 7, 150), run(make(action=mode), 7, 150)
+    first = run(used, 7, 150)
+    again = run(make(action=mode), 7, 150)
     run(used, 4, 70)
     for other in (again, run(used, 7, 150)):
         np.testing.assert_array_equal(first[0], other[0])
@@ -73,14 +83,24 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
 def test_checkers(name, variant):
     """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
-    number = len(VARIANTS) * [*scenario_names(), *rover_names()].index(name) + VARIANTS.index(variant)
+    number = len(VARIANTS) * [*scenario_names(), *rover_names()].index(name) + VARIANTS.index(
+        variant
+    )
     mode = MODES[(number + number // len(VARIANTS)) % len(MODES)]  # each action with each variant
     if name in rover_names():
-        make, models = SoilRoverEnv, (None,)
+        make = SoilRoverEnv
+        models = (None,)
     else:
-        make, wheel, worlds = SoilWheelEnv, load_scenario(name).wheel, sorted((config_dir() / "worlds").glob("*.yaml"))
+        make = SoilWheelEnv
+        wheel = load_scenario(name).wheel
+        worlds = sorted((config_dir() / "worlds").glob("*.yaml"))
         effects = WheelSoilModel.load(worlds[number % len(worlds)]).effects
-        models = (None, WheelSoilModel(ModelWheel(wheel.radius, wheel.width, 0.05 * wheel.radius), None, effects))
+        models = (
+            None,
+            WheelSoilModel(
+                ModelWheel(wheel.radius, wheel.width, 0.05 * wheel.radius), None, effects
+            ),
+        )
     for model in models:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -92,9 +112,17 @@ def test_checkers(name, variant):
 
 
 def test_registration_of_the_rover():
-    env = gymnasium.make("soil_env:SoilRover-v0", rover="mars_rover", course={"length": 30.0}, vehicle={"mass": 600.0})
+    env = gymnasium.make(
+        "soil_env:SoilRover-v0",
+        rover="mars_rover",
+        course={"length": 30.0},
+        vehicle={"mass": 600.0},
+    )
     assert type(env.unwrapped) is SoilRoverEnv and env.action_space.shape == (3,)
-    assert env.unwrapped.scenario.course.length == 30.0 and env.unwrapped.scenario.wheel.body_mass == 100.0
+    assert (
+        env.unwrapped.scenario.course.length == 30.0
+        and env.unwrapped.scenario.wheel.body_mass == 100.0
+    )
     assert env.spec.max_episode_steps == 480  # 240 s in steps of 0.5 s
     assert load_rover("mars_rover").course.length == 25.0  # a changed env does not change the next
     many = gymnasium.make_vec("SoilRover-v0", num_envs=3, vectorization_mode="vector_entry_point")
@@ -104,20 +132,27 @@ def test_registration_of_the_rover():
 def test_the_length_of_an_episode_is_that_of_the_scenario():
     """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
     env = gymnasium.wrappers.TimeAwareObservation(
-        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}), normalize_time=True
+        gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}),
+        normalize_time=True,
     )
     env.reset(seed=0)
-    steps, over = 0, False
+    steps = 0
+    over = False
     while not over:
         observation, _, terminated, truncated, _ = env.step(np.float32([0.35]))
-        steps, over = steps + 1, terminated or truncated
+        steps = steps + 1
+        over = terminated or truncated
         assert observation[-1] == pytest.approx(steps / 200)
     again = gymnasium.make(env.unwrapped.spec)
-    assert again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
+    assert (
+        again.unwrapped.scenario == env.unwrapped.scenario and again.spec.max_episode_steps == 200
+    )
     assert gymnasium.spec("SoilWheel-v0").max_episode_steps is None
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"]
+)
 @pytest.mark.parametrize("drawn", [False, True])
 @ALL
 def test_a_copy_goes_on_as_the_original(make, drawn, copied):
@@ -128,7 +163,8 @@ def test_a_copy_goes_on_as_the_original(make, drawn, copied):
     env.step(np.full(env.action_space.shape, 0.3))
     if drawn:
         env.render()
-    other, untouched = copied(env), copied(env)
+    other = copied(env)
+    untouched = copied(env)
     for _ in range(30):
         a, b = (e.step(np.full(e.action_space.shape, 0.45)) for e in (env, other))
         np.testing.assert_equal(a, b)
@@ -172,20 +208,31 @@ def test_the_info_of_an_end_is_not_overwritten_by_the_next_step(make):
     assert np.all(info["final_info"]["state"]["x"] > 0.0)
 
 
-@pytest.mark.parametrize("bad", [
-    lambda shape: 0.5, lambda shape: [], lambda shape: "x", lambda shape: np.zeros((4, 4, *shape)),
-    lambda shape: np.full(shape, math.nan), lambda shape: np.full(shape, math.inf), lambda shape: np.zeros((1, *shape)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        lambda shape: 0.5,
+        lambda shape: [],
+        lambda shape: "x",
+        lambda shape: np.zeros((4, 4, *shape)),
+        lambda shape: np.full(shape, math.nan),
+        lambda shape: np.full(shape, math.inf),
+        lambda shape: np.zeros((1, *shape)),
+    ],
+)
 @ALL
 def test_bad_actions_are_named_and_change_nothing(make, bad):
-    env, untouched = make(), make()
+    env = make()
+    untouched = make()
     for e in (env, untouched):
         e.reset(seed=0)
     shape = env.action_space.shape
     with pytest.raises(ValueError, match="action.*expected") as raised:
         env.step(bad(shape))
     assert "\n" not in str(raised.value)
-    np.testing.assert_array_equal(env.step(np.full(shape, 0.4))[0], untouched.step(np.full(shape, 0.4))[0])
+    np.testing.assert_array_equal(
+        env.step(np.full(shape, 0.4))[0], untouched.step(np.full(shape, 0.4))[0]
+    )
 
 
 @BOTH
@@ -206,40 +253,79 @@ def test_order_is_enforced(make):
 @BOTH
 def test_halts_happen_and_ignore_the_action(make):
     changes = {"observation": "blind", "action": "torque", "scaled": False, "repeat": 1}
-    env, halts = make(**changes, course={"grade_deg": [-1.0, 0.0]}), []
+    env = make(**changes, course={"grade_deg": [-1.0, 0.0]})
+    halts = []
     halted, speed, *actions = (
-        [k for k, name in enumerate(env.observation_names) if name == end or name.endswith(f"_{end}")]
+        [
+            k
+            for k, name in enumerate(env.observation_names)
+            if name == end or name.endswith(f"_{end}")
+        ]
         for end in ("halted", "speed", "last_action")
     )
     for in_halt in (0.5, -1.0):
         rows = [env.reset(seed=1)[0]]
         for _ in range(80):
-            rows.append(env.step(np.full(env.action_space.shape, in_halt if rows[-1][halted[0]] else 0.5))[0])
+            rows.append(
+                env.step(np.full(env.action_space.shape, in_halt if rows[-1][halted[0]] else 0.5))[
+                    0
+                ]
+            )
         halts.append(np.array(rows))
     np.testing.assert_array_equal(*halts)
-    rows, here = halts[0], halts[0][:, halted[0]] == 1.0
+    rows = halts[0]
+    here = halts[0][:, halted[0]] == 1.0
     last = np.flatnonzero(here[:-1] & ~here[1:])
     starts = np.flatnonzero(~here[:-1] & here[1:])[: len(last)]
     assert len(last) >= 1 and np.all(rows[starts, speed[0]] > 0.1)
     assert np.all(np.abs(rows[last, speed[0]]) < 0.05)  # it stands
     lasted = env.scenario.course.halt_time / env.scenario.control.period
     assert np.all(np.abs(last - starts - lasted) < 1.01)
-    assert np.all(rows[1:, actions[0]][here[:-1]] == 0.0) and np.all(rows[1:, actions[0]][~here[:-1]] == 0.5)
+    assert np.all(rows[1:, actions[0]][here[:-1]] == 0.0) and np.all(
+        rows[1:, actions[0]][~here[:-1]] == 0.5
+    )
 
 
-@pytest.mark.parametrize(("make", "arguments", "message"), [
-    (SoilWheelEnv, {"cours": {}}, "unexpected keyword argument 'cours'; did you mean 'course'?"),
-    (SoilWheelEnv, {"observation": "x"}, "observation: unknown value 'x'"),
-    (SoilWheelEnv, {"render_mode": "x"}, "render_mode = 'x': expected one of ['rgb_array', 'human']"),
-    (SoilWheelEnv, {"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
-    (SoilWheelEnv, {"scenario": ""}, "scenario = '': expected a name or the path of a YAML file"),
-    (SoilWheelEnv, {"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
-    (SoilWheelVectorEnv, {"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
-    (SoilWheelVectorEnv, {"autoreset_mode": "x"}, "autoreset_mode = 'x': expected one of 'NextStep'"),
-    (SoilWheelVectorEnv, {"render_mode": "rgb_array"}, "render_mode: the vector env does not render"),
-    (SoilRoverVectorEnv, {"threads": -1}, "threads"),
-    (SoilRoverVectorEnv, {"info": "x"}, "info = 'x': expected one of 'full', 'state', 'numeric', 'short', 'none'"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (
+            SoilWheelEnv,
+            {"cours": {}},
+            "unexpected keyword argument 'cours'; did you mean 'course'?",
+        ),
+        (SoilWheelEnv, {"observation": "x"}, "observation: unknown value 'x'"),
+        (
+            SoilWheelEnv,
+            {"render_mode": "x"},
+            "render_mode = 'x': expected one of ['rgb_array', 'human']",
+        ),
+        (SoilWheelEnv, {"repeat": "3"}, "repeat = '3': expected a whole number >= 1"),
+        (
+            SoilWheelEnv,
+            {"scenario": ""},
+            "scenario = '': expected a name or the path of a YAML file",
+        ),
+        (SoilWheelEnv, {"scenario": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
+        (SoilWheelVectorEnv, {"num_envs": 0}, "num_envs = 0: expected a whole number >= 1"),
+        (
+            SoilWheelVectorEnv,
+            {"autoreset_mode": "x"},
+            "autoreset_mode = 'x': expected one of 'NextStep'",
+        ),
+        (
+            SoilWheelVectorEnv,
+            {"render_mode": "rgb_array"},
+            "render_mode: the vector env does not render",
+        ),
+        (SoilRoverVectorEnv, {"threads": -1}, "threads"),
+        (
+            SoilRoverVectorEnv,
+            {"info": "x"},
+            "info = 'x': expected one of 'full', 'state', 'numeric', 'short', 'none'",
+        ),
+    ],
+)
 def test_bad_arguments_are_named(make, arguments, message):
     with pytest.raises(ParameterError) as raised:
         make(**arguments)
@@ -258,12 +344,22 @@ def test_an_unknown_keyword_is_the_error_of_python_too(make):
 
 def test_yaml_file_as_scenario(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(yaml.safe_dump({
-        "wheel": {"preset": "planetary_rover", "body_mass": 20.0}, "soils": {"lete_sand": 1}, "course": {"length": 5.0},
-    }))  # fmt: skip
+    path.write_text(
+        yaml.safe_dump(
+            {
+                "wheel": {"preset": "planetary_rover", "body_mass": 20.0},
+                "soils": {"lete_sand": 1},
+                "course": {"length": 5.0},
+            }
+        )
+    )
     for which in (path, str(path)):
         env = gymnasium.make("SoilWheel-v0", scenario=which, gravity=1.6).unwrapped
-        assert (env.scenario.name, env.scenario.wheel.body_mass, env.scenario.gravity) == ("mine", 20.0, 1.6)
+        assert (env.scenario.name, env.scenario.wheel.body_mass, env.scenario.gravity) == (
+            "mine",
+            20.0,
+            1.6,
+        )
         assert env.scenario.course.length == 5.0 and env.scenario.wheel.radius == 0.15
     path.write_text("wheel: planetary_rover\nsoils: {lete_sand: 1}\ncours: {}\n")
     with pytest.raises(ParameterError, match="mine.yaml.*'cours'.*'course'"):
@@ -273,9 +369,14 @@ def test_yaml_file_as_scenario(tmp_path):
 def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
     """One axle locked is dragged downhill by the others; all of them locked are stalled."""
     downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}
-    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    env = SoilRoverEnv(
+        "mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill
+    )
     infos = run(env, 0, 160, (0.5, 0.5, 0.0))[2]
-    assert infos[-1]["cause"] == "RUNNING" and infos[-1]["state"]["x"] == infos[-1]["rear"]["state"]["x"] > 2.0
+    assert (
+        infos[-1]["cause"] == "RUNNING"
+        and infos[-1]["state"]["x"] == infos[-1]["rear"]["state"]["x"] > 2.0
+    )
     assert infos[-1]["rear"]["state"]["slip"] < -0.9 < infos[-1]["front"]["state"]["slip"]
     _, rewards, infos = run(env, 0, 160, 0.0)
     assert infos[-1]["cause"] == "STALLED" and infos[-1]["immobilised"] is True
@@ -285,59 +386,95 @@ def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
 def test_the_deepest_wheel_is_bogged():
     """Its depth is that below the undisturbed ground, in a rut or not, whatever the others do."""
     downhill = {"grade_deg": [-12.0, -11.0], "halt_time": 0.0}
-    env = SoilRoverEnv("field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill)
+    env = SoilRoverEnv(
+        "field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill
+    )
     infos = run(env, 0, 160, (0.0, 0.5))[2]  # the rear wheels spin behind locked ones
-    depth, limit = [i["state"]["sinkage"] for i in infos], 0.8 * env.scenario.wheel.radius
+    depth = [i["state"]["sinkage"] for i in infos]
+    limit = 0.8 * env.scenario.wheel.radius
     assert infos[-1]["cause"] == "BOGGED" and max(depth[:-1]) <= limit < depth[-1]
     assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
-    rovers, rows = env.simulation.worlds.rovers, env.simulation.wheels[0]
+    rovers = env.simulation.worlds.rovers
+    rows = env.simulation.wheels[0]
     assert depth[-1] == max(rovers.wheels.sinkage[rows] + rovers.axles.floor[rows])
 
 
 def test_info_is_as_documented():
     """Estimates as in the observation, the state as the sensors read it, and rewards the sum of their terms."""
-    env, causes = SoilWheelEnv(course={"length": 3.0}, action="torque"), set()
-    noise, radius, length = env.scenario.noise, env.scenario.wheel.radius, env.scenario.course.length
+    env = SoilWheelEnv(course={"length": 3.0}, action="torque")
+    causes = set()
+    noise = env.scenario.noise
+    radius = env.scenario.wheel.radius
+    length = env.scenario.course.length
     for seed in range(6):
         rows, rewards, infos = run(env, seed, 900, 0.3 if seed % 2 else 1.0)
         for observation, reward, info in zip(rows, [0.0, *rewards], infos, strict=True):
-            assert set(info) == {"cause", "immobilised", "reward_terms", "estimate", "traversability", "state"}
+            assert set(info) == {
+                "cause",
+                "immobilised",
+                "reward_terms",
+                "estimate",
+                "traversability",
+                "state",
+            }
             assert info["immobilised"] is (info["cause"] in ("ENTRAPPED", "STALLED", "BOGGED"))
             assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)
-            way, e, s = info["traversability"], info["estimate"], info["state"]
+            way = info["traversability"]
+            e = info["estimate"]
+            s = info["state"]
             assert 0.0 <= way["immobilised_within_3_s"] <= way["immobilised_within_5_s"] <= 1.0
             assert way["passable"] == (way["drawbar_margin"] > 0.0)
             seen = dict(zip(env.observation_names, env.physical(observation), strict=True))
-            assert math.degrees(seen["friction_angle"]) == pytest.approx(e["friction_angle_deg"], rel=1e-5)
-            assert 10.0 ** seen["log10_shear_modulus"] == pytest.approx(e["shear_modulus"], rel=1e-5)
-            assert 10.0 ** seen["log10_sinkage_coefficient"] == pytest.approx(e["sinkage_coefficient"], rel=1e-4)
-            assert math.degrees(seen["friction_angle_sd"]) == pytest.approx(e["friction_angle_sd_deg"], rel=1e-5)
+            assert math.degrees(seen["friction_angle"]) == pytest.approx(
+                e["friction_angle_deg"], rel=1e-5
+            )
+            assert 10.0 ** seen["log10_shear_modulus"] == pytest.approx(
+                e["shear_modulus"], rel=1e-5
+            )
+            assert 10.0 ** seen["log10_sinkage_coefficient"] == pytest.approx(
+                e["sinkage_coefficient"], rel=1e-4
+            )
+            assert math.degrees(seen["friction_angle_sd"]) == pytest.approx(
+                e["friction_angle_sd_deg"], rel=1e-5
+            )
             assert (e["status"] == "CONVERGED") == (seen["estimate_valid"] == 1.0)
-            assert abs(s["sinkage"] / radius - seen["sinkage"]) < 6.0 * noise.sinkage / radius + 1e-6
+            assert (
+                abs(s["sinkage"] / radius - seen["sinkage"]) < 6.0 * noise.sinkage / radius + 1e-6
+            )
             assert abs(s["grade"] - seen["pitch"]) < 6.0 * noise.pitch
             assert abs(s["x"] / length - seen["odometry"]) < 0.1 * abs(seen["odometry"]) + 0.05
         assert [i["cause"] == "RUNNING" for i in infos] == [True] * (len(infos) - 1) + [False]
         causes.add(infos[-1]["cause"])
-    assert "FINISHED" in causes and causes & {"ENTRAPPED", "STALLED", "BOGGED"} and causes <= set(Cause.__members__)
+    assert (
+        "FINISHED" in causes
+        and causes & {"ENTRAPPED", "STALLED", "BOGGED"}
+        and causes <= set(Cause.__members__)
+    )
 
 
 def test_traversability_is_that_of_the_estimate():
     """Recomputed from observation and estimate alone at every renewal."""
     env = SoilWheelEnv(scaled=False)
     info = env.reset(seed=2)[1]
-    wheel, renewed = env.scenario.wheel, 0
+    wheel = env.scenario.wheel
+    renewed = 0
     for k in range(120):
         before = info["traversability"]
         observation, _, ended, _, info = env.step(np.float32([0.3 + 0.2 * math.sin(0.5 * k)]))
         found = info["traversability"]
-        if found["best_slip"] != before["best_slip"] or found["drawbar_margin"] != before["drawbar_margin"]:
+        if (
+            found["best_slip"] != before["best_slip"]
+            or found["drawbar_margin"] != before["drawbar_margin"]
+        ):
             renewed += 1
             load = max(float(observation[3]), 0.05) * env.scenario.weight
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             assert found["best_slip"] == best.slip and found["torque_required"] == best.torque
             estimate = info["estimate"]
-            assert found["drawbar_margin"] == pytest.approx(estimate["best_pull"] - math.tan(observation[7]))
+            assert found["drawbar_margin"] == pytest.approx(
+                estimate["best_pull"] - math.tan(observation[7])
+            )
             assert found["drawbar_margin_sd"] == estimate["best_pull_sd"]
             assert found["torque_available"] == wheel.stall_torque
         if ended:

@@ -30,7 +30,8 @@ BROKEN_ONCE = (40, 106)
 
 
 _x, _w = np.polynomial.legendre.leggauss(8)
-_NODES, _WEIGHTS = tuple(0.5 * (_x + 1.0)), tuple(0.5 * _w)
+_NODES = tuple(0.5 * (_x + 1.0))
+_WEIGHTS = tuple(0.5 * _w)
 _PIECES = 4
 NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
@@ -40,17 +41,25 @@ def _climbs(courses, before, after, border, rise, low, high):
     """Height gained [m] by each wheel between two x, and the range of sin(grade) on the way."""
     for k in range(before.size):
         step = (after[k] - before[k]) / _PIECES
-        total, least, most = 0.0, 1.0, -1.0
+        total = 0.0
+        least = 1.0
+        most = -1.0
         for piece in range(_PIECES):
             for i in range(len(_NODES)):
-                _, grade, _ = ground_at(courses, k, before[k] + (piece + _NODES[i]) * step, 0, border)
+                _, grade, _ = ground_at(
+                    courses, k, before[k] + (piece + _NODES[i]) * step, 0, border
+                )
                 s = math.sin(grade)
                 total += _WEIGHTS[i] * s * step
-                least, most = min(least, s), max(most, s)
+                least = min(least, s)
+                most = max(most, s)
         for x in (before[k], after[k]):
             _, grade, _ = ground_at(courses, k, x, 0, border)
-            least, most = min(least, math.sin(grade)), max(most, math.sin(grade))
-        rise[k], low[k], high[k] = total, least, most
+            least = min(least, math.sin(grade))
+            most = max(most, math.sin(grade))
+        rise[k] = total
+        low[k] = least
+        high[k] = most
 
 
 class Ledger(NamedTuple):
@@ -86,26 +95,47 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
     it differs from the sum of the stages by m g times the distance times its change within a step. A wheel that starts
     or stops may do so anywhere in a step: all of its gain of height counts as uncertain.
     """
-    after, r, inertia = worlds.state, scenario.wheel.radius, scenario.wheel.inertia
+    after = worlds.state
+    r = scenario.wheel.radius
+    inertia = scenario.wheel.inertia
     substeps = math.ceil(scenario.control.period / scenario.control.substep - 1e-9)
     h = scenario.control.period / substeps
     n = len(after)
-    rise, low, high = np.zeros(n), np.zeros(n), np.zeros(n)
-    _climbs(worlds.courses, np.ascontiguousarray(before["x"]), np.ascontiguousarray(after["x"]),
-            scenario.course.border, rise, low, high)  # fmt: skip
-    m, weight = after["mass"], after["mass"] * scenario.gravity
-    dv, dw = after["speed"] - before["speed"], after["wheel_speed"] - before["wheel_speed"]
+    rise = np.zeros(n)
+    low = np.zeros(n)
+    high = np.zeros(n)
+    _climbs(
+        worlds.courses,
+        np.ascontiguousarray(before["x"]),
+        np.ascontiguousarray(after["x"]),
+        scenario.course.border,
+        rise,
+        low,
+        high,
+    )
+    m = after["mass"]
+    weight = after["mass"] * scenario.gravity
+    dv = after["speed"] - before["speed"]
+    dw = after["wheel_speed"] - before["wheel_speed"]
     kinetic = 0.5 * m * dv * (after["speed"] + before["speed"])
     kinetic += 0.5 * inertia * dw * (after["wheel_speed"] + before["wheel_speed"])
     fastest = np.maximum(np.abs(after["speed"]), np.abs(before["speed"]))
     spin = np.maximum(np.abs(after["wheel_speed"]), np.abs(before["wheel_speed"]))
     newton = 2 * MOST_STEPS * substeps * NEWTON * (m * fastest + inertia * spin / r)
     steepest = np.maximum(np.abs(low), np.abs(high))
-    sums = weight * (h * steepest * np.abs(dv) + (high - low) * (np.abs(after["travel"]) + h * fastest))
+    sums = weight * (
+        h * steepest * np.abs(dv) + (high - low) * (np.abs(after["travel"]) + h * fastest)
+    )
     resting = np.minimum(np.abs(before["speed"]), np.abs(after["speed"])) < 2.0 * REST_SPEED
     sums += np.where(resting, weight * steepest * np.abs(after["travel"]), 0.0)
-    return Ledger(after["motor_work"], kinetic, weight * rise, after["soil_work"], newton + sums,
-                  after["numerical_work"])  # fmt: skip
+    return Ledger(
+        after["motor_work"],
+        kinetic,
+        weight * rise,
+        after["soil_work"],
+        newton + sums,
+        after["numerical_work"],
+    )
 
 
 def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
@@ -115,31 +145,47 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
     ended and were reset in this step (SAME_STEP) the terms of the reward are those of `final_info`.
     """
     observation, reward, terminated, truncated, info = out
-    worlds, scenario = env.simulation.worlds, env.scenario
-    state, r = worlds.state, scenario.wheel.radius
+    worlds = env.simulation.worlds
+    scenario = env.scenario
+    state = worlds.state
+    r = scenario.wheel.radius
     space = env.single_observation_space
     term = {name: info[f"reward_{name}"] for name in REWARD_TERMS}
     if "final_info" in info:
-        ended, finals = info["_final_info"], info["final_info"]
-        term = {name: np.where(ended, finals[f"reward_{name}"], value) for name, value in term.items()}
+        ended = info["_final_info"]
+        finals = info["final_info"]
+        term = {
+            name: np.where(ended, finals[f"reward_{name}"], value) for name, value in term.items()
+        }
     stall = scenario.wheel.stall_torque * (1.0 + 1e-12)
     found = {
         "observation finite": ~np.isfinite(observation).all(axis=1),
-        "observation in its bounds": ~((observation >= space.low) & (observation <= space.high)).all(axis=1),
+        "observation in its bounds": ~(
+            (observation >= space.low) & (observation <= space.high)
+        ).all(axis=1),
         "reward finite": ~np.isfinite(reward),
-        "reward is the sum of its terms": ~np.isclose(reward, sum(term.values()), rtol=1e-12, atol=1e-12),
+        "reward is the sum of its terms": ~np.isclose(
+            reward, sum(term.values()), rtol=1e-12, atol=1e-12
+        ),
         "energy term <= 0": ~(term["energy"] <= 0.0),
         "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in state.NAMES]),
-        "sinkage in [1e-4, 1.5] radii": ~((state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)),
+        "sinkage in [1e-4, 1.5] radii": ~(
+            (state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)
+        ),
         "slip in [-1, 1]": ~(np.abs(state["slip"]) <= 1.0),
         "motor within its stall torque": ~(np.abs(state["motor_torque"]) <= stall),
         "not both terminated and truncated": terminated & truncated,
-        "progress term is the distance": stepped & ~np.isclose(
-            term["progress"], scenario.reward.progress * (state["x"] - before["x"])
-            / scenario.course.length, rtol=1e-6, atol=1e-9),
-        "command applied": stepped & (before["halt_left"] <= 0.0) & (
-            state["last_action"] != np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0)),
-    }  # fmt: skip
+        "progress term is the distance": stepped
+        & ~np.isclose(
+            term["progress"],
+            scenario.reward.progress * (state["x"] - before["x"]) / scenario.course.length,
+            rtol=1e-6,
+            atol=1e-9,
+        ),
+        "command applied": stepped
+        & (before["halt_left"] <= 0.0)
+        & (state["last_action"] != np.clip(np.asarray(actions, dtype=np.float64)[:, 0], -1.0, 1.0)),
+    }
     return {name: np.flatnonzero(wheels) for name, wheels in found.items() if wheels.any()}
 
 
@@ -160,22 +206,32 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
     """Drive one case in the vector environment; return its violations in words."""
     mode = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP][int(rng.integers(2))]
     env = SoilWheelVectorEnv(
-        wheels, case.scenario, case.observation, model=case.model, threads=1, autoreset_mode=mode,
+        wheels,
+        case.scenario,
+        case.observation,
+        model=case.model,
+        threads=1,
+        autoreset_mode=mode,
         max_episode_steps=int(rng.integers(5, 200)) if rng.random() < 0.3 else None,
-    )  # fmt: skip
+    )
     observation, _ = env.reset(seed=int(rng.integers(1 << 30)))
     inside = all(env.single_observation_space.contains(row) for row in observation)
     broken = [] if inside else ["first observation in its bounds"]
     done = np.zeros(wheels, dtype=bool)
     for step in range(steps):
-        actions, before = commands(wheels, step, rng), env.simulation.worlds.state.copy()
+        actions = commands(wheels, step, rng)
+        before = env.simulation.worlds.state.copy()
         out = env.step(actions)
         ended = out[2] | out[3]
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
-            stepped, done = ~ended, np.zeros(wheels, dtype=bool)
-            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][:, ended]
+            stepped = ~ended
+            done = np.zeros(wheels, dtype=bool)
+            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][
+                :, ended
+            ]
         else:
-            stepped, done = ~done, ended
+            stepped = ~done
+            done = ended
         found = faults(env, actions, before, stepped, out) | unbalanced(env, before, stepped, case)
         broken += [f"{name} (step {step}, wheel {which[0]})" for name, which in found.items()]
     env.close()
@@ -188,10 +244,14 @@ def unbalanced(env, before, stepped, case: Case) -> dict[str, np.ndarray]:
     balance = ledger(before, worlds, case.scenario)
     sure = stepped & (worlds.counts["converged"] == 1)
     slack = balance.tolerance + 1e-9 * balance.turnover
-    found = {"motor work = work against resistance, grade and inertia":
-             sure & (np.abs(balance.gap - balance.integrator) > slack)}  # fmt: skip
+    found = {
+        "motor work = work against resistance, grade and inertia": sure
+        & (np.abs(balance.gap - balance.integrator) > slack)
+    }
     # A residual law is no law of nature; the thrust of lugs acts beyond the rim by which their slip is counted.
-    if case.model is None or not (case.model.residual or "blades" in case.model.effects.get("grousers", {})):
+    if case.model is None or not (
+        case.model.residual or "blades" in case.model.effects.get("grousers", {})
+    ):
         given = balance.soil < -slack - 1e-6 * balance.turnover
         found["soil and drivetrain take work, never give it"] = sure & given
     return {name: np.flatnonzero(which) for name, which in found.items() if which.any()}
@@ -209,17 +269,30 @@ def test_any_configuration_and_any_command(number):
     assert not broken
 
 
-@pytest.mark.parametrize(("where", "name", "plant"), [
-    ("observation", None, lambda x: math.nan), ("observation", None, lambda x: 1e6), ("reward", None, lambda x: 1.0),
-    ("state", "speed", lambda x: math.nan), ("state", "sinkage", lambda x: 1.0), ("state", "slip", lambda x: -1.1),
-    ("state", "motor_torque", lambda x: 1e3), ("state", "x", lambda x: 5.0), ("state", "last_action", lambda x: 0.2),
-    ("balance", "motor_work", lambda x: 0.97 * x), ("balance", "soil_work", lambda x: 1.03 * x),
-    ("balance", "soil_work", lambda x: -x), ("balance", "speed", lambda x: 1.05 * x),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("where", "name", "plant"),
+    [
+        ("observation", None, lambda x: math.nan),
+        ("observation", None, lambda x: 1e6),
+        ("reward", None, lambda x: 1.0),
+        ("state", "speed", lambda x: math.nan),
+        ("state", "sinkage", lambda x: 1.0),
+        ("state", "slip", lambda x: -1.1),
+        ("state", "motor_torque", lambda x: 1e3),
+        ("state", "x", lambda x: 5.0),
+        ("state", "last_action", lambda x: 0.2),
+        ("balance", "motor_work", lambda x: 0.97 * x),
+        ("balance", "soil_work", lambda x: 1.03 * x),
+        ("balance", "soil_work", lambda x: -x),
+        ("balance", "speed", lambda x: 1.05 * x),
+    ],
+)
 def test_a_planted_fault_is_found(where, name, plant):
     env = SoilWheelVectorEnv(6, "mixed", action="torque", control={"substep": 0.1}, threads=1)
     env.reset(seed=1)
-    actions, stepped, case = np.full((6, 1), 0.4), np.ones(6, dtype=bool), Case(env.scenario, "identified", None)
+    actions = np.full((6, 1), 0.4)
+    stepped = np.ones(6, dtype=bool)
+    case = Case(env.scenario, "identified", None)
     for _ in range(10):
         before = env.simulation.worlds.state.copy()
         out = env.step(actions)
@@ -238,7 +311,11 @@ def test_a_planted_fault_is_found(where, name, plant):
 
 def lost_and_turnover(substep):
     """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the turnover [J]."""
-    changes = {"control": {"substep": substep}, "noise": {"slip": 0.0}, "course": {"halt_time": 0.0}}
+    changes = {
+        "control": {"substep": substep},
+        "noise": {"slip": 0.0},
+        "course": {"halt_time": 0.0},
+    }
     env = SoilWheelVectorEnv(8, "mixed", action="torque", threads=1, **changes)
     env.reset(seed=4)
     lost = turnover = 0.0
@@ -247,7 +324,8 @@ def lost_and_turnover(substep):
         env.step(np.full((8, 1), 0.35 + 0.1 * math.sin(0.5 * step)))
         balance = ledger(before, env.simulation.worlds, env.scenario)
         assert np.all(np.abs(balance.gap - balance.integrator) <= balance.tolerance)
-        lost, turnover = lost + np.abs(balance.integrator).sum(), turnover + balance.turnover.sum()
+        lost = lost + np.abs(balance.integrator).sum()
+        turnover = turnover + balance.turnover.sum()
     return lost, turnover
 
 

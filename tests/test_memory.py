@@ -13,7 +13,9 @@ from soil_env.parameters import config_dir
 
 MOST = 2.0  # MB
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/self/statm")
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="reads /proc/self/statm"
+)
 
 
 def resident() -> float:
@@ -30,7 +32,8 @@ def test_an_environment_keeps_its_size(many):
     else:
         world = config_dir() / "worlds" / "two_effects.yaml"
         env = SoilWheelEnv(model=world, render_mode="rgb_array", course={"length": 4.0})
-    rng, sizes = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    sizes = []
     env.reset(seed=0)
     for _ in range(10):
         for number in range(20 if many else 1000):

@@ -13,7 +13,8 @@ import soil_env  # noqa: F401  (registers SoilWheel-v0)
 from soil_env.online import OnlineIdentifier, Readings, Status, largest_readings, slips
 from soil_env.parameters import Belief, Noise, wheels
 
-WHEEL, BELIEF = wheels()["planetary_rover"], Belief()
+WHEEL = wheels()["planetary_rover"]
+BELIEF = Belief()
 
 
 @pytest.fixture(scope="module")
@@ -21,19 +22,30 @@ def drive():
     """(scenario, readings, infos) of 520 periods, the readings out of the observation (float32)."""
     env = gymnasium.make("SoilWheel-v0", scenario="mixed", action="torque", scaled=False).unwrapped
     env.reset(seed=3)
-    scenario, readings, infos = env.scenario, [], []
-    weight, r = scenario.weight, scenario.wheel.radius
+    scenario = env.scenario
+    readings = []
+    infos = []
+    weight = scenario.weight
+    r = scenario.wheel.radius
     for step in range(1, 521):
         observation, _, over, late, info = env.step([0.35 + 0.2 * math.sin((step - 1) / 7)])
         o = dict(zip(env.observation_names, observation.tolist(), strict=True))
         top = scenario.wheel.no_load_speed
         readings.append(
             Readings(
-                o["rim_speed"] * top, o["speed"] * top * r, o["sinkage"] * r, o["drawbar_pull"] * weight,
-                o["load"] * weight, o["torque"] * weight * r, o["slip"], o["pitch"],
-                o["motor_torque"] * weight * r, o["acceleration"] * scenario.gravity, 0.1 * step,
+                o["rim_speed"] * top,
+                o["speed"] * top * r,
+                o["sinkage"] * r,
+                o["drawbar_pull"] * weight,
+                o["load"] * weight,
+                o["torque"] * weight * r,
+                o["slip"],
+                o["pitch"],
+                o["motor_torque"] * weight * r,
+                o["acceleration"] * scenario.gravity,
+                0.1 * step,
             )
-        )  # fmt: skip
+        )
         infos.append(info)
         if over or late:
             break
@@ -50,18 +62,28 @@ def known(drive, **missing):
     """
     scenario, readings, _ = drive
     identifier = OnlineIdentifier.of_scenario(scenario)
-    estimates = [identifier.estimate, *(identifier.update(r._replace(**missing)) for r in readings[:100])]
-    names = ("friction_angle_sd_deg", "shear_modulus_relative_sd", "sinkage_coefficient_relative_sd",
-             "dig_gain_relative_sd")  # fmt: skip
+    estimates = [
+        identifier.estimate,
+        *(identifier.update(r._replace(**missing)) for r in readings[:100]),
+    ]
+    names = (
+        "friction_angle_sd_deg",
+        "shear_modulus_relative_sd",
+        "sinkage_coefficient_relative_sd",
+        "dig_gain_relative_sd",
+    )
     sd = np.array([[getattr(e, name) for name in names] for e in estimates])
     return sd.min(axis=0) / sd[0], identifier
 
 
 def test_it_is_the_identifier_of_the_environment(drive):
     scenario, readings, infos = drive
-    identifier, renewals, seen = OnlineIdentifier.of_scenario(scenario), 0, set()
+    identifier = OnlineIdentifier.of_scenario(scenario)
+    renewals = 0
+    seen = set()
     for r, info in zip(readings, infos, strict=True):
-        e, expected = identifier.update(r), dict(info["estimate"])
+        e = identifier.update(r)
+        expected = dict(info["estimate"])
         renewals += e.renewed
         seen.add(e.status)
         assert e.status.name == expected.pop("status")
@@ -69,7 +91,8 @@ def test_it_is_the_identifier_of_the_environment(drive):
             near_zero = 1e-7 if name == "best_pull" else None  # readings are of single precision
             assert getattr(e, name) == pytest.approx(value, rel=1e-4, abs=near_zero), name
         if e.renewed:
-            way, expected = identifier.traversability(r.load, r.pitch), info["traversability"]
+            way = identifier.traversability(r.load, r.pitch)
+            expected = info["traversability"]
             assert way.best_slip == expected["best_slip"] and way.passable == expected["passable"]
             assert way.drawbar_margin == pytest.approx(expected["drawbar_margin"], abs=1e-4)
     assert 40 < renewals < 300 and seen >= {Status.CONVERGED, Status.NOT_EXCITED}
@@ -77,13 +100,18 @@ def test_it_is_the_identifier_of_the_environment(drive):
 
 def test_without_a_channel_less_is_known(drive):
     """Order of the uncertainties: little is known of shear where neither pull nor torque is read."""
-    whole, none = known(drive)[0], known(drive, **NO_FORCE)[0]
+    whole = known(drive)[0]
+    none = known(drive, **NO_FORCE)[0]
     for name in ("torque", "drawbar_pull", "load"):
-        part = known(drive, **{name: math.nan})[0]  # of another estimate, and so not less to the last digit
+        part = known(drive, **{name: math.nan})[
+            0
+        ]  # of another estimate, and so not less to the last digit
         assert 0.9 * whole[1] < part[1] < 0.6
     assert none[1] > 0.65 and none[2] < 0.7
     for name in ("motor_torque", "acceleration"):
-        assert known(drive, **{n: v for n, v in NO_FORCE.items() if n != name})[0][1] < 0.7 * none[1]
+        assert (
+            known(drive, **{n: v for n, v in NO_FORCE.items() if n != name})[0][1] < 0.7 * none[1]
+        )
     no_sinkage = known(drive, sinkage=math.nan)[0]
     assert no_sinkage[0] < 0.9 and no_sinkage[1] < 0.6 and no_sinkage[3] > 0.85
 
@@ -92,7 +120,8 @@ def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
     """Load known by the mass of the wheel alone, which is doubted by 5 %; the mass stays as it is."""
     sd, identifier = known(drive, load=math.nan, **NO_FORCE)
     assert sd[2] < 0.8 and sd[0] > 0.8
-    point, mass = identifier._ids.banks.point, drive[0].wheel.body_mass
+    point = identifier._ids.banks.point
+    mass = drive[0].wheel.body_mass
     assert point.mass[0] == pytest.approx(mass, rel=0.01)
     assert math.sqrt(point.mass_variance[0]) / point.mass[0] == pytest.approx(0.05, rel=0.05)
 
@@ -103,25 +132,36 @@ STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 def test_what_stands_for_pull_and_torque():
     """Pull = m a; the motor torque turns the wheel, whose inertia costs none at a constant speed."""
     exact = Noise(acceleration=0.01 * 9.81)
-    one, other = OnlineIdentifier(WHEEL, BELIEF, exact), OnlineIdentifier(WHEEL, BELIEF, exact)
+    one = OnlineIdentifier(WHEEL, BELIEF, exact)
+    other = OnlineIdentifier(WHEEL, BELIEF, exact)
     for k in range(60):
-        r = STEADY._replace(wheel_speed=2.0, speed=2.0 * 0.15 * (0.75 + 0.15 * math.sin(0.2 * k)), slip=math.nan)
+        r = STEADY._replace(
+            wheel_speed=2.0, speed=2.0 * 0.15 * (0.75 + 0.15 * math.sin(0.2 * k)), slip=math.nan
+        )
         a = one.update(r)
-        b = other.update(r._replace(drawbar_pull=math.nan, acceleration=14.0 / WHEEL.body_mass, torque=math.nan,
-                                    motor_torque=5.5))  # fmt: skip
+        b = other.update(
+            r._replace(
+                drawbar_pull=math.nan,
+                acceleration=14.0 / WHEEL.body_mass,
+                torque=math.nan,
+                motor_torque=5.5,
+            )
+        )
     assert b.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=0.02)
     assert b.shear_modulus == pytest.approx(a.shear_modulus, rel=0.05)
     assert a.friction_angle_deg != pytest.approx(30.0, abs=0.5)
 
 
 def test_slip_from_the_speeds_and_a_speed_from_the_slip():
-    rim, speed = np.array([0.4, 0.3, -0.4, 0.0, math.nan]), np.array([0.3, 0.4, -0.3, 0.0, 0.1])
+    rim = np.array([0.4, 0.3, -0.4, 0.0, math.nan])
+    speed = np.array([0.3, 0.4, -0.3, 0.0, 0.1])
     assert slips(rim, speed) == pytest.approx([0.25, -0.25, 0.25, 0.0, math.nan], nan_ok=True)
     exact = Noise(slip=0.0, speed=0.0, wheel_speed=0.0)
     given, derived, no_speed = (OnlineIdentifier(WHEEL, BELIEF, exact) for _ in range(3))
     for _ in range(20):
         r = STEADY._replace(speed=2.5 * WHEEL.radius * 0.75)
-        a, b = given.update(r), derived.update(r._replace(slip=math.nan))
+        a = given.update(r)
+        b = derived.update(r._replace(slip=math.nan))
         c = no_speed.update(r._replace(speed=math.nan))
         assert b.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
         assert c.friction_angle_deg == pytest.approx(a.friction_angle_deg, rel=1e-3)
@@ -129,26 +169,38 @@ def test_slip_from_the_speeds_and_a_speed_from_the_slip():
 
 
 ABSURD = [
-    {"sinkage": 22.0}, {"torque": math.inf}, {"time": 0.4}, {"load": -1e9}, {"load": "147"}, {"wheel_speed": None},
-    {"speed": np.array([0.28, 0.28])}, {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
-]  # fmt: skip
+    {"sinkage": 22.0},
+    {"torque": math.inf},
+    {"time": 0.4},
+    {"load": -1e9},
+    {"load": "147"},
+    {"wheel_speed": None},
+    {"speed": np.array([0.28, 0.28])},
+    {"wheel_speed": math.nan, "slip": math.nan, "load": "147"},
+]
 
 
 @pytest.mark.parametrize("wrong", ABSURD, ids=str)
 def test_bad_readings_are_refused_and_leave_no_trace(wrong):
-    one, other = OnlineIdentifier(WHEEL), OnlineIdentifier(WHEEL)
+    one = OnlineIdentifier(WHEEL)
+    other = OnlineIdentifier(WHEEL)
     numbers = all(isinstance(value, float) for value in wrong.values())
     for k in range(1, 16):
-        assert one.update(STEADY._replace(time=0.1 * k)) == other.update(STEADY._replace(time=0.1 * k))
+        assert one.update(STEADY._replace(time=0.1 * k)) == other.update(
+            STEADY._replace(time=0.1 * k)
+        )
         if k == 5:
             with pytest.raises(ValueError if numbers else TypeError) as refusal:
                 one.update(STEADY._replace(**({"time": 0.6} | wrong)))
-            assert f"{list(wrong)[-1]} = " in str(refusal.value) and "expected" in str(refusal.value)
+            assert f"{list(wrong)[-1]} = " in str(refusal.value) and "expected" in str(
+                refusal.value
+            )
 
 
 def test_whatever_is_admitted_gives_a_soil():
     """Readings up to their limits, of any sign, some missing: finite numbers, a valid `Soil`, no warning."""
-    rng, limits = np.random.default_rng(3), largest_readings(WHEEL)[:10]
+    rng = np.random.default_rng(3)
+    limits = largest_readings(WHEEL)[:10]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(40):
@@ -157,7 +209,11 @@ def test_whatever_is_admitted_gives_a_soil():
             size *= np.where(rng.random(10) < 0.2, -1.0, 1.0)
             missing = (rng.random(10) < 0.2) & (np.arange(10) > 0)
             for _ in range(40):
-                values = np.array([*STEADY[:7], 0.0, 5.5, 0.3]) * size * (1.0 + 0.3 * rng.normal(size=10))
+                values = (
+                    np.array([*STEADY[:7], 0.0, 5.5, 0.3])
+                    * size
+                    * (1.0 + 0.3 * rng.normal(size=10))
+                )
                 values = np.where(missing, math.nan, np.clip(values, np.negative(limits), limits))
                 try:
                     e = identifier.update(Readings(*values.tolist()))
@@ -173,10 +229,14 @@ def test_time_stamps_count_as_time():
     renewed = []
     for dt in (0.25, 0.05):
         identifier = OnlineIdentifier(WHEEL)
-        renewed.append(sum(identifier.update(STEADY._replace(time=dt * k)).renewed for k in range(1, 11)))
+        renewed.append(
+            sum(identifier.update(STEADY._replace(time=dt * k)).renewed for k in range(1, 11))
+        )
     assert renewed[0] > renewed[1]
     for dt in (1e-6, 100.0):
-        with pytest.warns(UserWarning, match=f"time = .* {dt:g} s after .*: expected 0.001 to 10 s"):
+        with pytest.warns(
+            UserWarning, match=f"time = .* {dt:g} s after .*: expected 0.001 to 10 s"
+        ):
             identifier.update(STEADY._replace(time=identifier._time + dt))
 
 

@@ -40,27 +40,50 @@ def test_lumped_modulus():
         Soil(**SOIL, k_c=-1e6, k_phi=5e5).lumped(0.1)
 
 
-@pytest.mark.parametrize(("kind", "changes", "words"), [
-    ("soil", {"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
-    ("soil", {"cohesion": math.nan}, ["cohesion", "nan"]),
-    ("soil", {"cohesion": True}, ["cohesion", "True"]),
-    ("soil", {"k_c": 1.0, "k_phi": 1.0}, ["sinkage_coefficient", "k_c"]),
-    ("soil", {"sinkage_coefficient": None, "k_c": 1.0}, ["sinkage_coefficient", "k_c"]),
-    ("scenario", {"wheel": "planetary_rovr"}, ["planetary_rovr", "'planetary_rover'"]),
-    ("scenario", {"soils": {"dry_sandd": 1}}, ["dry_sandd", "'dry_sand'"]),
-    ("scenario", {"soils": {"dry_sand": 0}}, ["soils"]),
-    ("scenario", {"course": {"grade_deg": [10, -5]}}, ["grade_deg", "10"]),
-    ("scenario", {"soils": {"dry_sand": math.inf}}, ["soils.dry_sand", "at most 1e+09"]),
-    ("scenario", {"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["correlations"]),
-    ("scenario", {"belief": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}}, ["belief", "correlations"]),
-    ("scenario", {"course": {"border": 2.0}}, ["border", "shortest patch"]),
-    ("scenario", {"course": {"classes": 1, "lines": 2}}, ["classes", "at least 2"]),
-    ("scenario", {"course": {"classes": 3, "lines": 2, "halt_time": 0.0}}, ["halt_time", "halts"]),
-    ("scenario", {"course": {"classes": 3, "lines": 2, "halt_before": [0.1, 0.5]}}, ["halt_before", "0.3"]),
-    ("scenario", {"control": {"action": "voltage"}}, ["action", "voltage"]),
-    ("scenario", {"control": {"substep": 0.6}}, ["substep", "0.6"]),
-    ("scenario", {"wheel": {"preset": "planetary_rover", "inertia": 1e-5}}, ["inertia", "1e-05", "0.00675"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "changes", "words"),
+    [
+        ("soil", {"cohesoin": 1.0}, ["cohesoin", "did you mean 'cohesion'"]),
+        ("soil", {"cohesion": math.nan}, ["cohesion", "nan"]),
+        ("soil", {"cohesion": True}, ["cohesion", "True"]),
+        ("soil", {"k_c": 1.0, "k_phi": 1.0}, ["sinkage_coefficient", "k_c"]),
+        ("soil", {"sinkage_coefficient": None, "k_c": 1.0}, ["sinkage_coefficient", "k_c"]),
+        ("scenario", {"wheel": "planetary_rovr"}, ["planetary_rovr", "'planetary_rover'"]),
+        ("scenario", {"soils": {"dry_sandd": 1}}, ["dry_sandd", "'dry_sand'"]),
+        ("scenario", {"soils": {"dry_sand": 0}}, ["soils"]),
+        ("scenario", {"course": {"grade_deg": [10, -5]}}, ["grade_deg", "10"]),
+        ("scenario", {"soils": {"dry_sand": math.inf}}, ["soils.dry_sand", "at most 1e+09"]),
+        (
+            "scenario",
+            {"spread": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}},
+            ["correlations"],
+        ),
+        (
+            "scenario",
+            {"belief": {"friction_cohesion": 0.9, "friction_stiffness": 0.9}},
+            ["belief", "correlations"],
+        ),
+        ("scenario", {"course": {"border": 2.0}}, ["border", "shortest patch"]),
+        ("scenario", {"course": {"classes": 1, "lines": 2}}, ["classes", "at least 2"]),
+        (
+            "scenario",
+            {"course": {"classes": 3, "lines": 2, "halt_time": 0.0}},
+            ["halt_time", "halts"],
+        ),
+        (
+            "scenario",
+            {"course": {"classes": 3, "lines": 2, "halt_before": [0.1, 0.5]}},
+            ["halt_before", "0.3"],
+        ),
+        ("scenario", {"control": {"action": "voltage"}}, ["action", "voltage"]),
+        ("scenario", {"control": {"substep": 0.6}}, ["substep", "0.6"]),
+        (
+            "scenario",
+            {"wheel": {"preset": "planetary_rover", "inertia": 1e-5}},
+            ["inertia", "1e-05", "0.00675"],
+        ),
+    ],
+)
 def test_bad_input_is_named_in_one_line(kind, changes, words):
     with pytest.raises(ParameterError) as caught:
         if kind == "soil":
@@ -74,23 +97,40 @@ def test_bad_input_is_named_in_one_line(kind, changes, words):
 
 @pytest.mark.parametrize("name", parameters.scenario_names())
 def test_scenario_preset_to_a_file_and_back(name):
-    scenario = load_scenario(name, {"course": {"length": 12.5}, "control": {"action": "wheel_speed"}})
+    scenario = load_scenario(
+        name, {"course": {"length": 12.5}, "control": {"action": "wheel_speed"}}
+    )
     assert scenario.name == name
     assert scenario.weight == pytest.approx(scenario.wheel.body_mass * scenario.gravity)
     assert scenario.periods == round(scenario.control.time_limit / scenario.control.period)
-    assert load(Scenario, yaml.safe_load(yaml.safe_dump(to_dict(scenario)))) == load_scenario(scenario) == scenario
+    assert (
+        load(Scenario, yaml.safe_load(yaml.safe_dump(to_dict(scenario))))
+        == load_scenario(scenario)
+        == scenario
+    )
 
 
 def test_own_soils_stand_beside_the_presets_and_before_them():
-    beach, sand = Soil(**SOIL_S), Soil(**SOIL_S | {"cohesion": 900})
+    beach = Soil(**SOIL_S)
+    sand = Soil(**SOIL_S | {"cohesion": 900})
     scenario = load_scenario(
-        "mixed", {"own_soils": {"beach": beach, "dry_sand": sand}, "soils": {"beach": 1, "dry_sand": 1, "snow": 2}}
+        "mixed",
+        {
+            "own_soils": {"beach": beach, "dry_sand": sand},
+            "soils": {"beach": 1, "dry_sand": 1, "snow": 2},
+        },
     )
     assert load(Scenario, yaml.safe_load(yaml.safe_dump(to_dict(scenario)))) == scenario
-    assert [scenario.library[n] for n in scenario.soils] == [beach, sand, parameters.soils()["snow"]]
+    assert [scenario.library[n] for n in scenario.soils] == [
+        beach,
+        sand,
+        parameters.soils()["snow"],
+    ]
     width = scenario.wheel.width
     drawn = course_numbers(scenario).drawn.library
-    assert [tuple(row) for row in drawn] == [s.state(width) for s in (beach, sand, parameters.soils()["snow"])]
+    assert [tuple(row) for row in drawn] == [
+        s.state(width) for s in (beach, sand, parameters.soils()["snow"])
+    ]
     assert parameters.soils()["dry_sand"].cohesion == 1040.0
     with pytest.raises(ParameterError, match="own_soils.beach: unknown key 'phi'"):
         load_scenario("mixed", {"own_soils": {"beach": {"phi": 30}}})
@@ -98,10 +138,13 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
 
 def test_a_soil_digs_only_where_it_says_so():
     """`Soil()` under a wheel is the base model of Eqs. (1)-(10), which the identification fits: no slip-sinkage."""
-    wheel, slip = ModelWheel(0.15, 0.12), [0.1, 0.6]
+    wheel = ModelWheel(0.15, 0.12)
+    slip = [0.1, 0.6]
     bare = WheelSoilModel(wheel, Soil(**SOIL_S)).predict({"slip": slip, "load": 100.0})
     rows = rows_of({"slip": slip, "load": 100.0}, wheel)
-    fitted = predict_table(Setup(SetupWheel(0.15, 0.12)), rows, SOIL_S, 0.0, NO_EFFECTS, np.zeros(2))
+    fitted = predict_table(
+        Setup(SetupWheel(0.15, 0.12)), rows, SOIL_S, 0.0, NO_EFFECTS, np.zeros(2)
+    )
     assert np.stack(bare[:3], axis=1) == pytest.approx(fitted, rel=1e-9)
     dug = WheelSoilModel(wheel, Soil(**SOIL_S, dig_gain=1.5)).predict({"slip": slip, "load": 100.0})
     assert dug.sinkage[1] > 1.5 * bare.sinkage[1]

@@ -13,8 +13,9 @@ SHORT = {"course": {"length": 2.0}}
 ACTION = np.array([0.45], dtype=np.float32)
 METHODS = [  # "forkserver" does what "spawn" does
     m if m == "fork" else pytest.param(m, marks=pytest.mark.slow)
-    for m in multiprocessing.get_all_start_methods() if m != "forkserver"
-]  # fmt: skip
+    for m in multiprocessing.get_all_start_methods()
+    if m != "forkserver"
+]
 
 
 def make_env():
@@ -29,7 +30,8 @@ def _drive(queue, env):
 @pytest.mark.parametrize("method", METHODS)
 def test_processes_step_as_this_one(method):
     """With the threads of a vector env alive in this process, which a fork does not take along."""
-    env, same = SoilWheelVectorEnv(64, threads=3), SoilWheelVectorEnv(64, threads=3)
+    env = SoilWheelVectorEnv(64, threads=3)
+    same = SoilWheelVectorEnv(64, threads=3)
     for e in (env, same):
         e.reset(seed=1)
     context = multiprocessing.get_context(method)
@@ -53,7 +55,8 @@ def test_processes_step_as_this_one(method):
 
 
 def test_two_vector_envs_in_two_threads_at_once():
-    results, a = {}, np.full((48, 1), 0.4)
+    results = {}
+    a = np.full((48, 1), 0.4)
 
     def drive(name, seed):
         env = SoilWheelVectorEnv(48, threads=2, **SHORT)

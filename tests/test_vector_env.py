@@ -29,17 +29,36 @@ class Kind(NamedTuple):
     quick: dict[str, Any]
 
 
-WHEEL = Kind(SoilWheelEnv, SoilWheelVectorEnv, "SoilWheel-v0", 1, {
-    "course": {"length": 2.0}, "control": {"action": "torque", "time_limit": 4.5},
-})  # fmt: skip
-ROVER = Kind(SoilRoverEnv, SoilRoverVectorEnv, "SoilRover-v0", 2, {
-    "course": {"length": 1.0}, "control": {"time_limit": 5.0},
-})  # fmt: skip
-WORLD = WheelSoilModel.from_content({
-    "wheel": {"radius": 0.15, "width": 0.15, "grouser_height": 0.012},
-    "effects": {"grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3}},
-    "residual": [{"channel": "drawbar_pull", "coefficient": -0.05, "powers": {"slip": 1}}],
-})  # fmt: skip
+WHEEL = Kind(
+    SoilWheelEnv,
+    SoilWheelVectorEnv,
+    "SoilWheel-v0",
+    1,
+    {
+        "course": {"length": 2.0},
+        "control": {"action": "torque", "time_limit": 4.5},
+    },
+)
+ROVER = Kind(
+    SoilRoverEnv,
+    SoilRoverVectorEnv,
+    "SoilRover-v0",
+    2,
+    {
+        "course": {"length": 1.0},
+        "control": {"time_limit": 5.0},
+    },
+)
+WORLD = WheelSoilModel.from_content(
+    {
+        "wheel": {"radius": 0.15, "width": 0.15, "grouser_height": 0.012},
+        "effects": {
+            "grousers": {"shear_share": 0.5, "blades": 2.0},
+            "multipass": {"hardening": 0.3},
+        },
+        "residual": [{"channel": "drawbar_pull", "coefficient": -0.05, "powers": {"slip": 1}}],
+    }
+)
 TWO_LINES = {"scenario": "two_lines", "action": "wheel_speed", "course": {}, "control": {}}
 KINDS = pytest.mark.parametrize("kind", [WHEEL, ROVER], ids=["wheel", "rover"])
 
@@ -55,7 +74,10 @@ def actions(steps, vehicles, motors=1, seed=0):
 
 def same_info(info, k, scalar):
     """The short info of vehicle k is that of a single environment."""
-    assert Cause(info["cause"][k]).name == scalar["cause"] and info["immobilised"][k] == scalar["immobilised"]
+    assert (
+        Cause(info["cause"][k]).name == scalar["cause"]
+        and info["immobilised"][k] == scalar["immobilised"]
+    )
     assert info["x"][k] == scalar["state"]["x"]
     assert {name: info[f"reward_{name}"][k] for name in REWARD_TERMS} == scalar["reward_terms"]
 
@@ -74,32 +96,45 @@ def same_nested(info, k, scalar):
 
 @pytest.mark.parametrize(
     ("kind", "variant", "changes"),
-    [(WHEEL, variant, {"action": mode, "reward": {"information": 2.0 * i}, "scenario": "mixed"})
-     for i, (variant, mode) in enumerate(zip(VARIANTS, MODES, strict=True))]
-    + [(WHEEL, "identified", {"action": "torque"}), (WHEEL, "true_soil", {"scenario": "mixed", "model": WORLD})]
+    [
+        (WHEEL, variant, {"action": mode, "reward": {"information": 2.0 * i}, "scenario": "mixed"})
+        for i, (variant, mode) in enumerate(zip(VARIANTS, MODES, strict=True))
+    ]
+    + [
+        (WHEEL, "identified", {"action": "torque"}),
+        (WHEEL, "true_soil", {"scenario": "mixed", "model": WORLD}),
+    ]
     + [(WHEEL, variant, TWO_LINES) for variant in VARIANTS]
-    + [(ROVER, variant, {"rover": rover, "action": mode, "reward": {"information": 2.0}})
-       for rover, variant, mode in zip(rover_names(), VARIANTS, MODES, strict=True)],
-)  # fmt: skip
+    + [
+        (ROVER, variant, {"rover": rover, "action": mode, "reward": {"information": 2.0}})
+        for rover, variant, mode in zip(rover_names(), VARIANTS, MODES, strict=True)
+    ],
+)
 def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
     """Through ends and restarts; with two lines through the camera, choices at halts and the memory of classes."""
     lines = changes is TWO_LINES
     changes = {**kind.quick, "control": {"time_limit": 5.0}, "observation": variant, **changes}
     count, steps = (3, 450) if lines else (ROVERS, 70)
-    many, one = kind.many(count, threads=2, **changes), [kind.one(**changes) for _ in range(count)]
+    many = kind.many(count, threads=2, **changes)
+    one = [kind.one(**changes) for _ in range(count)]
     observations, info = many.reset(seed=11)
     for k, env in enumerate(one):
         first, scalar = env.reset(seed=11 + k)
         np.testing.assert_array_equal(observations[k], first)
         same_info(info, k, scalar)
-    done, ends = [False] * count, 0
+    done = [False] * count
+    ends = 0
     for a in actions(steps, count, many.single_action_space.shape[0]):
         if lines:  # turns to the second line at halts, and drives slowly on
             halted = observations[:, [many.observation_names.index("halted")]] > 0.5
             a = np.where(halted & (a < 0.5), -1.0, 0.4).astype(np.float32)
         observations, rewards, terminated, truncated, info = many.step(a)
         for k, env in enumerate(one):  # after an end the step resets, whatever the action
-            expected = (*env.reset()[:1], 0.0, False, False, env.infos.one(0)) if done[k] else env.step(a[k])
+            expected = (
+                (*env.reset()[:1], 0.0, False, False, env.infos.one(0))
+                if done[k]
+                else env.step(a[k])
+            )
             np.testing.assert_array_equal(observations[k], expected[0])
             assert (rewards[k], terminated[k], truncated[k]) == expected[1:4]
             same_info(info, k, expected[4])
@@ -116,7 +151,9 @@ def test_a_full_info_is_the_single_one_in_every_autoreset_mode(kind, mode):
     one = [kind.one(**changes) for _ in range(3)]
     observations, info = many.reset(seed=2)
     last = [env.reset(seed=2 + k) for k, env in enumerate(one)]
-    done, ends, apart = np.zeros(3, dtype=bool), 0, 0
+    done = np.zeros(3, dtype=bool)
+    ends = 0
+    apart = 0
     for a in np.clip(actions(220, 3, kind.motors, 4), 0.3, 1.7):
         for k in range(3):
             np.testing.assert_array_equal(observations[k], last[k][0])
@@ -141,7 +178,8 @@ def test_a_full_info_is_the_single_one_in_every_autoreset_mode(kind, mode):
                 assert info["final_obs"][k] is None and not info["final_info"]["_cause"][k]
                 assert info["final_info"]["state"]["x"][k] == 0.0
             last = [env.reset() if d else x for env, d, x in zip(one, done, last, strict=True)]
-        ends, apart = ends + done.sum(), apart + (0 < done.sum() < 3)
+        ends = ends + done.sum()
+        apart = apart + (0 < done.sum() < 3)
         if mode == AutoresetMode.SAME_STEP:
             done = np.zeros(3, dtype=bool)
     assert ends >= 3 and apart >= 1
@@ -151,7 +189,9 @@ def test_a_full_info_is_the_single_one_in_every_autoreset_mode(kind, mode):
 @KINDS
 def test_flat_infos_are_the_same_numbers(kind, info):
     """In one vehicle, in many and in gymnasium's own vector of single ones."""
-    full, one, many = kind.one(), kind.one(info=info), kind.many(2, info=info)
+    full = kind.one()
+    one = kind.one(info=info)
+    many = kind.many(2, info=info)
     sync = gymnasium.make_vec(kind.name, num_envs=2, vectorization_mode="sync", info=info)
     infos = [env.reset(seed=8)[1] for env in (full, one, many, sync)]
     for a in actions(15, 2, kind.motors, 5):
@@ -159,10 +199,17 @@ def test_flat_infos_are_the_same_numbers(kind, info):
         assert set(numbers) == set(arrays) == {name for name in synced if name[0] != "_"}
         expected = flat(nested) if kind is WHEEL else numbers
         for name, value in numbers.items():
-            assert isinstance(value, np.number) and value == expected[name]  # numpy's: TorchRL asks for a dtype
+            assert (
+                isinstance(value, np.number) and value == expected[name]
+            )  # numpy's: TorchRL asks for a dtype
             assert arrays[name][0] == pytest.approx(value, rel=1e-14) and synced[name][0] == value
         infos = [full.step(a[0])[4], one.step(a[0])[4], many.step(a)[4], sync.step(a)[4]]
-    some = {"cause", "x", "reward_energy", "torque_available" if kind is WHEEL else "rear_estimate_status"}
+    some = {
+        "cause",
+        "x",
+        "reward_energy",
+        "torque_available" if kind is WHEEL else "rear_estimate_status",
+    }
     assert info != "numeric" or some <= set(infos[1])
     assert (infos[1] == {}) == (info == "none")
 
@@ -170,11 +217,16 @@ def test_flat_infos_are_the_same_numbers(kind, info):
 @KINDS
 def test_nothing_is_identified_unless_something_asks(kind):
     """Observation, info or reward; without, the environment drives the same and its infos have no estimate."""
-    for asked in ({"observation": "identified"}, {"info": "full"}, {"reward": {"information": 1.0}}):
+    for asked in (
+        {"observation": "identified"},
+        {"info": "full"},
+        {"reward": {"information": 1.0}},
+    ):
         changes = {"observation": "blind"} | asked
         for env in (kind.one(**changes), kind.many(2, **changes)):
             assert env.simulation.belief is not None
-    blind, full = kind.one(observation="blind"), kind.one(observation="blind", info="full")
+    blind = kind.one(observation="blind")
+    full = kind.one(observation="blind", info="full")
     many = kind.many(2, observation="blind", autoreset_mode="SameStep", max_episode_steps=2)
     assert blind.simulation.belief is many.simulation.belief is None
     assert {"state", "reward_terms"} <= set(blind.reset(seed=0)[1]) <= set(full.reset(seed=0)[1])
@@ -194,9 +246,13 @@ def test_seeds_single_and_listed_and_for_some(kind):
     np.testing.assert_array_equal(single, kind.many(4).reset(seed=[20, 21, 22, 23])[0])
     np.testing.assert_array_equal(env.reset(seed=20)[0], single)
     assert len({tuple(row) for row in single}) == 4 and not np.array_equal(env.reset()[0], single)
-    np.testing.assert_array_equal(env.reset(seed=[5, None, 7, 8])[0][0], kind.one().reset(seed=5)[0])
+    np.testing.assert_array_equal(
+        env.reset(seed=[5, None, 7, 8])[0][0], kind.one().reset(seed=5)[0]
+    )
     before = env.step(np.full((4, kind.motors), 0.4))[0]
-    after, _ = env.reset(seed=[9] * 4, options={"reset_mask": np.array([False, True, False, False])})
+    after, _ = env.reset(
+        seed=[9] * 4, options={"reset_mask": np.array([False, True, False, False])}
+    )
     np.testing.assert_array_equal(after[1], kind.one().reset(seed=9)[0])
     np.testing.assert_array_equal(after[[0, 2, 3]], before[[0, 2, 3]])
     assert not np.array_equal(kind.many(2).reset()[0], kind.many(2).reset()[0])
@@ -222,28 +278,40 @@ def test_the_number_of_threads_changes_nothing(kind, mode):
 @pytest.mark.parametrize("repeat", [1, 3])
 @pytest.mark.parametrize("autoreset", ["NextStep", "SameStep"])
 def test_max_episode_steps_truncates_and_the_time_limit_terminates(autoreset, repeat):
-    for limits, cause in (({"max_episode_steps": 20}, Cause.RUNNING),
-                          ({"control": {"time_limit": 2.0 * repeat}}, Cause.TIME_LIMIT)):  # fmt: skip
+    for limits, cause in (
+        ({"max_episode_steps": 20}, Cause.RUNNING),
+        ({"control": {"time_limit": 2.0 * repeat}}, Cause.TIME_LIMIT),
+    ):
         env = SoilWheelVectorEnv(3, repeat=repeat, autoreset_mode=autoreset, **limits)
         env.reset(seed=0)
         for k in range(1, 45):
             _, _, terminated, truncated, info = env.step(np.full((3, 1), 0.3))
-            over, other = (terminated, truncated) if cause == Cause.TIME_LIMIT else (truncated, terminated)
+            over, other = (
+                (terminated, truncated) if cause == Cause.TIME_LIMIT else (truncated, terminated)
+            )
             assert not other.any()
             episode = 20 if autoreset == "SameStep" else 21
             assert np.all(over == (k % episode == 20 % episode))
             if over.all():
                 last = info.get("final_info", info)
                 assert np.all(last["cause"] == cause)
-                assert np.all(last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0))
+                assert np.all(
+                    last["reward_immobilisation"] == (-10.0 if cause == Cause.TIME_LIMIT else 0.0)
+                )
 
 
-@pytest.mark.parametrize(("given", "words"), [
-    ({"seed": [1, 2]}, "expected 3 seeds, got 2"), ({"seed": True}, "seed = True"), ({"seed": "a"}, "^seed"),
-    ({"seed": [0, 1.5, 2]}, r"seed\[1\] = 1.5.*: expected a whole number >= 0"), ({"options": [1]}, "^reset"),
-    ({"options": {"reset_mask": [0, 1, 2]}}, r"reset_mask: expected shape \(3,\) of bool"),
-    ({"options": {"reset_mask": np.ones(2, dtype=bool)}}, r"got \(2,\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"seed": [1, 2]}, "expected 3 seeds, got 2"),
+        ({"seed": True}, "seed = True"),
+        ({"seed": "a"}, "^seed"),
+        ({"seed": [0, 1.5, 2]}, r"seed\[1\] = 1.5.*: expected a whole number >= 0"),
+        ({"options": [1]}, "^reset"),
+        ({"options": {"reset_mask": [0, 1, 2]}}, r"reset_mask: expected shape \(3,\) of bool"),
+        ({"options": {"reset_mask": np.ones(2, dtype=bool)}}, r"got \(2,\)"),
+    ],
+)
 def test_bad_resets_are_named(given, words):
     with pytest.raises(ValueError, match=words):
         SoilWheelVectorEnv(3).reset(**given)

@@ -12,15 +12,19 @@ from soil_env.vehicle import Vehicle, load_rover, rover_names
 BOGIE = {"mass": 100.0, "axles": (0.0, 1.0, 2.2), "centre": 1.1, "centre_height": 0.3}
 
 
-@pytest.mark.parametrize("vehicle", [
-    Vehicle(8.0, (0.0, 0.5), 0.2, 0.1),
-    Vehicle(**BOGIE, bogie="rear", pivot=1.7, pivot_height=0.2),
-    Vehicle(**BOGIE, bogie="front", pivot=0.4, pivot_height=0.2),
-    *(load_rover(name).vehicle for name in rover_names()),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "vehicle",
+    [
+        Vehicle(8.0, (0.0, 0.5), 0.2, 0.1),
+        Vehicle(**BOGIE, bogie="rear", pivot=1.7, pivot_height=0.2),
+        Vehicle(**BOGIE, bogie="front", pivot=0.4, pivot_height=0.2),
+        *(load_rover(name).vehicle for name in rover_names()),
+    ],
+)
 def test_shares_are_those_of_statics(vehicle):
     """Balance of forces, of moments about the front axle, and of those on the bogie about its pivot."""
-    shares, axles = np.array(vehicle.shares), np.array(vehicle.axles)
+    shares = np.array(vehicle.shares)
+    axles = np.array(vehicle.axles)
     assert shares.sum() == pytest.approx(1.0) and shares @ axles == pytest.approx(vehicle.centre)
     if vehicle.bogie != "none":
         on = slice(0, 2) if vehicle.bogie == "front" else slice(1, 3)
@@ -32,24 +36,49 @@ def test_a_preset_is_sized_for_its_weight(name, tmp_path):
     """Wheels bear equal masses on average, the motors turn them under their weight, and the file gives its sources."""
     rover = load_rover(name)
     assert rover.wheel.body_mass * 2 * rover.axles == pytest.approx(rover.vehicle.mass)
-    assert rover.wheel.stall_torque > 0.8 * rover.weight * rover.wheel.radius and rover.vehicle.source
+    assert (
+        rover.wheel.stall_torque > 0.8 * rover.weight * rover.wheel.radius and rover.vehicle.source
+    )
     path = tmp_path / "mine.yaml"  # all of it, to a file and back
     path.write_text(yaml.safe_dump(to_dict(rover)))
     assert load_rover(path) == rover
-    assert load_rover(path, {"vehicle": {"mass": 12.0}}).wheel.body_mass == pytest.approx(6.0 / rover.axles)
+    assert load_rover(path, {"vehicle": {"mass": 12.0}}).wheel.body_mass == pytest.approx(
+        6.0 / rover.axles
+    )
 
 
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"vehicle": {"mass": math.nan}}, "vehicle.mass = nan: expected a number in [0.6, 400000] kg"),
-    ({"vehicle": {"axles": [0.0]}}, "vehicle.axles = (0.0,): expected 2 or 3 axles"),
-    ({"vehicle": {"axles": [0.33, 0]}}, "vehicle.axles = (0.33, 0.0): expected metres behind the front axle"),
-    ({"vehicle": {"bogie": "rear"}}, "vehicle.bogie = 'rear': expected 'none' with two axles"),
-    ({"vehicle": {"axles": [0.0, 0.1, 0.3]}}, "vehicle.bogie = 'none': expected 'front' or 'rear' with three axles"),
-    ({"vehicle": {"axles": [0.0, 0.1, 0.3], "bogie": "rear", "pivot": 0.05}}, "between the axles of the bogie"),
-    ({"vehicle": {"centre": 0.4}}, "each bears at least 2 % of the weight; they bear -0.212, 1.21"),
-    ({"wheel": {"body_mass": 3.0}}, "wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares"),
-    ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"vehicle": {"mass": math.nan}},
+            "vehicle.mass = nan: expected a number in [0.6, 400000] kg",
+        ),
+        ({"vehicle": {"axles": [0.0]}}, "vehicle.axles = (0.0,): expected 2 or 3 axles"),
+        (
+            {"vehicle": {"axles": [0.33, 0]}},
+            "vehicle.axles = (0.33, 0.0): expected metres behind the front axle",
+        ),
+        ({"vehicle": {"bogie": "rear"}}, "vehicle.bogie = 'rear': expected 'none' with two axles"),
+        (
+            {"vehicle": {"axles": [0.0, 0.1, 0.3]}},
+            "vehicle.bogie = 'none': expected 'front' or 'rear' with three axles",
+        ),
+        (
+            {"vehicle": {"axles": [0.0, 0.1, 0.3], "bogie": "rear", "pivot": 0.05}},
+            "between the axles of the bogie",
+        ),
+        (
+            {"vehicle": {"centre": 0.4}},
+            "each bears at least 2 % of the weight; they bear -0.212, 1.21",
+        ),
+        (
+            {"wheel": {"body_mass": 3.0}},
+            "wheel.body_mass: expected vehicle.mass, of which the wheels have equal shares",
+        ),
+        ({"course": {"classes": 3}}, "course.classes = 3: expected 0 for a rover"),
+    ],
+)
 def test_bad_rovers_are_named_in_one_line(changes, message):
     with pytest.raises(ParameterError) as raised:
         load_rover("lunar_micro_rover", changes)
@@ -59,8 +88,15 @@ def test_bad_rovers_are_named_in_one_line(changes, message):
 def test_wheels_and_rovers_are_not_taken_for_each_other(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
-    assert load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2  # it has one then
-    for load, which in ((load_rover, load_scenario("mixed")), (load_rover, "mixed"), (load_rover, path),
-                        (load_scenario, load_rover()), (load_scenario, "mars_rover")):  # fmt: skip
+    assert (
+        load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
+    )  # it has one then
+    for load, which in (
+        (load_rover, load_scenario("mixed")),
+        (load_rover, "mixed"),
+        (load_rover, path),
+        (load_scenario, load_rover()),
+        (load_scenario, "mars_rover"),
+    ):
         with pytest.raises(ParameterError, match="expected"):
             load(which)

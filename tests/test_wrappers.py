@@ -22,9 +22,11 @@ def env():
 def test_the_second_number_counts_where_a_line_is_chosen_and_nowhere_else(env, line):
     reference = plain().unwrapped
     assert env.action_space.shape == (2,)
-    choice, forks = reference.observation_names.index("choice"), 0
+    choice = reference.observation_names.index("choice")
+    forks = 0
     for seed in range(3):
-        seen, expected = env.reset(seed=seed)[0], reference.reset(seed=seed)[0]
+        seen = env.reset(seed=seed)[0]
+        expected = reference.reset(seed=seed)[0]
         over = False
         while not over:
             np.testing.assert_array_equal(seen, expected)
@@ -43,7 +45,10 @@ def test_other_actions_are_refused(env, action):
 
 
 def test_environments_without_two_lines_or_with_another_action_are_refused(env):
-    for other, said in ((plain(scenario="mixed"), "SoilWheel-v0 with two lines"), (env, "an action of one number")):
+    for other, said in (
+        (plain(scenario="mixed"), "SoilWheel-v0 with two lines"),
+        (env, "an action of one number"),
+    ):
         with pytest.raises(ParameterError, match=f"expected {said}"):
             LineAction(other)
 

@@ -14,9 +14,16 @@ from .base import Controller
 __all__ = ["CONTROLLERS", "Controller", "checked_settings", "make_controller"]
 
 _ALL = (
-    wheel.FullThrottle, wheel.ConstantTorque, wheel.ConstantSpeed, wheel.SoftStart, wheel.FixedSlip, wheel.SlipLimiter,
-    wheel.ExtremumSeeking, wheel.BestSlipIdentified, wheel.BestSlipTrue,
-)  # fmt: skip
+    wheel.FullThrottle,
+    wheel.ConstantTorque,
+    wheel.ConstantSpeed,
+    wheel.SoftStart,
+    wheel.FixedSlip,
+    wheel.SlipLimiter,
+    wheel.ExtremumSeeking,
+    wheel.BestSlipIdentified,
+    wheel.BestSlipTrue,
+)
 CONTROLLERS: dict[str, type[Controller]] = {c.name: c for c in _ALL}
 
 
@@ -28,14 +35,20 @@ def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) 
     """
     if name not in CONTROLLERS:
         raise unknown_value(name, CONTROLLERS, "controller")
-    known, out = CONTROLLERS[name].bounds, {}
+    known = CONTROLLERS[name].bounds
+    out = {}
     for key, given in settings.items():
         if key not in known:
             if not known:
                 raise ParameterError(f"{where}: unknown key {key!r}: {name} has no settings")
             raise unknown_key(key, known, where)
-        value, setting = number(float, given, f"{where}.{key}"), known[key]
-        high = scenario.wheel.radius * scenario.wheel.no_load_speed if setting.rim_speed else setting.high
+        value = number(float, given, f"{where}.{key}")
+        setting = known[key]
+        high = (
+            scenario.wheel.radius * scenario.wheel.no_load_speed
+            if setting.rim_speed
+            else setting.high
+        )
         if not 0.0 <= value <= high or (value == 0.0 and not setting.zero):
             bracket = "[" if setting.zero else "("
             raise ParameterError(

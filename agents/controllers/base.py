@@ -25,8 +25,17 @@ class Setting(NamedTuple):
 
 
 SPEED = Setting(1.0, "m/s", "highest rim speed", (0.1, 1.0), rim_speed=True)
-START = Setting(0.13, "m/s", "rim speed below which the slip does not limit it", (0.01, 0.5), True, rim_speed=True)
-ACCELERATION = Setting(0.1, "m/s2", "of the rim, from rest and after halts", (0.02, 1.0), True, high=100.0)
+START = Setting(
+    0.13,
+    "m/s",
+    "rim speed below which the slip does not limit it",
+    (0.01, 0.5),
+    True,
+    rim_speed=True,
+)
+ACCELERATION = Setting(
+    0.1, "m/s2", "of the rim, from rest and after halts", (0.02, 1.0), True, high=100.0
+)
 
 
 class Controller:
@@ -46,19 +55,29 @@ class Controller:
     def __init__(self, scenario: Scenario, **settings: float):
         wheel = scenario.wheel
         self.scenario = scenario
-        self.radius, self.top_speed = wheel.radius, wheel.radius * wheel.no_load_speed
+        self.radius = wheel.radius
+        self.top_speed = wheel.radius * wheel.no_load_speed
         self.stall = wheel.stall_torque
         self.weight_torque = scenario.weight * wheel.radius
-        self.action, self.period = scenario.control.action, scenario.control.duration  # [s] between two actions
-        self.change = scenario.control.rim_acceleration * self.period / self.top_speed  # of command by an action of 1
-        self.gain = wheel.inertia / self.period  # [N m s]: a free wheel is on speed after one period
+        self.action = scenario.control.action  # [s] between two actions
+        self.period = scenario.control.duration
+        self.change = (
+            scenario.control.rim_acceleration * self.period / self.top_speed
+        )  # of command by an action of 1
+        self.gain = (
+            wheel.inertia / self.period
+        )  # [N m s]: a free wheel is on speed after one period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         #: Values of the settings.
         self.settings = {
-            name: settings.get(name, setting.default * (self.top_speed if setting.rim_speed else 1.0))
+            name: settings.get(
+                name, setting.default * (self.top_speed if setting.rim_speed else 1.0)
+            )
             for name, setting in self.bounds.items()
         }
-        self.column = {entry.name: i for i, entry in enumerate(layout(self.variant, scenario.course))}
+        self.column = {
+            entry.name: i for i, entry in enumerate(layout(self.variant, scenario.course))
+        }
 
     def rim_speed(self, observation: np.ndarray, state: dict) -> np.ndarray:
         """Rim speed to follow [m/s], [n]; may keep things in `state`."""
@@ -67,9 +86,15 @@ class Controller:
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] float32 (or [1] for one observation) and the state for the next call."""
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
-        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        fresh = (
+            np.full(len(batch), state is None)
+            if episode_start is None
+            else np.asarray(episode_start, dtype=bool)
+        )
         state = self.begin(batch, state, fresh)
-        action = self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
+        action = self.chosen(
+            batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)
+        )
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def beside(self, batch: np.ndarray) -> np.ndarray:
@@ -95,7 +120,9 @@ class Controller:
         if self.action == "torque":
             action = self._torque(batch, rim_speed, state) / self.stall
         else:
-            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)  # of the drive's loop
+            droop = (
+                batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
+            )  # of the drive's loop
             action = rim_speed / self.top_speed + droop
             if self.action == "rim_acceleration":
                 action = (action - batch[:, self.column["rim_command"]]) / self.change
@@ -104,7 +131,10 @@ class Controller:
     def begin(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
         """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a course."""
         if state is None or len(state["integral"]) != len(batch):
-            state = {name: np.zeros((len(batch), n) if n else len(batch)) for name, n in self.memory.items()}
+            state = {
+                name: np.zeros((len(batch), n) if n else len(batch))
+                for name, n in self.memory.items()
+            }
             fresh = np.ones(len(batch), dtype=bool)
         state = {key: value.copy() for key, value in state.items()}
         for name, columns in self.memory.items():
@@ -125,7 +155,9 @@ class Controller:
         error = (target - batch[:, self.column["rim_speed"]] * self.top_speed) / self.radius
         torque = self.gain * error + state["integral"]
         windup = (np.abs(torque) > self.stall) & (torque * error > 0.0)
-        integral = state["integral"] + np.where(windup, 0.0, self.integral_gain * self.period * error)
+        integral = state["integral"] + np.where(
+            windup, 0.0, self.integral_gain * self.period * error
+        )
         integral = np.clip(integral, -self.stall, self.stall)
         state["integral"] = np.where(self.halted(batch), self._feed_forward(batch), integral)
         return torque

@@ -29,14 +29,19 @@ EVERY = 0.5  # [s] between two plans
 HORIZON = 11.0  # [s]
 ACCELERATIONS = (0.03, 1.0)  # [m/s2] range of the plans, drawn evenly in the logarithm
 SPEEDS = (0.05, 1.0)  # [of the top rim speed]
-BACKING, BACKING_SHARE = (0.5, 4.0), 0.25  # [s] of going back, and the share of drawn plans that begin so
+BACKING = (0.5, 4.0)  # [s] of going back, and the share of drawn plans that begin so
+BACKING_SHARE = 0.25
 BACK = -0.1  # [of the top rim speed]
-FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))  # soft starts, tried every time
+FIXED = tuple(
+    (a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8)
+)  # soft starts, tried every time
 DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
-VARIED, DRAWN = 10, 14  # plans
+VARIED = 10  # plans
+DRAWN = 14
 COUNT = 1 + VARIED + len(FIXED) + DRAWN
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
-_RUNNING, _FINISHED = Cause.RUNNING.value, Cause.FINISHED.value
+_RUNNING = Cause.RUNNING.value
+_FINISHED = Cause.FINISHED.value
 
 
 class Plans(NamedTuple):
@@ -57,7 +62,9 @@ class Plans(NamedTuple):
     def after(self, time: float) -> Plans:
         """The plans with `time` seconds elapsed."""
         back = np.maximum(self.back - time, 0.0)
-        return self._replace(back=back, left=np.where(self.back > 0.0, self.left, np.maximum(self.left - time, 0.0)))
+        return self._replace(
+            back=back, left=np.where(self.back > 0.0, self.left, np.maximum(self.left - time, 0.0))
+        )
 
 
 class _Driver(Ramped):
@@ -69,7 +76,8 @@ class _Driver(Ramped):
         """Backwards for the planned time, then the ramps."""
         p = self.plans
         second = p.left <= 1e-9
-        acceleration, speed = np.where(second, p.second, p.first), np.where(second, p.later_speed, p.speed)
+        acceleration = np.where(second, p.second, p.first)
+        speed = np.where(second, p.later_speed, p.speed)
         back = (p.back > 1e-9) & ~self.halted(observation)
         state["ramp"] = np.where(back, 0.0, self.ramp(observation, state, acceleration, speed))
         self.plans = p.after(self.period)
@@ -80,7 +88,9 @@ class _Driver(Ramped):
 
     def act(self, batch, state) -> np.ndarray:
         """Actions [n, 1]; advances the plans and the `state`."""
-        return self.chosen(batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch))
+        return self.chosen(
+            batch, self.command(batch, self.rim_speed(batch, state), state), self.beside(batch)
+        )
 
 
 class Oracle:
@@ -89,26 +99,39 @@ class Oracle:
     name = "oracle"
 
     def __init__(self, scenario: Scenario, horizon: float = HORIZON):
-        self.scenario, self.variant = scenario, _Driver.variant
-        self.driver, self.dreamer = _Driver(scenario), _Driver(scenario)
+        self.scenario = scenario
+        self.variant = _Driver.variant
+        self.driver = _Driver(scenario)
+        self.dreamer = _Driver(scenario)
         self.every, self.steps = (max(1, round(t / self.driver.period)) for t in (EVERY, horizon))
         self.settings: dict[str, float] = {}
         self.simulation: Simulation | None = None
 
-    def attach(self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None) -> None:
+    def attach(
+        self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
+    ) -> None:
         """Set the simulation whose observations come next, which was made with `threads` and `model`."""
-        self.simulation, wheels = simulation, simulation.worlds.cause.size
-        self.clones = Simulation(wheels * COUNT, self.scenario, self.variant, threads=threads, model=model)
+        self.simulation = simulation
+        wheels = simulation.worlds.cause.size
+        self.clones = Simulation(
+            wheels * COUNT, self.scenario, self.variant, threads=threads, model=model
+        )
         self.rng = np.random.default_rng(0)
         self.driver.plans = self._soft_starts((wheels,), 0.09, 0.6)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, 1] for all wheels of the simulation; plans anew every `every` steps."""
         if self.simulation is None or self.simulation.worlds.cause.size != len(observation):
-            raise ParameterError("oracle: predict before attach: it plans in the simulation that it drives in")
+            raise ParameterError(
+                "oracle: predict before attach: it plans in the simulation that it drives in"
+            )
         batch = np.asarray(observation, dtype=np.float64)
         memory, since = (None, 0) if state is None else state
-        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        fresh = (
+            np.full(len(batch), state is None)
+            if episode_start is None
+            else np.asarray(episode_start, dtype=bool)
+        )
         memory = self.driver.begin(batch, memory, fresh)
         if since % self.every == 0:
             w = self.simulation.worlds
@@ -124,29 +147,50 @@ class Oracle:
         tried = self._candidates(self.driver.plans.at(due))
         clone(self.simulation, wheels, self.clones, places)
         streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
-        self.clones.worlds.streams[places] = np.repeat(streams, COUNT)  # the same noise for all plans of a wheel
+        self.clones.worlds.streams[places] = np.repeat(
+            streams, COUNT
+        )  # the same noise for all plans of a wheel
         self.dreamer.plans = Plans(*(x.ravel() for x in tried))
-        score = self._tried(batch[wheels], {name: values[wheels] for name, values in memory.items()})
+        score = self._tried(
+            batch[wheels], {name: values[wheels] for name, values in memory.items()}
+        )
         best = np.argmax(score.reshape(-1, COUNT), axis=1)  # of equals the first: to go on
         for now, values in zip(self.driver.plans, tried, strict=True):
             now[due] = values[np.arange(due.size), best]
 
     def _soft_starts(self, shape, acceleration, share) -> Plans:
         zero = np.zeros(shape)
-        a, v = zero + acceleration, zero + np.asarray(share) * self.driver.top_speed
-        return Plans(zero.copy(), zero.copy(), a, v, a.copy(), v.copy(), np.zeros(shape, dtype=bool))
+        a = zero + acceleration
+        v = zero + np.asarray(share) * self.driver.top_speed
+        return Plans(
+            zero.copy(), zero.copy(), a, v, a.copy(), v.copy(), np.zeros(shape, dtype=bool)
+        )
 
     def _candidates(self, now: Plans) -> Plans:
         """Plans [d, COUNT] to try, the first as `now` [d]."""
-        d, top, rng = now.back.size, self.driver.top_speed, self.rng
+        d = now.back.size
+        top = self.driver.top_speed
+        rng = self.rng
         fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
         fixed = fixed._replace(beside=rng.random((d, len(FIXED))) < 0.5)
         a, b = (np.exp(rng.uniform(*np.log(ACCELERATIONS), (d, DRAWN))) for _ in range(2))
         v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))
-        back = np.where(rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0)
-        drawn = Plans(back, rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)), a, v, b, u, rng.random((d, DRAWN)) < 0.5)
-        low, high = SPEEDS[0] * top, SPEEDS[1] * top
-        same, noise = [x[:, None] for x in now], rng.standard_normal((6, d, VARIED))
+        back = np.where(
+            rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0
+        )
+        drawn = Plans(
+            back,
+            rng.uniform(0.0, 0.6 * HORIZON, (d, DRAWN)),
+            a,
+            v,
+            b,
+            u,
+            rng.random((d, DRAWN)) < 0.5,
+        )
+        low = SPEEDS[0] * top
+        high = SPEEDS[1] * top
+        same = [x[:, None] for x in now]
+        noise = rng.standard_normal((6, d, VARIED))
         varied = Plans(
             same[0] + 0.0 * noise[0],
             np.maximum(same[1] + 1.0 * noise[1], 0.0),
@@ -156,14 +200,21 @@ class Oracle:
             np.clip(same[5] * np.exp(0.3 * noise[5]), low, high),
             same[6] ^ (rng.random((d, VARIED)) < 0.3),
         )
-        return Plans(*(np.concatenate(parts, axis=1) for parts in zip(same, varied, fixed, drawn, strict=True)))
+        return Plans(
+            *(
+                np.concatenate(parts, axis=1)
+                for parts in zip(same, varied, fixed, drawn, strict=True)
+            )
+        )
 
     def _tried(self, batch, state) -> np.ndarray:
         """Score [n] of clones driven to the horizon."""
-        w, n = self.clones.worlds, len(batch)
+        w = self.clones.worlds
+        n = len(batch)
         what = np.full(w.cause.size, IDLE)
         what[:n] = STEP
-        commands, done = np.zeros(w.cause.size), np.full(n, float(self.steps))
+        commands = np.zeros(w.cause.size)
+        done = np.full(n, float(self.steps))
         for step in range(self.steps):
             if step:
                 batch = w.observation[:n].astype(np.float64)
@@ -179,7 +230,8 @@ class Oracle:
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
         """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time saved by a finish."""
-        w, s = self.clones.worlds, self.clones.worlds.state
+        w = self.clones.worlds
+        s = self.clones.worlds.state
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time
         spare = (self.steps - done) * self.driver.period * self.driver.top_speed
         depth = s["sinkage"][:n] / (self.scenario.limits.bogged_sinkage * self.driver.radius)

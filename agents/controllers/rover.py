@@ -38,19 +38,30 @@ class RoverController:
 
     def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
         self.own = make_controller(of_wheel, scenario, **settings)
-        self.scenario, self.variant, self.settings = scenario, self.own.variant, self.own.settings
+        self.scenario = scenario
+        self.variant = self.own.variant
+        self.settings = self.own.settings
         self.axles = scenario.axles
         self.column = {e.name: i for i, e in enumerate(rover_layout(self.variant, self.axles))}
         self._columns = np.array(
-            [[self.column.get(e.name, self.column.get(f"{axle}_{e.name}")) for e in layout(self.variant)]
-             for axle in axle_names(self.axles)]
-        )  # fmt: skip
+            [
+                [
+                    self.column.get(e.name, self.column.get(f"{axle}_{e.name}"))
+                    for e in layout(self.variant)
+                ]
+                for axle in axle_names(self.axles)
+            ]
+        )
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next call."""
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
-        fresh = np.full(len(batch), state is None) if episode_start is None else np.asarray(episode_start, dtype=bool)
+        fresh = (
+            np.full(len(batch), state is None)
+            if episode_start is None
+            else np.asarray(episode_start, dtype=bool)
+        )
         state = {**self.own.begin(wheels, state, np.repeat(fresh, self.axles)), "begun": fresh}
         action = self.command(batch, wheels, state).reshape(len(batch), self.axles)
         return (action[0] if np.ndim(observation) == 1 else action), state
@@ -79,11 +90,13 @@ class VelocitySync(RoverController):
 
     def rim_speeds(self, batch, wheels, state):
         """The ramp, less for the slower axles."""
-        pitch, fresh = batch[:, self.column["pitch"]], state["begun"]
+        pitch = batch[:, self.column["pitch"]]
+        fresh = state["begun"]
         before = np.where(fresh, pitch, state.get("pitch", pitch))
         rate = np.where(fresh, 0.0, state.get("rate", 0.0 * pitch))
         rate = rate + _RATE_SHARE * ((pitch - before) / self.own.period - rate)
-        state["pitch"], state["rate"] = pitch, rate
+        state["pitch"] = pitch
+        state["rate"] = rate
         speed = np.maximum(np.abs(batch[:, self.column["speed"]]), _SLOWEST) * self.own.top_speed
         going = np.hypot(speed[:, None], rate[:, None] * self.arms)
         share = going / going.max(axis=1, keepdims=True)
@@ -102,7 +115,8 @@ class TorqueByLoad(RoverController):
 
     def command(self, batch, wheels, state):
         """Torques over the stall torque."""
-        own, axles = self.own, self.axles
+        own = self.own
+        axles = self.axles
         target = own.rim_speed(wheels, state).reshape(-1, axles)[:, 0]
         speed = batch[:, self.column["speed"]] * own.top_speed
         halted = batch[:, self.column["halted"]] > 0.5
@@ -146,7 +160,9 @@ def make_rover_controller(name: str, scenario: RoverScenario, **settings: float)
     return kind.cls(scenario, kind.of_wheel, **settings)
 
 
-def controllers_of(scenario: Scenario | RoverScenario) -> tuple[Mapping[str, Any], Callable[..., Any]]:
+def controllers_of(
+    scenario: Scenario | RoverScenario,
+) -> tuple[Mapping[str, Any], Callable[..., Any]]:
     """(Controllers by name, function that makes one) of a wheel or of a rover."""
     if isinstance(scenario, RoverScenario):
         return ROVER_CONTROLLERS, make_rover_controller

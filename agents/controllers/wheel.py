@@ -10,7 +10,9 @@ from .base import SPEED, START, Controller, Ramped, Setting
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
-CHANGE = np.array([0.01] * 7 + [0.1])  # relative change of soil and load that recomputes the best slip
+CHANGE = np.array(
+    [0.01] * 7 + [0.1]
+)  # relative change of soil and load that recomputes the best slip
 
 
 class FullThrottle(Controller):
@@ -65,7 +67,8 @@ class SlipFollower(Ramped):
         slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
         # V from slip and rim speed is less noisy at low speeds than the speed sensor.
         travel = travel_speeds(np.maximum(rim, 0.0) * self.top_speed, np.maximum(slip, -0.9))
-        target, start = np.minimum(self.target_slip(observation, state), MOST_SLIP), self.settings["start"]
+        target = np.minimum(self.target_slip(observation, state), MOST_SLIP)
+        start = self.settings["start"]
         return np.minimum(np.maximum(rim_speeds(travel, target) + _CREEP * start, start), ramp)
 
 
@@ -77,20 +80,29 @@ class FixedSlip(Controller):
     """
 
     name = "fixed_slip"
-    bounds = {"slip": _SLIP, "start": START._replace(default=0.04, tuned=(0.01, 0.15)), "speed": SPEED}
+    bounds = {
+        "slip": _SLIP,
+        "start": START._replace(default=0.04, tuned=(0.01, 0.15)),
+        "speed": SPEED,
+    }
     memory = {**Controller.memory, "rim": 0, "gain": 0}
     step = 1.5  # [m/s2] change of the acceleration per action and unit of slip
     most = 1.0  # [m/s2]
 
     def rim_speed(self, observation, state):
         """The last rim speed plus its change in an action."""
-        start, top = self.settings["start"], self.settings["speed"]
+        start = self.settings["start"]
+        top = self.settings["speed"]
         error = self.settings["slip"] - observation[:, self.column["slip"]]
         rest = self.halted(observation)
-        gain = np.clip(np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most)
+        gain = np.clip(
+            np.where(rest, 0.0, state["gain"] + self.step * error), -self.most, self.most
+        )
         rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
         state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
-        held = np.where(rim > top, np.minimum(gain, 0.0), gain)  # at its limits the acceleration does not wind up
+        held = np.where(
+            rim > top, np.minimum(gain, 0.0), gain
+        )  # at its limits the acceleration does not wind up
         state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
         return state["rim"]
 
@@ -114,12 +126,26 @@ class ExtremumSeeking(SlipFollower):
 
     name = "extremum_seeking"
     bounds = {
-        "gain": Setting(0.3, "1/s", "of the estimate by the slope of the pull", (0.01, 3.0), True, high=1e3),
-        "swing": Setting(0.05, "-", "amplitude of the slip about its estimate", (0.01, 0.15), high=0.3),
+        "gain": Setting(
+            0.3, "1/s", "of the estimate by the slope of the pull", (0.01, 3.0), True, high=1e3
+        ),
+        "swing": Setting(
+            0.05, "-", "amplitude of the slip about its estimate", (0.01, 0.15), high=0.3
+        ),
         **SlipFollower.bounds,
     }
-    memory = {**SlipFollower.memory, "best": 0, "phase": 0, "slip_mean": 0, "pull_mean": 0, "power": 0, "product": 0}
-    first, low, high = 0.3, 0.05, 0.8  # estimate at the start, and its bounds
+    memory = {
+        **SlipFollower.memory,
+        "best": 0,
+        "phase": 0,
+        "slip_mean": 0,
+        "pull_mean": 0,
+        "power": 0,
+        "product": 0,
+    }
+    first = 0.3  # estimate at the start, and its bounds
+    low = 0.05
+    high = 0.8
     swing_period = 1.2  # [s]
     memory_time = 2.4  # [s] of the means and of the slope
     _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
@@ -129,8 +155,12 @@ class ExtremumSeeking(SlipFollower):
         driving = ~(self.halted(observation) | state["fresh"])
         slip, pull = (observation[:, self.column[name]] for name in ("slip", "drawbar_pull"))
         share = np.where(driving, self.period / self.memory_time, 0.0)
-        a, b = slip - state["slip_mean"], pull - state["pull_mean"]
-        state["slip_mean"], state["pull_mean"] = state["slip_mean"] + share * a, state["pull_mean"] + share * b
+        a = slip - state["slip_mean"]
+        b = pull - state["pull_mean"]
+        state["slip_mean"], state["pull_mean"] = (
+            state["slip_mean"] + share * a,
+            state["pull_mean"] + share * b,
+        )
         state["power"] = state["power"] + share * (a * a - state["power"])
         state["product"] = state["product"] + share * (a * b - state["product"])
         slope = state["product"] / (state["power"] + self._LITTLE)
@@ -150,7 +180,8 @@ class BestSlipIdentified(SlipFollower):
 
     def soil_columns(self, observation) -> list:
         """The columns of `SoilState` read from the observation, each [n] or one number."""
-        read, belief = (lambda name: observation[:, self.column[name]]), self.scenario.belief
+        read = lambda name: observation[:, self.column[name]]
+        belief = self.scenario.belief
         return [
             np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
             1000.0 * read("cohesion"),
@@ -163,7 +194,9 @@ class BestSlipIdentified(SlipFollower):
 
     def soils(self, observation) -> np.ndarray:
         """`SoilState` rows [n, 7] read from the observation."""
-        return np.column_stack([np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)])
+        return np.column_stack(
+            [np.broadcast_to(x, len(observation)) for x in self.soil_columns(observation)]
+        )
 
     def load(self, observation) -> np.ndarray:
         """Load [N] read from the observation, [n]."""
@@ -171,12 +204,21 @@ class BestSlipIdentified(SlipFollower):
 
     def target_slip(self, observation, state):
         """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
-        soils, load = self.soils(observation), self.load(observation)
-        known, now = state["known"], np.column_stack([soils, load])
+        soils = self.soils(observation)
+        load = self.load(observation)
+        known = state["known"]
+        now = np.column_stack([soils, load])
         rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
         wheel = self.scenario.wheel
         best_points(
-            rows, soils, load, wheel.radius, wheel.width, wheel.stall_torque, state["slip"], np.empty(len(load))
+            rows,
+            soils,
+            load,
+            wheel.radius,
+            wheel.width,
+            wheel.stall_torque,
+            state["slip"],
+            np.empty(len(load)),
         )
         known[rows] = now[rows]
         return state["slip"]

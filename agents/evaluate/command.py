@@ -23,7 +23,7 @@ from ..cli import (
     keys_argument,
     overrides,
     unknown_option,
-)  # fmt: skip
+)
 from ..progress import Bar, show
 from . import contestants, evaluation, report
 from .driving import HELD_OUT_SET, TUNING_SET
@@ -37,20 +37,69 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
 @click.command("evaluate", context_settings=WITH_KEYS)
 @click.option("--controllers", metavar="LIST", help="Names with commas, see above.")
 @click.option("--out", type=PATH, metavar="OUT", help="Folder of the results, made if missing.")
-@click.option("--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it.")
-@click.option("--scenario", metavar="NAME", default=DEFAULT_SCENARIO, help=f"Or YAML (default {DEFAULT_SCENARIO}).")
-@click.option("--model", metavar="YAML", default="", help="model.yaml with the effects of this world.")
-@click.option("--courses", type=WholeNumber(), default=1000, metavar="N", help="Courses of each (default 1000).")
-@click.option("--seed", type=WholeNumber(), default=HELD_OUT_SET, metavar="N", help="Courses (default: held out).")
-@click.option("--tuning-courses", type=WholeNumber(), metavar="N", help="For untuned controllers; 0: do not tune.")
-@click.option("--oracle-courses", type=WholeNumber(), default=0, metavar="N", help="Courses of the oracle (default 0).")
-@click.option("--block", type=WholeNumber(), default=100, metavar="N", help="Courses side by side (default 100).")
-@click.option("--resamples", type=WholeNumber(), default=2000, metavar="N", help="Bootstrap redraws (default 2000).")
+@click.option(
+    "--resume", type=PATH, metavar="OUT", help="Continue; only the engine may be given beside it."
+)
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    default=DEFAULT_SCENARIO,
+    help=f"Or YAML (default {DEFAULT_SCENARIO}).",
+)
+@click.option(
+    "--model", metavar="YAML", default="", help="model.yaml with the effects of this world."
+)
+@click.option(
+    "--courses",
+    type=WholeNumber(),
+    default=1000,
+    metavar="N",
+    help="Courses of each (default 1000).",
+)
+@click.option(
+    "--seed",
+    type=WholeNumber(),
+    default=HELD_OUT_SET,
+    metavar="N",
+    help="Courses (default: held out).",
+)
+@click.option(
+    "--tuning-courses",
+    type=WholeNumber(),
+    metavar="N",
+    help="For untuned controllers; 0: do not tune.",
+)
+@click.option(
+    "--oracle-courses",
+    type=WholeNumber(),
+    default=0,
+    metavar="N",
+    help="Courses of the oracle (default 0).",
+)
+@click.option(
+    "--block",
+    type=WholeNumber(),
+    default=100,
+    metavar="N",
+    help="Courses side by side (default 100).",
+)
+@click.option(
+    "--resamples",
+    type=WholeNumber(),
+    default=2000,
+    metavar="N",
+    help="Bootstrap redraws (default 2000).",
+)
 @engine_options
 @keys_argument
 @controllers_as("--controllers")
 def command(
-    resume: Path | None, engine: str, workers: int | None, address: str | None, keys: tuple, **given: Any
+    resume: Path | None,
+    engine: str,
+    workers: int | None,
+    address: str | None,
+    keys: tuple,
+    **given: Any,
 ) -> None:
     """Compare controllers and agents on the same courses.
 
@@ -69,12 +118,14 @@ def command(
     """
     chosen = cells.choose(engine, workers, address)
     if resume is None:
-        folder, asked = given["out"], _asked(SimpleNamespace(**given), keys)
+        folder = given["out"]
+        asked = _asked(SimpleNamespace(**given), keys)
     else:
         source = click.get_current_context().get_parameter_source
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
-        folder, asked = resume, cells.load_study(Evaluation, resume)
+        folder = resume
+        asked = cells.load_study(Evaluation, resume)
     evaluation.check_controllers(asked)
     with continued_by(f"soil-env evaluate --resume {folder}"):
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
@@ -82,7 +133,9 @@ def command(
         carry_out(asked, folder, chosen, ship=engine == "ray")
 
 
-def carry_out(asked: Evaluation, folder: Path, engine: cells.Engine = cells.in_process, ship: bool = False) -> dict:
+def carry_out(
+    asked: Evaluation, folder: Path, engine: cells.Engine = cells.in_process, ship: bool = False
+) -> dict:
     """Tune, drive what is missing in `folder`, write and print the results; returns the content of evaluation.json.
 
     `ship`: the engine's machines do not have the files of the models.
@@ -91,7 +144,9 @@ def carry_out(asked: Evaluation, folder: Path, engine: cells.Engine = cells.in_p
     cells.save_study(asked, folder)
     (folder / _TUNING).unlink(missing_ok=True)
     job = evaluation.Job(asked, None if engine is cells.in_process else 1, ship)
-    with Bar("Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses") as bar:
+    with Bar(
+        "Driving", asked.courses * len(asked.controllers) + asked.oracle_courses, "courses"
+    ) as bar:
         runs = evaluation.run(asked, folder, engine, job, lambda count: bar.update(advance=count))
     result = evaluation.result(asked, runs)
     written = report.write(result, runs, folder)
@@ -109,29 +164,43 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
         if key not in ("changes", "settings"):
             known = [str(p.name) for p in command.params if p.name != "keys"]
             raise unknown_option(key, [*known, "changes", "settings"])
-        entries = {key: value} | ({f"settings.{name}": v for name, v in value.items()} if key == "settings" else {})
+        entries = {key: value} | (
+            {f"settings.{name}": v for name, v in value.items()} if key == "settings" else {}
+        )
         for name, entry in entries.items():
             if not isinstance(entry, dict):
                 raise ParameterError(f"--{name}: expected --{name}.KEY VALUE")
     tuning = options.tuning_courses
     if tuning and options.seed == TUNING_SET:
-        raise ParameterError(f"--seed {TUNING_SET}: these courses are those that controllers are tuned on")
+        raise ParameterError(
+            f"--seed {TUNING_SET}: these courses are those that controllers are tuned on"
+        )
     if tuning is None:
         tuning = min(_TUNING_COURSES, options.courses) if options.seed != TUNING_SET else 0
-    same = {name: getattr(options, name) for name in ("courses", "seed", "block", "resamples", "oracle_courses")}
+    same = {
+        name: getattr(options, name)
+        for name in ("courses", "seed", "block", "resamples", "oracle_courses")
+    }
     scenario = load_scenario(options.scenario, extra.get("changes"), "--changes")
     controllers = contestants.parse(options.controllers, extra.get("settings", {}))
     model = WheelSoilModel.load(options.model).content() if options.model else {}
     with as_options():
-        return Evaluation(to_dict(scenario), controllers, tuning_courses=tuning, model=model, **same)
+        return Evaluation(
+            to_dict(scenario), controllers, tuning_courses=tuning, model=model, **same
+        )
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
     """`asked` with settings of the classical controllers that have none by --settings, under their own name."""
     if asked.tuned or not asked.tuning_courses:
         return asked
-    own = [c for c in asked.controllers.values() if c.kind == "classical" and c.source == c.name and not c.settings]
+    own = [
+        c
+        for c in asked.controllers.values()
+        if c.kind == "classical" and c.source == c.name and not c.settings
+    ]
     cells.save_study(asked, folder)  # before the work, so that it can be resumed
-    names, log = [c.name for c in own], folder / _TUNING
+    names = [c.name for c in own]
+    log = folder / _TUNING
     tuned = tuned_settings(asked.scenario, asked.tuning_courses, names, asked.world, log)
     return dataclasses.replace(asked, tuned=tuned)

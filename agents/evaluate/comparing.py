@@ -13,7 +13,9 @@ from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
 RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
-ORACLE_BLOCK = 10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
+ORACLE_BLOCK = (
+    10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
+)
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
@@ -21,9 +23,13 @@ BY_SEED = ("immobilised", "finished", "return")
 
 
 def comparison(
-    scenario: Scenario, seed: int, runs: Mapping[str, Sequence[Runs]], settings: Mapping | None = None,
-    oracle: Runs | None = None, resamples: int = RESAMPLES,
-) -> dict:  # fmt: skip
+    scenario: Scenario,
+    seed: int,
+    runs: Mapping[str, Sequence[Runs]],
+    settings: Mapping | None = None,
+    oracle: Runs | None = None,
+    resamples: int = RESAMPLES,
+) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
     {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
@@ -33,23 +39,36 @@ def comparison(
     `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
     first = next(iter(runs.values()))[0]
-    names, courses = first.names, first.cause.size
+    names = first.names
+    courses = first.cause.size
     drawn = st.draws(seed, courses, resamples)
     members = {name: drawn.members(name, len(own)) for name, own in runs.items()}
-    scores = {name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in runs.items()}
+    scores = {
+        name: {m: np.array([r.metric(m) for r in own]) for m in names} for name, own in runs.items()
+    }
     paired = [m for m in PAIRED if m in names]
-    samples = {n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names} for n in runs}
+    samples = {
+        n: {m: st.mean_samples(scores[n][m], members[n], drawn.courses) for m in names}
+        for n in runs
+    }
 
     def difference(a: str, b: str, m: str) -> dict:
-        x, y, drawn_ones = scores[a][m], scores[b][m], samples[a][m] - samples[b][m]
-        return st.difference_bounds(x, y, drawn_ones) if m in RATES else st.bounds(st.mean(x) - st.mean(y), drawn_ones)
+        x = scores[a][m]
+        y = scores[b][m]
+        drawn_ones = samples[a][m] - samples[b][m]
+        return (
+            st.difference_bounds(x, y, drawn_ones)
+            if m in RATES
+            else st.bounds(st.mean(x) - st.mean(y), drawn_ones)
+        )
 
     def iqm(name: str) -> dict:
         own = scores[name]["return"]
         return st.bounds(st.iqm(own), st.iqm_samples(own, members[name], drawn.courses))
 
     def improvement(a: str, b: str) -> dict:
-        x, y = scores[a]["return"], scores[b]["return"]
+        x = scores[a]["return"]
+        y = scores[b]["return"]
         drawn_ones = st.improvement_samples(x, y, members[a], members[b], drawn.courses)
         return st.bounds(st.probability_of_improvement(x, y), drawn_ones)
 
@@ -61,10 +80,14 @@ def comparison(
         "settings": dict(settings or {}),
         "members": {name: len(own) for name, own in runs.items()},
         "metrics": {m: dict(zip(("unit", "meaning"), MEANINGS[m], strict=True)) for m in names},
-        "controllers": {n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in runs},
+        "controllers": {
+            n: {m: _metric(m, scores[n][m], samples[n][m]) for m in names} for n in runs
+        },
         "by_seed": {n: {m: [st.mean(row) for row in scores[n][m]] for m in BY_SEED} for n in runs},
         "iqm": {n: iqm(n) for n in runs},
-        "paired": {a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs},
+        "paired": {
+            a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs
+        },
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in runs},
         **({"limit": _limit(oracle, names, seed, resamples)} if oracle else {}),
     }
@@ -82,7 +105,8 @@ def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
 def _limit(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:
     """{"courses", "metrics"} of the oracle, whose drives are not detailed."""
     drawn = st.draws(seed, oracle.cause.size, resamples)
-    members, metrics = drawn.members(ORACLE, 1), dict.fromkeys(names, _UNDEFINED)
+    members = drawn.members(ORACLE, 1)
+    metrics = dict.fromkeys(names, _UNDEFINED)
     for m in oracle.names:
         scores = oracle.metric(m)[None]
         metrics[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
@@ -92,9 +116,15 @@ def _limit(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dic
 def table(result: Mapping) -> tuple[Table, str]:
     """The main metrics of all controllers, and a line with the meaning of the columns."""
     columns = OF_ROVERS if "fighting" in result["metrics"] else COLUMNS
-    title = f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
-    seeds = {name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()}
-    entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(result)
+    title = (
+        f"{result['courses']} courses of {result['scenario']!r}, the same for all; 95 % intervals"
+    )
+    seeds = {
+        name: f" ({count} seeds)" if count > 1 else "" for name, count in result["members"].items()
+    }
+    entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(
+        result
+    )
     return metric_table(entries, columns, title), legend(columns, MEANINGS)
 
 

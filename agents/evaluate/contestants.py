@@ -43,7 +43,8 @@ class Contestant:
 _NAME = re.compile(r"[\w.+-]+")
 MODELS = (".zip", ".onnx", ".npz")  # of Stable-Baselines3, exported, of a default policy
 #: Policy that comes with the package: its names in a list, and its class.
-SHIPPED, SHIPPED_CLASS = ("default_policy", "default"), f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
+SHIPPED = ("default_policy", "default")
+SHIPPED_CLASS = f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
@@ -54,8 +55,11 @@ def parse(
 
     `settings`: {name of a classical controller: keyword arguments of `make_controller`}; `known`: their names.
     """
-    settings, out = settings or {}, {}
-    first: dict[str, tuple[str, str, bool]] = {}  # kind, text and explicit naming of the first entry of a name
+    settings = settings or {}
+    out = {}
+    first: dict[
+        str, tuple[str, str, bool]
+    ] = {}  # kind, text and explicit naming of the first entry of a name
     items = [item.strip() for item in text.split(",")]
     if not any(items):
         raise ParameterError("controllers: expected at least one, got none")
@@ -64,12 +68,18 @@ def parse(
         named = bool(equals) and _NAME.fullmatch(head) is not None
         name, spec = (head, rest.strip()) if named else ("", item)
         if ORACLE in (name, spec):
-            raise ParameterError(f"controllers: {ORACLE!r}: --oracle-courses N drives it; expected another name")
+            raise ParameterError(
+                f"controllers: {ORACLE!r}: --oracle-courses N drives it; expected another name"
+            )
         if not spec:
-            raise ParameterError(f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH")
+            raise ParameterError(
+                f"controllers: {text!r}: an empty entry; expected NAME, PATH or NAME=PATH"
+            )
         kind, sources = _sources(spec, known)
         if kind == "model" and len(sources) > 1 and not named:
-            raise ParameterError(f"controllers: {spec}: {len(sources)} models; name the algorithm: NAME={spec}")
+            raise ParameterError(
+                f"controllers: {spec}: {len(sources)} models; name the algorithm: NAME={spec}"
+            )
         name = name or _default_name(kind, sources[0])
         first_kind, first_spec, first_named = first.setdefault(name, (kind, spec, named))
         own = [c for c in out.values() if c.name == name]
@@ -103,16 +113,22 @@ def _sources(spec: str, classical: Collection[str]) -> tuple[str, list[str]]:
     if any(c in spec for c in "*?[") and not Path(spec).exists():
         found = sorted(p for p in glob.glob(spec, recursive=True) if _is_model(Path(p)))
         if not found:
-            raise ParameterError(f"controllers: {spec}: no model matches; expected .zip files or run folders")
+            raise ParameterError(
+                f"controllers: {spec}: no model matches; expected .zip files or run folders"
+            )
         return "model", [str(_file_of(Path(p))) for p in found]
     path = Path(spec)
     if path.suffix in MODELS or path.is_dir() or ("/" in spec and not path.is_file()):
         return "model", [str(_file_of(path))]
     if path.is_file():
-        expected = "a run folder, a model.zip, a policy.onnx, module:Class, or the name of a controller"
+        expected = (
+            "a run folder, a model.zip, a policy.onnx, module:Class, or the name of a controller"
+        )
         raise ParameterError(f"controllers: {spec}: no trained agent: expected {expected}")
     known = (*classical, *SHIPPED)
-    raise ParameterError(f"{unknown_value(spec, known, 'controllers')}; or model.zip, policy.onnx, module:Class")
+    raise ParameterError(
+        f"{unknown_value(spec, known, 'controllers')}; or model.zip, policy.onnx, module:Class"
+    )
 
 
 def _is_model(path: Path) -> bool:
@@ -144,7 +160,9 @@ def model_bytes(path: str) -> bytes:
             unfinished = f"its training is not done: soil-env train --resume {Path(path).parent}"
             raise ParameterError(f"controllers: {path}: missing; {unfinished}") from None
         expected = "expected a model, .zip, or a run folder"
-        raise ParameterError(f"controllers: {path}: cannot be read ({error.strerror}); {expected}") from None
+        raise ParameterError(
+            f"controllers: {path}: cannot be read ({error.strerror}); {expected}"
+        ) from None
 
 
 def digest(path: str) -> str:

@@ -20,8 +20,10 @@ from soil_env.vehicle import RoverScenario
 from .warning import Foresight
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
-TUNING_SET, HELD_OUT_SET = 1_000_001, 3_000_011
-_RUNNING, _STUCK = Cause.RUNNING.value, [cause.value for cause in IMMOBILISED]
+TUNING_SET = 1_000_001
+HELD_OUT_SET = 3_000_011
+_RUNNING = Cause.RUNNING.value
+_STUCK = [cause.value for cause in IMMOBILISED]
 
 #: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals over courses.
 METRICS = {
@@ -41,11 +43,17 @@ METRICS = {
 }
 #: Further metrics of a detailed drive of a wheel, NaN on courses on which they are not defined.
 DETAILED = {
-    "foreseen": ("share of immobilised courses", "an alarm by the probability was on at complete immobilisation"),
+    "foreseen": (
+        "share of immobilised courses",
+        "an alarm by the probability was on at complete immobilisation",
+    ),
     "foreseen_distance": ("m", "from the alarm to complete immobilisation, where foreseen"),
     "foreseen_time": ("s", "from the alarm to complete immobilisation, where foreseen"),
     "false_foresight": ("share of driving time", "under alarm on courses without immobilisation"),
-    "tractive_efficiency": ("-", "drawbar work over motor work while driving with a drawbar pull > 0"),
+    "tractive_efficiency": (
+        "-",
+        "drawbar work over motor work while driving with a drawbar pull > 0",
+    ),
     "slip_p50": ("-", "median slip over time, halts left out"),
     "slip_p95": ("-", "95th percentile of slip over time, halts left out"),
     "sinkage_p50": ("mm", "median sinkage over time, halts left out"),
@@ -53,8 +61,14 @@ DETAILED = {
 }
 #: Further metrics of a rover: how the wheels share the work.
 OF_ROVERS = {
-    "fighting": ("% of weight", "pull of wheels that others pull against: half of sum |DP| - |sum DP|, mean over time"),
-    "wheel_force": ("% of share", "largest |torque|/radius of a wheel over its share of the weight, mean over time"),
+    "fighting": (
+        "% of weight",
+        "pull of wheels that others pull against: half of sum |DP| - |sum DP|, mean over time",
+    ),
+    "wheel_force": (
+        "% of share",
+        "largest |torque|/radius of a wheel over its share of the weight, mean over time",
+    ),
 }
 MEANINGS = METRICS | DETAILED | OF_ROVERS
 RATES = ("immobilised", "entrapped", "stalled", "bogged", "time_limit", "finished", "foreseen")
@@ -71,7 +85,9 @@ class Runs:
     slip: np.ndarray  # mean
     sinkage: np.ndarray  # mean [m]
     returns: np.ndarray
-    more: dict[str, np.ndarray] = field(default_factory=dict)  # further metrics in their units, NaN where not defined
+    more: dict[str, np.ndarray] = field(
+        default_factory=dict
+    )  # further metrics in their units, NaN where not defined
 
     @property
     def names(self) -> list[str]:
@@ -105,12 +121,17 @@ class Runs:
     def columns(self) -> dict[str, list]:
         """{name: values} for JSON, None where not defined."""
         arrays = {name: getattr(self, name) for name in _FIELDS} | self.more
-        return {name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()}
+        return {
+            name: [None if x != x else x for x in array.tolist()] for name, array in arrays.items()
+        }
 
     @classmethod
     def from_columns(cls, columns: dict[str, list], courses: int) -> Runs:
         """Rebuild runs from `columns`; ValueError if a column is not of so many `courses`."""
-        arrays = {name: np.array([math.nan if x is None else x for x in column]) for name, column in columns.items()}
+        arrays = {
+            name: np.array([math.nan if x is None else x for x in column])
+            for name, column in columns.items()
+        }
         if {len(array) for array in arrays.values()} != {courses}:
             raise ValueError(f"expected {courses} values in each column")
         own = [arrays.pop(name) for name in _FIELDS]
@@ -126,9 +147,16 @@ def course_rng(seed: int, course: int) -> np.random.Generator:
 
 
 def run_courses(
-    controller, scenario: Scenario, seed: int, courses: int, first: int = 0,
-    batch: int = 500, model: WheelSoilModel | None = None, threads: int | None = None, detailed: bool = False,
-) -> Runs:  # fmt: skip
+    controller,
+    scenario: Scenario,
+    seed: int,
+    courses: int,
+    first: int = 0,
+    batch: int = 500,
+    model: WheelSoilModel | None = None,
+    threads: int | None = None,
+    detailed: bool = False,
+) -> Runs:
     """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
     `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
@@ -138,9 +166,11 @@ def run_courses(
     The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
     bits may depend on how many courses are driven side by side.
     """
-    parts, kind = [], _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
+    parts = []
+    kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
-        count, totals = min(batch, first + courses - start), None
+        count = min(batch, first + courses - start)
+        totals = None
         for sim, alive in drive(controller, scenario, seed, start, count, threads, model, detailed):
             totals = totals or kind(sim, scenario, count)
             totals.add(alive)
@@ -149,7 +179,12 @@ def run_courses(
 
 
 def simulate(
-    count: int, scenario: Scenario, variant: str, threads: int | None = None, model=None, warnings: bool = False
+    count: int,
+    scenario: Scenario,
+    variant: str,
+    threads: int | None = None,
+    model=None,
+    warnings: bool = False,
 ) -> Simulation | RoverSimulation:
     """The simulation of `count` wheels, or rovers, of a scenario."""
     if isinstance(scenario, RoverScenario):
@@ -158,9 +193,15 @@ def simulate(
 
 
 def drive(
-    controller, scenario: Scenario, seed: int, first: int, count: int, threads: int | None = None,
-    model: WheelSoilModel | None = None, warnings: bool = False,
-) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:  # fmt: skip
+    controller,
+    scenario: Scenario,
+    seed: int,
+    first: int,
+    count: int,
+    threads: int | None = None,
+    model: WheelSoilModel | None = None,
+    warnings: bool = False,
+) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
     Yields (simulation, alive) after every control period: one row a course in its arrays, and the courses still under
@@ -170,21 +211,33 @@ def drive(
     to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
     """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
-    stepped = replace(scenario, reward=replace(scenario.reward, information=0.0), control=replace(control, repeat=1))
+    stepped = replace(
+        scenario,
+        reward=replace(scenario.reward, information=0.0),
+        control=replace(control, repeat=1),
+    )
     sim = simulate(count, stepped, controller.variant, threads, model, warnings)
     for k in range(count):
         sim.seed(k, course_rng(seed, first + k))
     sim.restart_where(np.ones(count, dtype=bool))
     if hasattr(controller, "attach"):  # a planner, which tries plans on clones of the world
         controller.attach(sim, threads, model)
-    worlds, held = sim.worlds, control.held
-    alive, what, memory = np.ones(count, dtype=bool), np.full(count, STEP), None
+    worlds = sim.worlds
+    held = control.held
+    alive = np.ones(count, dtype=bool)
+    what = np.full(count, STEP)
+    memory = None
     for period in range(stepped.periods):
         if period % held == 0:
             action, memory = controller.predict(
-                worlds.observation, state=memory, episode_start=np.full(count, period == 0), deterministic=True
+                worlds.observation,
+                state=memory,
+                episode_start=np.full(count, period == 0),
+                deterministic=True,
             )
-            commands = _commands(action, alive, scenario, f"in step {period // held} of course", first)
+            commands = _commands(
+                action, alive, scenario, f"in step {period // held} of course", first
+            )
         sim.step_all(commands, what)
         yield sim, alive
         ended = alive & (worlds.cause != _RUNNING)
@@ -199,7 +252,9 @@ def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: i
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
     if action.shape != (len(alive), axles):
-        raise ParameterError(f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]")
+        raise ParameterError(
+            f"action of shape {list(action.shape)}: expected [{len(alive)}, {axles}]"
+        )
     bad = np.flatnonzero(alive & ~np.isfinite(action).all(axis=1))
     if bad.size:
         value = action[bad[0]].tolist()
@@ -213,8 +268,13 @@ class _Totals:
     """Sums over the time of `count` courses side by side."""
 
     def __init__(self, sim, scenario: Scenario, count: int):
-        self.sim, self.worlds, self.scenario, self.count = sim, sim.worlds, scenario, count
-        self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros((6, count))
+        self.sim = sim
+        self.worlds = sim.worlds
+        self.scenario = scenario
+        self.count = count
+        self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros(
+            (6, count)
+        )
 
     @property
     def body(self):
@@ -270,8 +330,11 @@ class _OfRovers(_Totals):
         return 2.0 * self.body["motor_work"]  # of both sides
 
     def add(self, alive: np.ndarray) -> np.ndarray:
-        driving, wheels, rows = super().add(alive), self.worlds.rovers.wheels, self.sim.wheels
-        pull, weight = wheels["drawbar_pull"][rows], self.body["mass"] * self.scenario.gravity
+        driving = super().add(alive)
+        wheels = self.worlds.rovers.wheels
+        rows = self.sim.wheels
+        pull = wheels["drawbar_pull"][rows]
+        weight = self.body["mass"] * self.scenario.gravity
         force = np.abs(wheels["torque"][rows]).max(axis=1) / self.scenario.wheel.radius
         against = 0.5 * (np.abs(pull).sum(axis=1) - np.abs(pull.sum(axis=1)))
         self.fighting += np.where(driving, against / weight, 0.0)
@@ -280,7 +343,10 @@ class _OfRovers(_Totals):
 
     def more(self) -> dict[str, np.ndarray]:
         driving = np.maximum(self.driving, 1.0)
-        return {"fighting": 100.0 * self.fighting / driving, "wheel_force": 100.0 * self.force / driving}
+        return {
+            "fighting": 100.0 * self.fighting / driving,
+            "wheel_force": 100.0 * self.force / driving,
+        }
 
 
 class _Detailed(_Totals):
@@ -290,12 +356,17 @@ class _Detailed(_Totals):
         super().__init__(sim, scenario, count)
         self.foresight = Foresight(scenario, count)
         self.drawbar_work, self.drive_work = np.zeros((2, count))
-        self.slips, self.depths, self.drove = [], [], []
+        self.slips = []
+        self.depths = []
+        self.drove = []
 
     def add(self, alive: np.ndarray) -> np.ndarray:
-        on, s = super().add(alive), self.body
+        on = super().add(alive)
+        s = self.body
         pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
-        self.drawbar_work += np.where(pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0)
+        self.drawbar_work += np.where(
+            pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0
+        )
         self.drive_work += np.where(pulling, s["motor_work"], 0.0)
         self.slips.append(s["slip"].copy())
         self.depths.append(1000.0 * s["sinkage"])
@@ -304,7 +375,8 @@ class _Detailed(_Totals):
         return on
 
     def more(self) -> dict[str, np.ndarray]:
-        stuck, bogged = np.isin(self.worlds.cause, _STUCK), self.worlds.cause == Cause.BOGGED.value
+        stuck = np.isin(self.worlds.cause, _STUCK)
+        bogged = self.worlds.cause == Cause.BOGGED.value
         alarm = self.foresight
         lead = np.where(stuck[:, None], alarm.lead(self.worlds, bogged), math.nan)
         out = {"foreseen": np.where(stuck, np.isfinite(lead[:, 1]).astype(float), math.nan)}
@@ -320,7 +392,9 @@ class _Detailed(_Totals):
 def _percentiles(series, mask):
     """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where `mask`."""
     columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
-    return np.array([np.percentile(x, [50, 95]) if x.size else (math.nan, math.nan) for x in columns]).T
+    return np.array(
+        [np.percentile(x, [50, 95]) if x.size else (math.nan, math.nan) for x in columns]
+    ).T
 
 
 def _ratio(a, b):

@@ -35,8 +35,12 @@ class Evaluation(OfTask):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
-    tuned: dict = field(default_factory=dict)  # {classical controller: settings that tuning has found}
-    model: dict = field(default_factory=dict)  # content of the model.yaml of the world's effects; empty = none
+    tuned: dict = field(
+        default_factory=dict
+    )  # {classical controller: settings that tuning has found}
+    model: dict = field(
+        default_factory=dict
+    )  # content of the model.yaml of the world's effects; empty = none
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
     version: str = field(default_factory=code_version)
 
@@ -47,12 +51,18 @@ class Evaluation(OfTask):
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""
         own = self.controllers.items()
-        return {key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings}) for key, c in own}
+        return {
+            key: replace(c, settings={**self.tuned.get(c.name, {}), **c.settings}) for key, c in own
+        }
 
     def blocks(self) -> list[Block]:
         """All cells; block by block, so that an interrupted evaluation has all controllers."""
         firsts = range(0, self.courses, self.block)
-        own = [Block(key, f, min(self.block, self.courses - f)) for f in firsts for key in self.controllers]
+        own = [
+            Block(key, f, min(self.block, self.courses - f))
+            for f in firsts
+            for key in self.controllers
+        ]
         firsts = range(0, self.oracle_courses, ORACLE_BLOCK)
         return own + [Block(ORACLE, f, min(ORACLE_BLOCK, self.oracle_courses - f)) for f in firsts]
 
@@ -73,7 +83,9 @@ def check_controllers(asked: Evaluation) -> None:
     """Load and try every controller; ParameterError for the first that cannot be used."""
     for contestant in asked.contestants().values():
         if contestant.kind == "model" and digest(contestant.source) != contestant.digest:
-            raise ParameterError(f"controllers: {contestant.label}: the model has changed since the study began")
+            raise ParameterError(
+                f"controllers: {contestant.label}: the model has changed since the study began"
+            )
         loading.check(contestant, asked.scenario, asked.world)
 
 
@@ -84,8 +96,14 @@ class Job:
     """
 
     def __init__(self, asked: Evaluation, threads: int | None = 1, ship: bool = False):
-        self.asked, self.threads, self.controllers = asked, threads, asked.contestants()
-        self.files = {key: model_bytes(c.source) for key, c in self.controllers.items() if ship and c.kind == "model"}
+        self.asked = asked
+        self.threads = threads
+        self.controllers = asked.contestants()
+        self.files = {
+            key: model_bytes(c.source)
+            for key, c in self.controllers.items()
+            if ship and c.kind == "model"
+        }
         self._loaded: dict[str, object] = {}
 
     def __getstate__(self):
@@ -93,30 +111,44 @@ class Job:
 
     def __call__(self, block: Block) -> dict[str, list]:
         """The columns of the `Runs` of a block."""
-        asked, key = self.asked, block.controller
+        asked = self.asked
+        key = block.controller
         try:
             runs = run_courses(
-                self._controller(key), asked.scenario, asked.seed, block.count, block.first,
-                batch=block.count, model=asked.world, threads=self.threads, detailed=asked.detailed and key != ORACLE,
-            )  # fmt: skip
+                self._controller(key),
+                asked.scenario,
+                asked.seed,
+                block.count,
+                block.first,
+                batch=block.count,
+                model=asked.world,
+                threads=self.threads,
+                detailed=asked.detailed and key != ORACLE,
+            )
         except ParameterError as error:
             label = self.controllers[key].label if key in self.controllers else key
             named = str(error).startswith("controllers: ")
-            raise ParameterError(str(error) if named else f"controllers: {label}: {error}") from None
+            raise ParameterError(
+                str(error) if named else f"controllers: {label}: {error}"
+            ) from None
         return runs.columns()
 
     def _controller(self, key: str):
         if key == ORACLE:
             return Oracle(self.asked.scenario)
         contestant = self.controllers[key]
-        if contestant.kind == "class":  # an object may keep things in itself: a new one for every block
+        if (
+            contestant.kind == "class"
+        ):  # an object may keep things in itself: a new one for every block
             return loading.load(contestant, self.asked.scenario)
         if key not in self._loaded:
             self._loaded[key] = loading.load(contestant, self.asked.scenario, self.files.get(key))
         return self._loaded[key]
 
 
-def run(asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]) -> dict:
+def run(
+    asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]
+) -> dict:
     """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it drives.
 
     `progress` receives numbers of courses done.
@@ -125,7 +157,9 @@ def run(asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Cal
 
     def of(key: str) -> Runs:
         own = [b for b in asked.blocks() if b.controller == key]
-        return Runs.join([read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own])
+        return Runs.join(
+            [read_cell(folder, b, partial(Runs.from_columns, courses=b.count)) for b in own]
+        )
 
     out: dict[str, list[Runs]] = {}
     for key, contestant in asked.controllers.items():
@@ -141,7 +175,8 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     """
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}
-    contestants, (_, make) = asked.contestants(), controllers_of(asked.scenario)
+    contestants = asked.contestants()
+    (_, make) = controllers_of(asked.scenario)
     settings = {
         c.name: make(c.source, asked.scenario, **c.settings).settings
         for c in contestants.values()
@@ -155,7 +190,9 @@ def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     same = ("tuning_courses", "block", "resamples", "version", *(["model"] if asked.model else []))
     return {
         **comparison(asked.scenario, asked.seed, own, settings, oracle, asked.resamples),
-        "sources": {name: [c.source for c in contestants.values() if c.name == name] for name in own},
+        "sources": {
+            name: [c.source for c in contestants.values() if c.name == name] for name in own
+        },
         "chosen": chosen,
         **{name: getattr(asked, name) for name in same},
     }

@@ -25,7 +25,9 @@ def load(contestant: Contestant, scenario: Scenario, content: bytes | None = Non
     if contestant.kind == "classical":
         known, make = controllers_of(scenario)
         if known is CONTROLLERS:
-            checked_settings(contestant.source, scenario, contestant.settings, f"--settings.{contestant.name}")
+            checked_settings(
+                contestant.source, scenario, contestant.settings, f"--settings.{contestant.name}"
+            )
         return make(contestant.source, scenario, **contestant.settings)
     if contestant.kind == "model":
         from .models import load_model  # takes seconds
@@ -47,11 +49,19 @@ def _from_class(spec: str, name: str, scenario: Scenario):
     try:
         thing = importlib.import_module(module_name)
     except Exception as error:  # the module may raise anything
-        raise ParameterError(f"controllers: {spec}: cannot be imported ({describe(error)})") from None
+        raise ParameterError(
+            f"controllers: {spec}: cannot be imported ({describe(error)})"
+        ) from None
     for part in attribute.split("."):
         if not hasattr(thing, part):
-            known = [n for n in vars(thing) if not n.startswith("_")] if hasattr(thing, "__dict__") else []
-            raise ParameterError(f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}")
+            known = (
+                [n for n in vars(thing) if not n.startswith("_")]
+                if hasattr(thing, "__dict__")
+                else []
+            )
+            raise ParameterError(
+                f"controllers: {spec}: {module_name} has no {part!r}{nearest(part, known)}"
+            )
         thing = getattr(thing, part)
     if inspect.isclass(thing) or (callable(thing) and not hasattr(thing, "predict")):
         try:
@@ -59,12 +69,18 @@ def _from_class(spec: str, name: str, scenario: Scenario):
         except ParameterError as error:
             raise ParameterError(f"controllers: {name}: {error}") from None
         except Exception as error:
-            raise ParameterError(f"controllers: {spec}: cannot be made ({describe(error)})") from None
+            raise ParameterError(
+                f"controllers: {spec}: cannot be made ({describe(error)})"
+            ) from None
     if not callable(getattr(thing, "predict", None)):
-        raise ParameterError(f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)")
+        raise ParameterError(
+            f"controllers: {spec}: has no method predict(obs, state, episode_start, deterministic)"
+        )
     variant = getattr(thing, "variant", "identified")
     if variant not in VARIANTS:
-        raise ParameterError(f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}")
+        raise ParameterError(
+            f"controllers: {spec}: variant = {variant!r}: expected one of {', '.join(VARIANTS)}"
+        )
     return _Wrapped(thing, variant, spec, getattr(scenario, "axles", 1))
 
 
@@ -80,16 +96,24 @@ class _Wrapped:
     """A controller from elsewhere; an exception in it is an error of one line."""
 
     def __init__(self, thing, variant: str, spec: str, axles: int):
-        self.thing, self.variant, self.spec, self.axles = thing, variant, spec, axles
+        self.thing = thing
+        self.variant = variant
+        self.spec = spec
+        self.axles = axles
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As the object's own, with a copy of the observation, checked."""
         try:
             answer = self.thing.predict(
-                observation.copy(), state=state, episode_start=episode_start, deterministic=deterministic
+                observation.copy(),
+                state=state,
+                episode_start=episode_start,
+                deterministic=deterministic,
             )
         except Exception as error:
-            raise ParameterError(f"controllers: {self.spec}: predict failed ({describe(error)})") from error
+            raise ParameterError(
+                f"controllers: {self.spec}: predict failed ({describe(error)})"
+            ) from error
         return _checked(answer, (len(observation), self.axles), self.spec)
 
 
@@ -97,21 +121,35 @@ def _checked(answer, shape: tuple[int, int], who: str) -> tuple[np.ndarray, obje
     """(actions of this shape, state) of a call of `predict`; ParameterError for anything else."""
     where = f"controllers: {who}: predict gave"
     if not (isinstance(answer, tuple) and len(answer) == 2):
-        given = f"{len(answer)} values" if isinstance(answer, tuple) else "nothing" if answer is None else "one value"
+        given = (
+            f"{len(answer)} values"
+            if isinstance(answer, tuple)
+            else "nothing"
+            if answer is None
+            else "one value"
+        )
         raise ParameterError(f"{where} {given}: expected (action, state)")
     try:
         action = np.asarray(answer[0], dtype=float)
     except (TypeError, ValueError):
-        raise ParameterError(f"{where} an action that is no number: expected shape {list(shape)}") from None
+        raise ParameterError(
+            f"{where} an action that is no number: expected shape {list(shape)}"
+        ) from None
     if action.shape != shape:
-        raise ParameterError(f"{where} actions of shape {list(action.shape)}: expected {list(shape)}")
+        raise ParameterError(
+            f"{where} actions of shape {list(action.shape)}: expected {list(shape)}"
+        )
     return action, answer[1]
 
 
 def describe(error: BaseException) -> str:
     """An exception in one line: its class, its message, and where it was raised."""
     ours = __file__, importlib.__file__
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith((*ours, "<frozen"))]
+    frames = [
+        f
+        for f in traceback.extract_tb(error.__traceback__)
+        if not f.filename.startswith((*ours, "<frozen"))
+    ]
     where = f", {Path(frames[-1].filename).name} line {frames[-1].lineno}" if frames else ""
     message = (str(error).splitlines() or [""])[0][:200]
     return f"{type(error).__name__}: {message}{where}"
@@ -125,9 +163,13 @@ def check(contestant: Contestant, scenario: Scenario, model: WheelSoilModel | No
         sim.seed(k, np.random.default_rng(k))
     fresh = np.ones(3, dtype=bool)
     sim.restart_where(fresh)
-    answer = controller.predict(sim.worlds.observation, state=None, episode_start=fresh, deterministic=True)
+    answer = controller.predict(
+        sim.worlds.observation, state=None, episode_start=fresh, deterministic=True
+    )
     action, _ = _checked(answer, (3, getattr(scenario, "axles", 1)), contestant.label)
     wrong = np.flatnonzero(~np.isfinite(action))
     if wrong.size:
         given = f"{action[wrong[0], 0]} for wheel {wrong[0]}"
-        raise ParameterError(f"controllers: {contestant.label}: predict gave {given}: expected finite numbers")
+        raise ParameterError(
+            f"controllers: {contestant.label}: predict gave {given}: expected finite numbers"
+        )

@@ -40,7 +40,10 @@ _ALGORITHMS = (
     ("stable_baselines3.common.policies", {"cg_max_steps"}, ("sb3_contrib", "TRPO")),
     ("stable_baselines3.common.policies", {"clip_range"}, ("stable_baselines3", "PPO")),
     ("stable_baselines3.common.policies", set(), ("stable_baselines3", "A2C")),
-    *((f"{package}.agent", {"clip_range"}, ("stable_baselines3", "PPO")) for package in PACKAGE_NAMES),
+    *(
+        (f"{package}.agent", {"clip_range"}, ("stable_baselines3", "PPO"))
+        for package in PACKAGE_NAMES
+    ),
 )
 
 
@@ -53,9 +56,13 @@ def load_model(path: Path, scenario: Scenario):
     """
     path = Path(path)
     if path.suffix in (".onnx", ".npz"):
-        return _exported(path, scenario) if path.suffix == ".onnx" else DefaultPolicy(scenario, path)
+        return (
+            _exported(path, scenario) if path.suffix == ".onnx" else DefaultPolicy(scenario, path)
+        )
     if saved is None:
-        raise ParameterError(f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'")
+        raise ParameterError(
+            f"controllers: {path}: models need Stable-Baselines3: pip install 'soil_env[train]'"
+        )
     torch.set_num_threads(1)  # so that results do not depend on the number of cores
     try:
         if saved.read_member(path, saved.INFO) is None:
@@ -70,9 +77,12 @@ def load_model(path: Path, scenario: Scenario):
 
 def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
     """ParameterError where the actions of a training were other ones than those of the scenario."""
-    where, control = f"controllers: {path}: trained with action", scenario.control
+    where = f"controllers: {path}: trained with action"
+    control = scenario.control
     if own.action != control.action:
-        raise ParameterError(f"{where} {own.action!r}, scenario {scenario.name!r} takes {control.action!r}")
+        raise ParameterError(
+            f"{where} {own.action!r}, scenario {scenario.name!r} takes {control.action!r}"
+        )
     if own.duration != control.duration:
         raise ParameterError(
             f"{where}s that last {own.duration:g} s, those of scenario {scenario.name!r} last {control.duration:g} s"
@@ -85,15 +95,20 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
     except ParameterError as error:
         raise ParameterError(f"controllers: {error}") from None
     _check_action(path, agent.control, scenario)
-    own, asked = len(agent.content["inputs"]), len(layout(agent.variant, scenario.course))
+    own = len(agent.content["inputs"])
+    asked = len(layout(agent.variant, scenario.course))
     if own != asked:
-        raise ParameterError(f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}")
+        raise ParameterError(
+            f"controllers: {path}: reads {own} numbers, scenario {scenario.name!r} has {asked}"
+        )
     if agent.content["network"] == "DefaultPolicy":
         made_for = load(Scenario, agent.content["scenario"], f"controllers: {path}: scenario")
         constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
         if not np.allclose(constants, asked_for):
-            _warn(f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
-                  f"soil-env export default --scenario {scenario.name}")  # fmt: skip
+            _warn(
+                f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
+                f"soil-env export default --scenario {scenario.name}"
+            )
     return agent
 
 
@@ -104,17 +119,29 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         raise ParameterError(f"{path}: not a model of Stable-Baselines3 (it has no data)")
     policy = data.get("policy_class")
     module = str(policy.get("__module__", "")) if isinstance(policy, dict) else ""
-    fitting = [made_by for prefix, keys, made_by in _ALGORITHMS if module.startswith(prefix) and keys <= set(data)]
+    fitting = [
+        made_by
+        for prefix, keys, made_by in _ALGORITHMS
+        if module.startswith(prefix) and keys <= set(data)
+    ]
     if not fitting:
-        raise ParameterError(f"{path}: policy of {module!r}: give a module:Class that loads it instead")
+        raise ParameterError(
+            f"{path}: policy of {module!r}: give a module:Class that loads it instead"
+        )
     package, algorithm = fitting[0]
     try:
         cls = getattr(importlib.import_module(package), algorithm)
     except ImportError:
-        raise ParameterError(f"{path}: a {algorithm} model needs {package.replace('_', '-')}") from None
+        raise ParameterError(
+            f"{path}: a {algorithm} model needs {package.replace('_', '-')}"
+        ) from None
     if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
-        raise ParameterError(f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead")
-    _warn(f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load only what you trust")
+        raise ParameterError(
+            f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead"
+        )
+    _warn(
+        f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load only what you trust"
+    )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -123,7 +150,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         said = f"{type(error).__name__}: {saved.one_line(error)}"
         raise ParameterError(f"{path}: cannot be loaded as a {algorithm} model ({said})") from None
     variant, scaling = _variant(model, path, scenario.course)
-    names, shape = [e.name for e in layout(variant, scenario.course)], model.action_space.shape
+    names = [e.name for e in layout(variant, scenario.course)]
+    shape = model.action_space.shape
     of_line = shape == (2,) and "choice" in names  # trained with LineAction
     axles = getattr(scenario, "axles", 1)
     if shape != (axles,) and not of_line:
@@ -159,12 +187,17 @@ class _Plain:
     """
 
     def __init__(self, model, variant: str, scaling: Scaling, choice: int | None = None):
-        self.model, self.policy, self.variant = model, model.policy, variant
-        self.scaling, self.choice = scaling, choice
+        self.model = model
+        self.policy = model.policy
+        self.variant = variant
+        self.scaling = scaling
+        self.choice = choice
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         """As SB3's predict."""
-        action, state = self.model.predict(self.scaling(observation), state, episode_start, deterministic)
+        action, state = self.model.predict(
+            self.scaling(observation), state, episode_start, deterministic
+        )
         if self.choice is not None:
             choosing = np.asarray(observation)[..., [self.choice]] > 0.5
             action = np.where(choosing, action[..., 1:], action[..., :1])

@@ -17,7 +17,15 @@ from .driving import RATES, Runs
 from .tables import cell, difference, draw_metrics, save_csv
 
 _FILES = ("evaluation.json", "evaluation.md", "courses.csv", "metrics.png")
-_PANELS = ("immobilised", "finished", "speed", "energy_per_metre", "tractive_efficiency", "fighting", "return")
+_PANELS = (
+    "immobilised",
+    "finished",
+    "speed",
+    "energy_per_metre",
+    "tractive_efficiency",
+    "fighting",
+    "return",
+)
 _CHOSEN = {
     "untuned": "untuned",
     "tuned": "tuned on at least {courses} other courses",
@@ -31,9 +39,12 @@ def print_table(result: Mapping) -> None:
     show(*comparing.table(result), *settings(result))
     if "foreseen" not in result["metrics"]:
         return
-    foreseen = (f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
-                f"{cell(row['foreseen_distance'], bounds=False)} m "
-                f"{cell(row['foreseen_time'], digits=1, bounds=False)} s" for name, row in rows.items())  # fmt: skip
+    foreseen = (
+        f"{name} {cell(row['foreseen'], 100.0, 0, bounds=False)} % "
+        f"{cell(row['foreseen_distance'], bounds=False)} m "
+        f"{cell(row['foreseen_time'], digits=1, bounds=False)} s"
+        for name, row in rows.items()
+    )
     show(f"Immobilisations foreseen, distance and time ahead: {'; '.join(foreseen)}")
 
 
@@ -41,7 +52,11 @@ def settings(result: Mapping) -> list[str]:
     """Lines with the settings of the classical controllers and their origin."""
     lines = []
     for chosen, title in _CHOSEN.items():
-        own = [f"{name} {_values(result['settings'][name])}" for name, how in result["chosen"].items() if how == chosen]
+        own = [
+            f"{name} {_values(result['settings'][name])}"
+            for name, how in result["chosen"].items()
+            if how == chosen
+        ]
         if own:
             lines.append(f"{title.format(courses=result['tuning_courses'])}: {'; '.join(own)}")
     return lines
@@ -77,20 +92,28 @@ def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
 
 def page(result: Mapping) -> str:
     """evaluation.md: controllers, all metrics, differences on the same courses."""
-    names, limits = list(result["controllers"]), comparing.limit_rows(result)
+    names = list(result["controllers"])
+    limits = comparing.limit_rows(result)
     made = [
-        [f"`{n}`", result["members"][n], ", ".join(result["sources"][n]), _values(result["settings"].get(n, {}))]
+        [
+            f"`{n}`",
+            result["members"][n],
+            ", ".join(result["sources"][n]),
+            _values(result["settings"].get(n, {})),
+        ]
         for n in names
     ]
     metrics = []
     for m, about in result["metrics"].items():
-        rate, columns = m in RATES, [*result["controllers"].values(), *limits.values()]
+        rate = m in RATES
+        columns = [*result["controllers"].values(), *limits.values()]
         unit = "%" if rate else about["unit"]
         cells = (cell(c[m], 100.0 if rate else 1.0, 1 if rate else 2) for c in columns)
         metrics.append([f"{m.replace('_', ' ')} [{unit}]", about["meaning"], *cells])
     iqm = [*(cell(result["iqm"][n]) for n in names), *("" for _ in limits)]
     metrics.append(["interquartile mean of return", "", *iqm])
-    shown, paired = ("immobilised", "finished", "return"), []
+    shown = ("immobilised", "finished", "return")
+    paired = []
     for a, b in ((a, b) for i, a in enumerate(names) for b in names[:i]):
         cells = (difference(m, result["paired"][a][b][m]) for m in shown)
         paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])

@@ -52,7 +52,8 @@ def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
 
 def wilson(successes: float, trials: float) -> tuple[float, float]:
     """Wilson (1927) score interval of a proportion at `LEVEL`."""
-    p, z = successes / trials, _NORMAL
+    p = successes / trials
+    z = _NORMAL
     centre = p + z * z / (2 * trials)
     half = z * math.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
@@ -74,7 +75,8 @@ def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) 
     low, high = wilson(value * trials, trials)
     if members > 1:
         by_draws = interval(value, samples)
-        low, high = min(low, by_draws[0]), max(high, by_draws[1])
+        low = min(low, by_draws[0])
+        high = max(high, by_draws[1])
     return {"value": value, "low": low, "high": high}
 
 
@@ -84,10 +86,15 @@ def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict
     Theirs (2005, Statistics in Medicine 24:729, Wald + 2) is no point where no course differs.
     """
     n = a.shape[1] + 2.0
-    won, lost = (((x[:, None] > y[None]).mean(axis=(0, 1)).sum() + 0.5) / n for x, y in ((a, b), (b, a)))
+    won, lost = (
+        ((x[:, None] > y[None]).mean(axis=(0, 1)).sum() + 0.5) / n for x, y in ((a, b), (b, a))
+    )
     half = _NORMAL * math.sqrt((won + lost - (won - lost) ** 2) / n)
     out = bounds(mean(a) - mean(b), samples)
-    return out | {"low": min(out["low"], won - lost - half), "high": max(out["high"], won - lost + half)}
+    return out | {
+        "low": min(out["low"], won - lost - half),
+        "high": max(out["high"], won - lost + half),
+    }
 
 
 def mean(scores: np.ndarray) -> float:
@@ -111,12 +118,16 @@ def iqm(scores: np.ndarray) -> float:
 
 def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -> np.ndarray:
     """`iqm` of each bootstrap draw [resamples]; every draw holds scores.size scores."""
-    n, ordered = scores.size, np.sort(scores, axis=None)
-    cut, out = n // 4, []
+    n = scores.size
+    ordered = np.sort(scores, axis=None)
+    cut = n // 4
+    out = []
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), _CHUNK):
         part = slice(start, start + _CHUNK)
-        up_to = np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)  # scores up to each of `ordered`
+        up_to = np.cumsum(
+            members[part][:, m] * courses[part][:, c], axis=1
+        )  # scores up to each of `ordered`
         out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
     return np.concatenate(out) / (n - 2 * cut)
 

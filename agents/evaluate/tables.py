@@ -42,11 +42,15 @@ OF_ROVERS = (
 )
 
 
-def cell(m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, bounds: bool = True) -> str:
+def cell(
+    m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, bounds: bool = True
+) -> str:
     """'12.3 [10.0, 14.1]' of {"value", "low", "high"}, or a dash where the metric is not defined."""
     if m["value"] is None:
         return "-"
-    value, low, high = (f"{factor * m[key]:{'+' if sign else ''}.{digits}f}" for key in ("value", "low", "high"))
+    value, low, high = (
+        f"{factor * m[key]:{'+' if sign else ''}.{digits}f}" for key in ("value", "low", "high")
+    )
     return f"{value} [{low}, {high}]" if bounds else value
 
 
@@ -60,11 +64,15 @@ def difference(metric: str, m: Mapping) -> str:
     return points(m) if metric in RATES else cell(m, sign=True)
 
 
-def metric_table(entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str = "") -> Table:
+def metric_table(
+    entries: Mapping[str, Mapping], columns: Sequence[Column], caption: str = ""
+) -> Table:
     """A row for each controller, of {controller: {metric: {"value", "low", "high"}}}."""
     rows = []
     for name, metrics in entries.items():
-        rows.append([name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)])
+        rows.append(
+            [name, *(cell(metrics[c.metric], c.factor, c.digits, bounds=c.bounds) for c in columns)]
+        )
     return Table(["controller", *(c.heading for c in columns)], rows, caption)
 
 
@@ -74,7 +82,9 @@ def legend(columns: Iterable[Column], metrics: Mapping[str, tuple[str, str]]) ->
     for c in columns:
         unit, meaning = metrics[c.metric]
         unit = "%" if c.factor == 100.0 else unit
-        entries.append(f"{c.heading}: {meaning}" + ("" if unit == "-" or unit in c.heading else f" [{unit}]"))
+        entries.append(
+            f"{c.heading}: {meaning}" + ("" if unit == "-" or unit in c.heading else f" [{unit}]")
+        )
     return f"Columns: {'; '.join(entries)}"
 
 
@@ -88,8 +98,11 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
     """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each metric,
     points with their intervals from the bottom; those not defined are left out."""
-    metrics, most = list(metrics), max(map(len, rows.values()))
-    figure = Figure(figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained")
+    metrics = list(metrics)
+    most = max(map(len, rows.values()))
+    figure = Figure(
+        figsize=(2.4 * len(metrics), len(rows) * (0.35 * most + 1.0) + 0.4), layout="constrained"
+    )
     axes = figure.subplots(len(rows), len(metrics), squeeze=False, sharey="row")
     for line, (group, entries) in zip(axes, rows.items(), strict=True):
         names = list(entries)[::-1]
@@ -106,4 +119,6 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
         line[0].set_yticks(range(len(names)), names)
         line[0].set_title(group, loc="left", fontsize=9)
-    return picture_of(figure, dpi=110, metadata={"Software": None})  # the same bytes for the same figure
+    return picture_of(
+        figure, dpi=110, metadata={"Software": None}
+    )  # the same bytes for the same figure

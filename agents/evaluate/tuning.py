@@ -37,7 +37,9 @@ def trials_of(courses: int) -> int:
     return max(1, min(TRIALS, courses // _COURSES_A_TRIAL))
 
 
-def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | None = None) -> dict[str, dict]:
+def shipped_settings(
+    scenario: Scenario, courses: int, model: WheelSoilModel | None = None
+) -> dict[str, dict]:
     """{controller: settings} of configs/tuned where this scenario was tuned there on at least `courses` courses.
 
     {} where it was not, where anything but reward and name of the scenario was changed, or where a `model` is on.
@@ -57,9 +59,13 @@ def shipped_settings(scenario: Scenario, courses: int, model: WheelSoilModel | N
 
 
 def tuned_settings(
-    scenario: Scenario, courses: int, names: Iterable[str] | None = None, model: WheelSoilModel | None = None,
-    log: Path | None = None, anew: bool = False,
-) -> dict[str, dict]:  # fmt: skip
+    scenario: Scenario,
+    courses: int,
+    names: Iterable[str] | None = None,
+    model: WheelSoilModel | None = None,
+    log: Path | None = None,
+    anew: bool = False,
+) -> dict[str, dict]:
     """{controller: best settings} on the first `courses` courses of the tuning set.
 
     `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
@@ -79,7 +85,9 @@ def tuned_settings(
     trials = trials_of(courses)
     with Bar("Tuning", courses * trials * len(missing), "courses") as bar:
         for name in missing:
-            found = tried(name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name))
+            found = tried(
+                name, spaces[name], trials, scenario, courses, model, log, partial(bar.note, name)
+            )
             best = max(found, key=lambda trial: (trial["finished"], trial["return"]))
             chosen[name] = {key: best[key] for key in spaces[name]}
     return {name: chosen[name] for name in names}
@@ -90,29 +98,47 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
     optuna = _optuna()
     _, make = controllers_of(scenario)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
-    bounds = {key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()}
-    task = json.dumps([name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True)
+    bounds = {
+        key: tuple(x * (top if s.rim_speed else 1.0) for x in s.tuned) for key, s in space.items()
+    }
+    task = json.dumps(
+        [name, courses, to_dict(scenario), model.content() if model else {}, bounds], sort_keys=True
+    )
     storage = None
     if log is not None:
         journal = optuna.storages.journal
         lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
-        storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(log), lock_obj=lock))
-    digest, state = hashlib.sha256(task.encode()).hexdigest(), optuna.trial.TrialState
-    study = optuna.create_study(storage=storage, study_name=digest, direction="maximize", load_if_exists=True)
+        storage = optuna.storages.JournalStorage(
+            journal.JournalFileBackend(str(log), lock_obj=lock)
+        )
+    digest = hashlib.sha256(task.encode()).hexdigest()
+    state = optuna.trial.TrialState
+    study = optuna.create_study(
+        storage=storage, study_name=digest, direction="maximize", load_if_exists=True
+    )
     for trial in study.get_trials(states=(state.RUNNING,)):  # of a process that was killed
         study.tell(trial.number, state=state.FAIL)
     done = len(study.get_trials(states=(state.COMPLETE,)))
     if done:
         progress(courses * done)
     for number in range(done, trials):
-        study.sampler = optuna.samplers.TPESampler(seed=int(np.random.SeedSequence([number]).generate_state(1)[0]))
+        study.sampler = optuna.samplers.TPESampler(
+            seed=int(np.random.SeedSequence([number]).generate_state(1)[0])
+        )
         if number == 0:
             defaults = make(name, scenario).settings
             study.enqueue_trial({key: float(np.clip(defaults[key], *bounds[key])) for key in space})
         trial = study.ask()
-        settings = {key: trial.suggest_float(key, *bounds[key], log=s.log) for key, s in space.items()}
-        runs = run_courses(make(name, scenario, **settings), scenario, TUNING_SET, courses, model=model)
-        score = {"finished": float(runs.metric("finished").mean()), "return": float(runs.returns.mean())}
+        settings = {
+            key: trial.suggest_float(key, *bounds[key], log=s.log) for key, s in space.items()
+        }
+        runs = run_courses(
+            make(name, scenario, **settings), scenario, TUNING_SET, courses, model=model
+        )
+        score = {
+            "finished": float(runs.metric("finished").mean()),
+            "return": float(runs.returns.mean()),
+        }
         for key, value in score.items():
             trial.set_user_attr(key, value)
         study.tell(trial, score["finished"] + _TIE * score["return"])

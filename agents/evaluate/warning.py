@@ -26,24 +26,36 @@ class Foresight:
     """The alarms over the courses of `count` wheels: how far and how long ahead they came, and when they were on."""
 
     def __init__(self, scenario: Scenario, count: int):
-        self.warning, self.period = ImmobilisationWarning(scenario), scenario.control.period
-        self.threshold, self.probability = float(shipped()["alarm"]), np.zeros(count)
-        self.on, self.quiet = np.zeros(count, dtype=bool), np.zeros(count)  # alarms; [s] below `KEPT`
-        self.under, self.driven, self.time = np.zeros((3, count))  # [s] under alarm, of all driving, of all
+        self.warning = ImmobilisationWarning(scenario)
+        self.period = scenario.control.period
+        self.threshold = float(shipped()["alarm"])
+        self.probability = np.zeros(count)
+        self.on = np.zeros(count, dtype=bool)  # alarms; [s] below `KEPT`
+        self.quiet = np.zeros(count)
+        self.under, self.driven, self.time = np.zeros(
+            (3, count)
+        )  # [s] under alarm, of all driving, of all
         self.start_time, self.start_x = np.zeros((2, count))
-        self.least = scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period  # [m]
+        self.least = (
+            scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period
+        )  # [m]
         self.furthest = np.zeros(count)  # [m] a control period ago
-        self.mobile_lead = np.full((count, 2), np.nan)  # [m], [s] from the alarm to the last mobile moment
+        self.mobile_lead = np.full(
+            (count, 2), np.nan
+        )  # [m], [s] from the alarm to the last mobile moment
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""
-        rows, period, best = np.flatnonzero(alive), self.period, worlds.state["best_x"]
+        rows = np.flatnonzero(alive)
+        period = self.period
+        best = worlds.state["best_x"]
         driving = alive & (worlds.state["halt_left"] == 0.0)
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         self.time[alive] += period
         come = self._switch(driving)
-        self.start_time[come], self.start_x[come] = self.time[come], best[come]
+        self.start_time[come] = self.time[come]
+        self.start_x[come] = best[come]
         self.under[driving & self.on] += period
         self.driven[driving] += period
         mobile = driving & (best - self.furthest >= self.least)
@@ -59,7 +71,9 @@ class Foresight:
         return come
 
     def _lead(self, worlds):
-        lead = np.stack([worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1)
+        lead = np.stack(
+            [worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1
+        )
         return np.where(self.on[:, None], lead, np.nan)
 
     def lead(self, worlds: Worlds, bogged: np.ndarray) -> np.ndarray:

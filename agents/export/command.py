@@ -21,14 +21,22 @@ from ..evaluate.contestants import SHIPPED
 from ..exported import POLICY
 from ..progress import show
 
-DESCRIPTION, COURSE, RUNNER = "policy.yaml", "course.npz", "run_policy.py"
+DESCRIPTION = "policy.yaml"
+COURSE = "course.npz"
+RUNNER = "run_policy.py"
 
 
 @click.command("export")
 @click.argument("run", type=PATH, metavar="RUN")
 @click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder of the export.")
-@click.option("--scenario", metavar="NAME", help=f"Or YAML, of default or a foreign zip (default {DEFAULT_SCENARIO}).")
-@click.option("--steps", type=WholeNumber(1), default=1000, metavar="N", help="Steps compared (default 1000).")
+@click.option(
+    "--scenario",
+    metavar="NAME",
+    help=f"Or YAML, of default or a foreign zip (default {DEFAULT_SCENARIO}).",
+)
+@click.option(
+    "--steps", type=WholeNumber(1), default=1000, metavar="N", help="Steps compared (default 1000)."
+)
 def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.
 
@@ -82,16 +90,23 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
             f"{policy.TOLERANCE:.0e}; nothing is written"
         )
     median, p99 = np.percentile(times, [50, 99]).tolist()
-    description["proof"] = {"steps": len(times), "largest_difference": worst, "tolerance": policy.TOLERANCE,
-                            "latency_us": {"median": median, "p99": p99}}  # fmt: skip
+    description["proof"] = {
+        "steps": len(times),
+        "largest_difference": worst,
+        "tolerance": policy.TOLERANCE,
+        "latency_us": {"median": median, "p99": p99},
+    }
     stream = io.BytesIO()
     np.savez_compressed(stream, **course)
-    replace_files(out, {
-        POLICY: content,
-        DESCRIPTION: yaml.safe_dump(plain(description), sort_keys=False, width=120),
-        RUNNER: Path(__file__).parent.with_name(RUNNER).read_text(encoding="utf-8"),
-        COURSE: stream.getvalue(),
-    })  # fmt: skip
+    replace_files(
+        out,
+        {
+            POLICY: content,
+            DESCRIPTION: yaml.safe_dump(plain(description), sort_keys=False, width=120),
+            RUNNER: Path(__file__).parent.with_name(RUNNER).read_text(encoding="utf-8"),
+            COURSE: stream.getvalue(),
+        },
+    )
     show(
         f"Written to {out}: policy.onnx ({len(content) / 1024:.0f} KiB). {len(times)} steps: largest "
         f"difference {worst:.1e}, {median:.0f} us a step, 99 % within {p99:.0f} us."
@@ -115,5 +130,11 @@ def _asked(run: Path, scenario: str | None) -> tuple[Path, Scenario, WheelSoilMo
         raise ParameterError(f"--scenario {scenario}: {path} has its own")
     info = read_info(path)
     if isinstance(info.task, RoverScenario):
-        raise ParameterError(f"{path}: an agent of a rover; expected one of a wheel, others are not exported")
-    return path, info.task, WheelSoilModel.from_content(info.model, str(path)) if info.model else None
+        raise ParameterError(
+            f"{path}: an agent of a rover; expected one of a wheel, others are not exported"
+        )
+    return (
+        path,
+        info.task,
+        WheelSoilModel.from_content(info.model, str(path)) if info.model else None,
+    )

@@ -14,18 +14,35 @@ from torch import nn
 
 from soil_env._io.loading import ParameterError
 
-OPSET, IR = 17, 8  # onnxruntime 1.14 and later
-_TYPES = {"float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE, "bool": TensorProto.BOOL,
-          "int64": TensorProto.INT64}  # fmt: skip
+OPSET = 17  # onnxruntime 1.14 and later
+IR = 8
+_TYPES = {
+    "float32": TensorProto.FLOAT,
+    "float64": TensorProto.DOUBLE,
+    "bool": TensorProto.BOOL,
+    "int64": TensorProto.INT64,
+}
 _UFUNCS = {
-    np.add: "Add", np.subtract: "Sub", np.multiply: "Mul", np.true_divide: "Div", np.matmul: "MatMul",
-    np.maximum: "Max", np.minimum: "Min", np.equal: "Equal", np.greater: "Greater",
-}  # fmt: skip
+    np.add: "Add",
+    np.subtract: "Sub",
+    np.multiply: "Mul",
+    np.true_divide: "Div",
+    np.matmul: "MatMul",
+    np.maximum: "Max",
+    np.minimum: "Min",
+    np.equal: "Equal",
+    np.greater: "Greater",
+}
 
 _ACTIVATIONS: dict[type, str] = {
-    nn.ReLU: "Relu", nn.Tanh: "Tanh", nn.Sigmoid: "Sigmoid", nn.ELU: "Elu", nn.Flatten: "Identity",
-    nn.Identity: "Identity", nn.Softplus: "Softplus",
-}  # fmt: skip
+    nn.ReLU: "Relu",
+    nn.Tanh: "Tanh",
+    nn.Sigmoid: "Sigmoid",
+    nn.ELU: "Elu",
+    nn.Flatten: "Identity",
+    nn.Identity: "Identity",
+    nn.Softplus: "Softplus",
+}
 
 
 class Graph:
@@ -52,17 +69,32 @@ class Graph:
         kept = self.constants.setdefault(key, (f"c{len(self.constants)}", array))
         return Traced(self, kept[0], array.dtype)
 
-    def node(self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes) -> Traced:
+    def node(
+        self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes
+    ) -> Traced:
         """The first output of a new node; inputs that are no `Traced` become constants of the type of the others."""
-        known = next((x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool), np.dtype(np.float64))
-        given = [x if isinstance(x, Traced) or x is None else self.constant(x, known) for x in inputs]
+        known = next(
+            (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),
+            np.dtype(np.float64),
+        )
+        given = [
+            x if isinstance(x, Traced) or x is None else self.constant(x, known) for x in inputs
+        ]
         names = list(outputs or [self.name()])
-        self.nodes.append(helper.make_node(op, ["" if x is None else x.label for x in given], names, **attributes))
+        self.nodes.append(
+            helper.make_node(op, ["" if x is None else x.label for x in given], names, **attributes)
+        )
         return Traced(self, names[0], np.dtype(dtype or known))
 
     def where(self, mask, x, y) -> Traced:
         """x where `mask`, else y."""
-        return self.node("Where", mask, x, y, dtype=next((v.dtype for v in (x, y) if isinstance(v, Traced)), None))
+        return self.node(
+            "Where",
+            mask,
+            x,
+            y,
+            dtype=next((v.dtype for v in (x, y) if isinstance(v, Traced)), None),
+        )
 
     def info(self, x: Traced, shape: Sequence | None = None):
         """Name, type and shape of an input or output."""
@@ -70,9 +102,13 @@ class Graph:
 
     def model(self, inputs: Sequence, outputs: Sequence, metadata: dict[str, str]):
         """The ONNX model; `inputs` and `outputs` are made by `info`."""
-        constants = [numpy_helper.from_array(array, name) for name, array in self.constants.values()]
+        constants = [
+            numpy_helper.from_array(array, name) for name, array in self.constants.values()
+        ]
         graph = helper.make_graph(self.nodes, "policy", inputs, outputs, constants)
-        made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="soil_env")
+        made = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="soil_env"
+        )
         made.ir_version = IR
         helper.set_model_props(made, metadata)
         return made
@@ -82,12 +118,16 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
     """A value of the graph, with numpy's arithmetic."""
 
     def __init__(self, graph: Graph, label: str, dtype):
-        self.graph, self.label, self.dtype = graph, label, np.dtype(dtype)
+        self.graph = graph
+        self.label = label
+        self.dtype = np.dtype(dtype)
 
     def __array_ufunc__(self, ufunc, method, *inputs, **keywords):
         if method != "__call__" or keywords or ufunc not in _UFUNCS:
             return NotImplemented
-        return self.graph.node(_UFUNCS[ufunc], *inputs, dtype=bool if ufunc in (np.equal, np.greater) else None)
+        return self.graph.node(
+            _UFUNCS[ufunc], *inputs, dtype=bool if ufunc in (np.equal, np.greater) else None
+        )
 
     def __array_function__(self, function, types, args, keywords):
         if function is np.where:
@@ -105,8 +145,12 @@ class Traced(np.lib.mixins.NDArrayOperatorsMixin):
         if rows not in (slice(None), ...):
             raise TypeError(f"{key}: only whole columns")
         if columns is None:
-            return self.graph.node("Unsqueeze", self, self.graph.constant([1], np.int64), dtype=self.dtype)
-        return self.graph.node("Gather", self, self.graph.constant(columns, np.int64), dtype=self.dtype, axis=1)
+            return self.graph.node(
+                "Unsqueeze", self, self.graph.constant([1], np.int64), dtype=self.dtype
+            )
+        return self.graph.node(
+            "Gather", self, self.graph.constant(columns, np.int64), dtype=self.dtype, axis=1
+        )
 
     def __bool__(self) -> bool:
         raise TypeError("a branch on a value of the graph: expected np.where")
@@ -136,7 +180,9 @@ def action_of(graph: Graph, policy, x: Traced) -> Traced:
         return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x)))
     if isinstance(getattr(actor, "mu", None), nn.Sequential):  # TD3, DDPG: the last layer squashes
         return _layers(graph, actor.mu, x)
-    raise ParameterError(f"policy {type(policy).__name__}: expected one of PPO, A2C, TRPO, SAC, TQC, TD3")
+    raise ParameterError(
+        f"policy {type(policy).__name__}: expected one of PPO, A2C, TRPO, SAC, TQC, TD3"
+    )
 
 
 def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:

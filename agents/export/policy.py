@@ -30,13 +30,19 @@ def onnx_model(agent, description: dict):
     Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a network of no such form.
     """
     shipped = isinstance(agent, DefaultPolicy)
-    choice = None if shipped else getattr(agent, "choice", None)  # of a model trained with LineAction
+    choice = (
+        None if shipped else getattr(agent, "choice", None)
+    )  # of a model trained with LineAction
     expected = Box(-1.0, 1.0, (1 if choice is None else 2,), np.float32)
     if not shipped and agent.policy.action_space != expected:
         raise ParameterError(f"action space {agent.policy.action_space}: expected {expected}")
-    graph, entries = Graph(), len(description["inputs"])
-    seen, fresh = graph.input("observation", "float32"), graph.input("new_course", "bool")
-    raw, inputs, results = agent.scaling(seen) if agent.scaling.scaled else seen, [graph.info(seen, ["n", entries])], []
+    graph = Graph()
+    entries = len(description["inputs"])
+    seen = graph.input("observation", "float32")
+    fresh = graph.input("new_course", "bool")
+    raw = agent.scaling(seen) if agent.scaling.scaled else seen
+    inputs = [graph.info(seen, ["n", entries])]
+    results = []
     if history := getattr(agent, "history", None):
         memory = graph.input("history", "float32")
         raw, kept = history.observe(raw, memory, fresh)
@@ -47,8 +53,10 @@ def onnx_model(agent, description: dict):
     if choice is not None:
         action = np.where(np.greater(seen[:, [choice]], 0.5), action[:, [1]], action[:, [0]])
     results = [(np.clip(action, -1.0, 1.0), "action", 1), *results]
-    outputs = [graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
-               for x, name, size in results]  # fmt: skip
+    outputs = [
+        graph.info(graph.node("Identity", x, outputs=[name], dtype=x.dtype), ["n", size])
+        for x, name, size in results
+    ]
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
 
 
@@ -56,13 +64,22 @@ def _normalised(x: Traced, agent) -> Traced:
     """Input of the network, float32, as `Agent._normalised` computes it; other models have no normalisation."""
     if not hasattr(agent, "mean"):
         return x
-    return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(np.float32)
+    return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(
+        np.float32
+    )
 
 
 def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None) -> dict:
     """Content of policy.yaml before the comparison, as plain values."""
-    wheel, control, history = scenario.wheel, scenario.control, getattr(agent, "history", None)
-    kept = {"name": "history", "size": history.kept if history else 0, "first": 0.0, "output": "next_history"}
+    wheel = scenario.wheel
+    control = scenario.control
+    history = getattr(agent, "history", None)
+    kept = {
+        "name": "history",
+        "size": history.kept if history else 0,
+        "first": 0.0,
+        "output": "next_history",
+    }
     return {
         "format": FORMAT,
         "name": name,
@@ -74,7 +91,11 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
             for k, e in enumerate(layout(agent.variant, scenario.course))
         ],
         "reference": {
-            "weight": {"value": scenario.weight, "unit": "N", "meaning": "of wheel and its share of the body"},
+            "weight": {
+                "value": scenario.weight,
+                "unit": "N",
+                "meaning": "of wheel and its share of the body",
+            },
             "radius": {"value": wheel.radius, "unit": "m"},
             "top rim speed": {"value": wheel.radius * wheel.no_load_speed, "unit": "m/s"},
             "course length": {"value": scenario.course.length, "unit": "m"},
@@ -84,8 +105,15 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
         "rate": {"period": round(control.duration, 9), "unit": "s"},
         "scenario": to_dict(scenario),
         "world": None if world is None else world.content(),
-        "versions": {"soil_env": soil_env.__version__, "python": platform.python_version(), "opset": str(OPSET)}
-        | {package: metadata.version(package) for package in ("stable-baselines3", "torch", "onnx", "onnxruntime")},
+        "versions": {
+            "soil_env": soil_env.__version__,
+            "python": platform.python_version(),
+            "opset": str(OPSET),
+        }
+        | {
+            package: metadata.version(package)
+            for package in ("stable-baselines3", "torch", "onnx", "onnxruntime")
+        },
     }
 
 
@@ -108,7 +136,8 @@ class _Recorder:
     """An agent that keeps its observations and actions."""
 
     def __init__(self, agent):
-        self.agent, self.variant = agent, agent.variant
+        self.agent = agent
+        self.variant = agent.variant
         self.rows: list[tuple[np.ndarray, bool, np.ndarray]] = []
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
@@ -117,12 +146,19 @@ class _Recorder:
         return action, state
 
 
-def recorded(agent, scenario: Scenario, steps: int, world: WheelSoilModel | None) -> dict[str, np.ndarray]:
+def recorded(
+    agent, scenario: Scenario, steps: int, world: WheelSoilModel | None
+) -> dict[str, np.ndarray]:
     """`observation` [steps, D], `new_course` [steps] and `action` [steps, 1] of the agent on held-out courses."""
-    recorder, course = _Recorder(agent), 0
+    recorder = _Recorder(agent)
+    course = 0
     while len(recorder.rows) < steps:
         for _ in drive(recorder, scenario, HELD_OUT_SET, course, 1, model=world):
             pass
         course += 1
     seen, fresh, action = (np.array(column) for column in zip(*recorder.rows[:steps], strict=True))
-    return {"observation": seen.astype(np.float32), "new_course": fresh, "action": action.astype(np.float32)}
+    return {
+        "observation": seen.astype(np.float32),
+        "new_course": fresh,
+        "action": action.astype(np.float32),
+    }

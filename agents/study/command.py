@@ -19,22 +19,34 @@ from ..cli import (
     needing_training,
     overrides,
     unknown_option,
-)  # fmt: skip
+)
 from ..progress import show
 from . import config, results, work
 
 
 @click.command("study", context_settings=WITH_KEYS)
-@click.option("--out", type=PATH, metavar="OUT", required=True, help="Folder of the study, made if missing.")
-@click.option("--config", "file", type=PATH, metavar="YAML", help="The study (default: that of OUT).")
-@click.option("--seeds", type=WholeNumber(1), metavar="N", help="Trainings of each agent on each scenario.")
+@click.option(
+    "--out", type=PATH, metavar="OUT", required=True, help="Folder of the study, made if missing."
+)
+@click.option(
+    "--config", "file", type=PATH, metavar="YAML", help="The study (default: that of OUT)."
+)
+@click.option(
+    "--seeds", type=WholeNumber(1), metavar="N", help="Trainings of each agent on each scenario."
+)
 @click.option("--report", is_flag=True, help="Write only the results of the finished cells.")
 @engine_options
 @keys_argument
 def command(
-    out: Path, file: Path | None, seeds: int | None, report: bool, engine: str, workers: int | None,
-    address: str | None, keys: tuple[str, ...],
-) -> None:  # fmt: skip
+    out: Path,
+    file: Path | None,
+    seeds: int | None,
+    report: bool,
+    engine: str,
+    workers: int | None,
+    address: str | None,
+    keys: tuple[str, ...],
+) -> None:
     """Compare agents and controllers (arms) over training seeds and scenarios.
 
     \b
@@ -47,7 +59,8 @@ def command(
     trial; a larger --seeds adds to the finished cells. OUT gets study.json, study.md and study.png. Keys of the file:
     docs/guide/study.md.
     """
-    chosen, changes = cells.choose(engine, workers, address), overrides(keys, "--config")
+    chosen = cells.choose(engine, workers, address)
+    changes = overrides(keys, "--config")
     known = [str(p.name) for p in command.params if p.name not in ("file", "keys")]
     for key in changes:
         if key not in config.KEYS:

@@ -10,7 +10,16 @@ import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from soil_env._io.loading import Checked, ParameterError, load, merge, quantity, to_dict, unknown_key, unknown_value
+from soil_env._io.loading import (
+    Checked,
+    ParameterError,
+    load,
+    merge,
+    quantity,
+    to_dict,
+    unknown_key,
+    unknown_value,
+)
 from soil_env.parameters import Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario, load_rover
@@ -25,8 +34,18 @@ from ..evaluate.contestants import SHIPPED, SHIPPED_CLASS, Contestant
 from ..evaluate.driving import HELD_OUT_SET
 
 #: Keys of the training's config that the study sets.
-_SET_HERE = ("scenario", "rover", "changes", "model", "name", "runs", "seed", "courses", "tuning_courses",
-             "oracle_courses")  # fmt: skip
+_SET_HERE = (
+    "scenario",
+    "rover",
+    "changes",
+    "model",
+    "name",
+    "runs",
+    "seed",
+    "courses",
+    "tuning_courses",
+    "oracle_courses",
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +54,9 @@ class Target(OfTask):
 
     task: dict
     trained_on: str = ""  # target that the arms are made on; empty: this one
-    model: dict = field(default_factory=dict)  # content of the model.yaml of its world's effects; empty: none
+    model: dict = field(
+        default_factory=dict
+    )  # content of the model.yaml of its world's effects; empty: none
 
 
 @dataclass(frozen=True)
@@ -66,7 +87,9 @@ class Study(Checked):
     seeds: int = quantity("trainings of each agent on each scenario", 1, 1000, default=5)
     courses: int = quantity("held-out courses of each scenario", 2, 10**6, default=1000)
     held_out: int = quantity("seed of the set of those courses", 0, 2**31 - 1, default=HELD_OUT_SET)
-    tuning_courses: int = quantity("to tune classical controllers on; 0: do not tune", 0, 10**6, default=200)
+    tuning_courses: int = quantity(
+        "to tune classical controllers on; 0: do not tune", 0, 10**6, default=200
+    )
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     version: str = field(default_factory=code_version)
 
@@ -75,7 +98,9 @@ class Study(Checked):
         sources = [name for name, target in self.targets.items() if not target.trained_on]
         for name in (*self.targets, *self.arms):
             if "-" in name or "/" in name:
-                raise ParameterError(f"{name!r}: expected the name of a scenario or an arm without - and /")
+                raise ParameterError(
+                    f"{name!r}: expected the name of a scenario or an arm without - and /"
+                )
         for name, target in self.targets.items():
             if target.trained_on and target.trained_on not in sources:
                 raise unknown_value(target.trained_on, sources, f"targets.{name}: trained_on")
@@ -94,7 +119,9 @@ class Study(Checked):
         if not arm.controller:
             for key in arm.train:
                 if key in _SET_HERE:
-                    raise ParameterError(f"arms.{name}.train.{key}: the study sets it; expected another key")
+                    raise ParameterError(
+                        f"arms.{name}.train.{key}: the study sets it; expected another key"
+                    )
             load(TrainConfig, arm.train, f"arms.{name}.train")
             return
         if arm.train:
@@ -103,7 +130,9 @@ class Study(Checked):
         if ":" in arm.controller:
             loading.load(Contestant(name, 0, "class", arm.controller), scenario)
         elif arm.controller not in known:
-            raise unknown_value(arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller")
+            raise unknown_value(
+                arm.controller, (*known, *SHIPPED, "module:Class"), f"arms.{name}: controller"
+            )
         if arm.controller in CONTROLLERS and known is CONTROLLERS:
             checked_settings(arm.controller, scenario, arm.settings, f"arms.{name}.settings")
 
@@ -114,14 +143,18 @@ class Study(Checked):
 
     def fed_by(self, source: str) -> list[str]:
         """The targets on which the arms made on `source` are compared."""
-        return [name for name, target in self.targets.items() if (target.trained_on or name) == source]
+        return [
+            name for name, target in self.targets.items() if (target.trained_on or name) == source
+        ]
 
     def cells(self) -> list[Cell]:
         """All cells: the arms without a training, then seed by seed every agent on every scenario."""
         sources = [name for name, target in self.targets.items() if not target.trained_on]
         once = [Cell(s, a, 0) for s in sources for a, arm in self.arms.items() if arm.controller]
         agents = [name for name, arm in self.arms.items() if not arm.controller]
-        return once + [Cell(s, a, seed) for seed in range(self.seeds) for s in sources for a in agents]
+        return once + [
+            Cell(s, a, seed) for seed in range(self.seeds) for s in sources for a in agents
+        ]
 
     def training(self, cell: Cell, model: WheelSoilModel | None, runs: Path) -> TrainConfig:
         """Config of the training of a cell, in the world `model`, with its run folder in `runs`."""
@@ -129,12 +162,19 @@ class Study(Checked):
         task = {"rover" if isinstance(scenario, RoverScenario) else "scenario": scenario.name}
         content = model.content() if model else {}
         own = {"model": content, "name": str(cell), "runs": str(runs), "seed": _seed_of(cell)}
-        return load(TrainConfig, {**self.arms[cell.arm].train, **task, **own}, f"arms.{cell.arm}.train")
+        return load(
+            TrainConfig, {**self.arms[cell.arm].train, **task, **own}, f"arms.{cell.arm}.train"
+        )
 
 
 #: Keys of the file.
-KEYS = ("scenarios", "controllers", "train", "changes",
-        *(f.name for f in dataclasses.fields(Study) if f.name not in ("targets", "version")))  # fmt: skip
+KEYS = (
+    "scenarios",
+    "controllers",
+    "train",
+    "changes",
+    *(f.name for f in dataclasses.fields(Study) if f.name not in ("targets", "version")),
+)
 
 
 @dataclass(frozen=True)
@@ -163,11 +203,13 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
     for key in ("scenarios", "arms", "worlds", "train", "changes"):
         if not isinstance(content.get(key) or {}, dict):
             raise ParameterError(f"{path}: {key} = {content[key]!r:.60}: expected a mapping")
-    scenarios, common = content.pop("scenarios", None) or {}, content.pop("changes", None) or {}
+    scenarios = content.pop("scenarios", None) or {}
+    common = content.pop("changes", None) or {}
     targets = {name: _target(path, name, entry or {}, common) for name, entry in scenarios.items()}
     rovers = any("vehicle" in target["task"] for target in targets.values())
     chosen = content.pop("controllers", list(ROVER_CONTROLLERS if rovers else CONTROLLERS))
-    shared, arms = content.pop("train", None) or {}, {name: {"controller": name} for name in chosen}
+    shared = content.pop("train", None) or {}
+    arms = {name: {"controller": name} for name in chosen}
     for name, arm in (content.get("arms") or {}).items():
         if isinstance(arm, dict) and "controller" not in arm:
             arm = {**arm, "train": merge(shared, arm.get("train") or {})}
@@ -179,9 +221,13 @@ def read_config(path: Path, changes: dict | None = None) -> Study:
         if isinstance(entry, dict) and isinstance(entry.get("model"), str):
             worlds[name] = {**entry, "model": _model(path, entry["model"])}
     try:
-        return load(Study, {**content, "targets": targets, "arms": arms, "worlds": worlds}, str(path))
+        return load(
+            Study, {**content, "targets": targets, "arms": arms, "worlds": worlds}, str(path)
+        )
     except ParameterError as error:  # in the words of the file
-        raise ParameterError(str(error).replace(f"{path}: targets.", f"{path}: scenarios.", 1)) from None
+        raise ParameterError(
+            str(error).replace(f"{path}: targets.", f"{path}: scenarios.", 1)
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -201,7 +247,9 @@ def _target(path: Path, name: str, entry, common: dict) -> dict:
     entry = load(_Scenario, entry, where)
     if entry.scenario and entry.rover:
         raise ParameterError(f"{where}: expected scenario or rover, not both")
-    of, which = (load_rover, entry.rover) if entry.rover else (load_scenario, entry.scenario or name)
+    of, which = (
+        (load_rover, entry.rover) if entry.rover else (load_scenario, entry.scenario or name)
+    )
     try:
         of(which)
     except ParameterError as error:
@@ -223,8 +271,11 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     if not model.effects and not model.residual:
         raise ParameterError(f"{file}: no effects; expected a world with at least one")
     if model.soil is not None:
-        raise ParameterError(f"{file}: expected no soil: the courses have the soils of the scenario")
-    own, wheel = model.wheel, scenario.wheel if scenario else model.wheel
+        raise ParameterError(
+            f"{file}: expected no soil: the courses have the soils of the scenario"
+        )
+    own = model.wheel
+    wheel = scenario.wheel if scenario else model.wheel
     if (own.radius, own.width) != (wheel.radius, wheel.width):
         raise ParameterError(
             f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of scenario "

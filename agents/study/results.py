@@ -28,10 +28,14 @@ def result(study: Study, folder: Path) -> dict:
         "baseline": study.compared_with,
         "courses": study.courses,
         "settings": settings,
-        "worlds": {name: dict(w.world.effects) if w.world else {} for name, w in study.worlds.items()},
+        "worlds": {
+            name: dict(w.world.effects) if w.world else {} for name, w in study.worlds.items()
+        },
         "scenarios": {
             name: {
-                **comparing.comparison(study.targets[name].scenario, study.held_out, own, resamples=study.resamples),
+                **comparing.comparison(
+                    study.targets[name].scenario, study.held_out, own, resamples=study.resamples
+                ),
                 "trained_on": study.targets[name].trained_on or name,
                 "model": study.targets[name].model,
             }
@@ -42,7 +46,8 @@ def result(study: Study, folder: Path) -> dict:
 
 def table(content: dict, bounds: bool = True) -> Table:
     """A row for each scenario and arm; differences are on the same courses. Narrow without `bounds`."""
-    base, rows = content["baseline"], []
+    base = content["baseline"]
+    rows = []
     for name, entry in content["scenarios"].items():
         for arm, metrics in entry["controllers"].items():
             difference = probability = ""
@@ -54,18 +59,32 @@ def table(content: dict, bounds: bool = True) -> Table:
             rows.append([name, arm, entry["members"][arm], *rates, iqm, difference, probability])
     caption = f"{content['courses']} held-out courses of each scenario; 95 % intervals"
     if bounds:
-        header = ("scenario", "arm", "seeds", "immobilised [%]", "finished [%]", "return (IQM)",
-                  f"finished - {base} [points]", "P(return higher)")  # fmt: skip
+        header = (
+            "scenario",
+            "arm",
+            "seeds",
+            "immobilised [%]",
+            "finished [%]",
+            "return (IQM)",
+            f"finished - {base} [points]",
+            "P(return higher)",
+        )
         return Table(header, rows, caption)
     header = ("scenario", "arm", "seeds", "stuck [%]", "finished [%]", "IQM", "difference")
-    return Table(header, [row[:-1] for row in rows], f"{caption}; IQM of the return; difference: finished - {base}")
+    return Table(
+        header,
+        [row[:-1] for row in rows],
+        f"{caption}; IQM of the return; difference: finished - {base}",
+    )
 
 
 def write(content: dict, folder: Path) -> list[str]:
     """Write study.json, study.md and study.png; returns their names."""
     folder = Path(folder)
     write_json(folder / FILES[0], content)
-    found = [f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()]
+    found = [
+        f"World `{name}`: {effects or 'no effects'}." for name, effects in content["worlds"].items()
+    ]
     page = ["# Study", *found, table(content).markdown(), "![Study](study.png)"]
     replace_file(folder / FILES[1], "\n\n".join(page) + "\n")
     rows = {name: entry["controllers"] for name, entry in content["scenarios"].items()}

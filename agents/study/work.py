@@ -30,7 +30,8 @@ def begin(study: Study, folder: Path) -> None:
 
 def fill(study: Study, folder: Path, engine: cells.Engine, elsewhere: bool) -> None:
     """Do all cells that are not done; `elsewhere`: on machines that do not share `folder`."""
-    folder, todo = Path(folder), study.cells()
+    folder = Path(folder)
+    todo = study.cells()
     left = len(todo)
 
     def progress(cell: Cell) -> None:
@@ -51,7 +52,8 @@ class Work:
     """Does cells; can be sent to other processes and, without a folder, to other machines."""
 
     def __init__(self, study: Study, folder: Path | None):
-        self.study, self.folder = study, folder
+        self.study = study
+        self.folder = folder
 
     def __call__(self, cell: Cell) -> dict:
         """{"settings": of a classical controller, "driven": {target: columns of `Runs`}}.
@@ -61,29 +63,44 @@ class Work:
         if self.folder is not None:
             return self._done(cell, self.folder)
         with tempfile.TemporaryDirectory() as there:
-            out, run = self._done(cell, Path(there)), Path(there) / "trained" / str(cell)
-            return {**out, "files": {f.name: f.read_bytes() for f in sorted(run.glob("*")) if f.is_file()}}
+            out = self._done(cell, Path(there))
+            run = Path(there) / "trained" / str(cell)
+            return {
+                **out,
+                "files": {f.name: f.read_bytes() for f in sorted(run.glob("*")) if f.is_file()},
+            }
 
     def _done(self, cell: Cell, folder: Path) -> dict:
-        study, arm, source = self.study, self.study.arms[cell.arm], self.study.targets[cell.source]
+        study = self.study
+        arm = self.study.arms[cell.arm]
+        source = self.study.targets[cell.source]
         model = (study.worlds[arm.world] if arm.world else source).world
-        settings, kind, made = {}, "class", arm.controller
+        settings = {}
+        kind = "class"
+        made = arm.controller
         if not arm.controller:
             from .. import training  # needs the extra `train`, which --help does not
 
-            kind, made = (
-                "model",
-                str(training.trained(study.training(cell, model, folder / "trained"), source.scenario)),
+            kind = "model"
+            made = str(
+                training.trained(study.training(cell, model, folder / "trained"), source.scenario)
             )
         elif ":" not in arm.controller:
-            kind, settings = "classical", arm.settings or self._tuned(cell, source.scenario, model, folder)
-        driven, contestant = {}, Contestant(cell.arm, 0, kind, made, settings=settings)
+            kind = "classical"
+            settings = arm.settings or self._tuned(cell, source.scenario, model, folder)
+        driven = {}
+        contestant = Contestant(cell.arm, 0, kind, made, settings=settings)
         for name in study.fed_by(cell.source):
             target = study.targets[name]
             try:
                 controller = load(contestant, target.scenario)
                 runs = run_courses(
-                    controller, target.scenario, study.held_out, study.courses, model=target.world, threads=1
+                    controller,
+                    target.scenario,
+                    study.held_out,
+                    study.courses,
+                    model=target.world,
+                    threads=1,
                 )
             except ParameterError as error:
                 raise ParameterError(f"arms.{cell.arm}, on {name}: {error}") from None
@@ -92,7 +109,8 @@ class Work:
 
     def _tuned(self, cell: Cell, scenario: Scenario, model, folder: Path) -> dict[str, float]:
         """Settings of a classical controller, tuned where it is made."""
-        name, log = self.study.arms[cell.arm].controller, folder / "tuned" / f"{cell}.log"
+        name = self.study.arms[cell.arm].controller
+        log = folder / "tuned" / f"{cell}.log"
         log.parent.mkdir(parents=True, exist_ok=True)
         anew = bool(self.study.worlds)  # as many trials in every world
         chosen = tuned_settings(scenario, self.study.tuning_courses, (name,), model, log, anew)
@@ -103,7 +121,9 @@ def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]]
     """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell: settings})."""
 
     def parse(content: dict) -> dict:
-        own = {t: Runs.from_columns(columns, study.courses) for t, columns in content["driven"].items()}
+        own = {
+            t: Runs.from_columns(columns, study.courses) for t, columns in content["driven"].items()
+        }
         return {**content, "driven": own}
 
     runs: dict[str, dict[str, list[Runs]]] = {name: {} for name in study.targets}
@@ -116,4 +136,6 @@ def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]]
             settings[str(cell)] = content["settings"]
         for target, own in content["driven"].items():
             runs[target].setdefault(cell.arm, []).append(own)
-    return {t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own}, settings
+    return {
+        t: {arm: own[arm] for arm in study.arms if arm in own} for t, own in runs.items() if own
+    }, settings

@@ -100,14 +100,18 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
         return
     for name in THREADS:
         os.environ.setdefault(name, "1")  # of the workers, which take the cores
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    pool = ProcessPoolExecutor(
+        jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    )
     try:
         waiting = {pool.submit(work, name): name for name in names}
         for done, future in enumerate(as_completed(waiting), start=1):
             future.result()
             print(f"{done}/{len(names)} {waiting[future]}", file=sys.stderr, flush=True)
     except BrokenProcessPool:
-        raise ParameterError("a process died (memory?): expected fewer --jobs, with the same command") from None
+        raise ParameterError(
+            "a process died (memory?): expected fewer --jobs, with the same command"
+        ) from None
     except BaseException:
         for process in list((pool._processes or {}).values()):
             process.kill()  # answers are written whole or not at all
@@ -118,11 +122,15 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
 def _names(limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:
     held = [g for g in groups if GROUPS[g].sort == "held"]
     if held and not held_out:
-        raise ParameterError(f"--group {held[0]}: kinds that are held back from development: expected --held-out too")
+        raise ParameterError(
+            f"--group {held[0]}: kinds that are held back from development: expected --held-out too"
+        )
     return [t.name for t in tasks(limit, held_out) if not groups or t.group in groups]
 
 
-def publish_scores(out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...], held_out: bool) -> None:
+def publish_scores(
+    out: Path, publish: Path | None, limit: int | None, groups: tuple[str, ...], held_out: bool
+) -> None:
     """Score the answers in a folder, write the figures and print a table."""
     about = read_json(out / "study.json")
     labels = sorted(p.name for p in (out / "answers").glob("*") if p.is_dir())
@@ -145,18 +153,48 @@ def command() -> None:
 
 def _of_cases(work: Callable) -> Callable:
     options = (
-        click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder of cases, truths, answers."),
-        click.option("--limit", type=WholeNumber(1), metavar="N", help="Only the first N cases, a fair sample."),
-        click.option("--group", "groups", multiple=True, type=click.Choice(list(GROUPS)), metavar="GROUP",
-                     help="Only this group."),
-        click.option("--held-out", is_flag=True, help="With the unlisted kinds that no development may use."),
-        click.option("--publish", type=PATH, metavar="DIR", help="Folder of the scores (default: that of --out)."),
-    )  # fmt: skip
+        click.option(
+            "--out",
+            type=PATH,
+            required=True,
+            metavar="DIR",
+            help="Folder of cases, truths, answers.",
+        ),
+        click.option(
+            "--limit",
+            type=WholeNumber(1),
+            metavar="N",
+            help="Only the first N cases, a fair sample.",
+        ),
+        click.option(
+            "--group",
+            "groups",
+            multiple=True,
+            type=click.Choice(list(GROUPS)),
+            metavar="GROUP",
+            help="Only this group.",
+        ),
+        click.option(
+            "--held-out", is_flag=True, help="With the unlisted kinds that no development may use."
+        ),
+        click.option(
+            "--publish",
+            type=PATH,
+            metavar="DIR",
+            help="Folder of the scores (default: that of --out).",
+        ),
+    )
     return reduce(lambda inner, option: option(inner), reversed(options), work)
 
 
 @command.command("run")
-@click.option("--entrant", "who", required=True, metavar="NAME", help=f"{', '.join(ENTRANTS)} or module:function.")
+@click.option(
+    "--entrant",
+    "who",
+    required=True,
+    metavar="NAME",
+    help=f"{', '.join(ENTRANTS)} or module:function.",
+)
 @click.option("--label", metavar="NAME", help="Folder of the answers (default: from --entrant).")
 @click.option("--seed", type=WholeNumber(), default=FIRST, metavar="N", help=f"Default: {FIRST}.")
 @click.option("--jobs", type=WholeNumber(1), default=1, metavar="N", help="Processes (default 1).")
@@ -167,7 +205,11 @@ def run_command(who, label, publish, seed, jobs, out, limit, groups, held_out) -
     entrant(who)  # before the work: that there is one
     begin(out, seed)
     describe(out, label, who)
-    left = [n for n in _names(limit, groups, held_out) if not (out / "answers" / label / f"{n}.json").exists()]
+    left = [
+        n
+        for n in _names(limit, groups, held_out)
+        if not (out / "answers" / label / f"{n}.json").exists()
+    ]
     each(partial(ask, who, label, seed, out), left, jobs)
     publish_scores(out, publish, limit, groups, held_out)
 
@@ -181,6 +223,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from benchmarks.discovery import __main__ as imported  # processes of --jobs look functions up in a named module
+    from benchmarks.discovery import (
+        __main__ as imported,
+    )  # processes of --jobs look functions up in a named module
 
     leave(imported.main())

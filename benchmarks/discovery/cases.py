@@ -56,7 +56,13 @@ class Group:
         if self.kind == "none":
             return []
         if self.kind in ("unlisted", "instrument"):
-            kinds = INSTRUMENT if self.kind == "instrument" else FRESH if self.sort == "held" else UNLISTED
+            kinds = (
+                INSTRUMENT
+                if self.kind == "instrument"
+                else FRESH
+                if self.sort == "held"
+                else UNLISTED
+            )
             return [kinds[index % len(kinds)]]
         if self.kind == "two":
             names = PAIRS[31 * index % len(PAIRS)]  # all pairs before any comes again
@@ -68,10 +74,16 @@ class Group:
 
 ALL = [
     Group(kind, count, sort, of_slip)
-    for kind, sort, count in (("one", "", 13), ("two", "", 9), ("none", "", 7), ("unlisted", "", 8),
-                              ("unlisted", "held", 12), ("instrument", "", 30))
+    for kind, sort, count in (
+        ("one", "", 13),
+        ("two", "", 9),
+        ("none", "", 7),
+        ("unlisted", "", 8),
+        ("unlisted", "held", 12),
+        ("instrument", "", 30),
+    )
     for of_slip in (smooth, log_slip, regimes)
-]  # fmt: skip
+]
 GROUPS = {group.name: group for group in ALL}
 
 
@@ -101,14 +113,18 @@ def task_of(name: str) -> Task:
     """Return the case of a name. Raises `ParameterError` where there is none."""
     group, _, index = name.rpartition("-")
     if group not in GROUPS or not index.isdigit():
-        raise ParameterError(f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}")
+        raise ParameterError(
+            f"case {name!r}: expected GROUP-NUMBER, GROUP one of {', '.join(GROUPS)}"
+        )
     return Task(group, int(index))
 
 
 def generator() -> str:
     """Hash of the code that the cases follow from."""
     names = ("cases", "forms", "fresh", "hidden", "laws", "plan", "unlisted", "world")
-    return hashlib.sha256(b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)).hexdigest()[:12]
+    return hashlib.sha256(
+        b"".join((Path(__file__).parent / f"{n}.py").read_bytes() for n in names)
+    ).hexdigest()[:12]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +144,10 @@ def draw_case(seed: int, task: Task) -> Case:
     group = GROUPS[task.group]
     rng = np.random.default_rng([seed, zlib.crc32(group.name.encode()), task.index])
     forms = group.hidden(task.index)
-    best, measure, effects, sizes = None, None, (), ()
+    best = None
+    measure = None
+    effects = ()
+    sizes = ()
     for _ in range(ATTEMPTS):
         bench = draw_bench(rng, ERROR, group.of_slip)
         measure = Measure(bench)
@@ -147,15 +166,23 @@ def draw_case(seed: int, task: Task) -> Case:
 def _strengths(rng, measure: Measure, forms, group: Group):
     """(Effects whose sizes are drawn between the multiples of the limit, sizes); (.., None) if impossible."""
     bench = measure.bench
-    effects = [Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, bench)) for f in forms]
+    effects = [
+        Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, bench)) for f in forms
+    ]
     if group.kind == "instrument":
-        cap, floor = forms[0].cap(bench), forms[0].floor
+        cap = forms[0].cap(bench)
+        floor = forms[0].floor
         effects = [effects[0].at(effects[0].strength * float(rng.uniform(floor, cap)))]
         size = measure.size(effects[0])
-        return tuple(effects), ((size,) if np.all(np.isfinite([size, *bench.truth(effects).ravel()])) else None)
+        return tuple(effects), (
+            (size,) if np.all(np.isfinite([size, *bench.truth(effects).ravel()])) else None
+        )
     wanted = [SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
-    for k in [*range(len(effects)), *range(len(effects) - 1)]:  # the first of two again, once the second is there
+    for k in [
+        *range(len(effects)),
+        *range(len(effects) - 1),
+    ]:  # the first of two again, once the second is there
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
         strength, sizes[k] = measure.strength(effects[k], wanted[k], others)
         if strength == 0.0:
@@ -163,10 +190,13 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         effects[k] = effects[k].at(strength)
     if group.kind == "unlisted":  # what counts is what the best listed effect would leave of it
         rival = min(measure.left(effects[0]).values())
-        strength, size = measure.strength(effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3))
+        strength, size = measure.strength(
+            effects[0], min(wanted[0] * sizes[0] / max(rival, 1e-3), 1e3)
+        )
         if strength == 0.0:
             return effects, None
-        effects, sizes = [effects[0].at(strength)], [size * rival / sizes[0]]
+        effects = [effects[0].at(strength)]
+        sizes = [size * rival / sizes[0]]
     table = measure.whole.truth(effects)
     if not np.all(np.isfinite(table)) or np.max(table[0] / bench.wheel.radius) > DEEPEST:
         return effects, None
@@ -176,36 +206,51 @@ def _strengths(rng, measure: Measure, forms, group: Group):
 
 
 def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> Case:
-    group, bench = GROUPS[task.group], measure.whole
+    group = GROUPS[task.group]
+    bench = measure.whole
     clean = bench.truth(effects)
     noise = np.array(bench.noise)[:, None]
     values = clean + noise * rng.standard_normal(clean.shape)
     stated = rng.random() < 0.8
     setup = _setup(rng, bench, stated)
     truth = {
-        "case": task.name, "seed": seed, "kind": group.kind, "sort": group.sort,
-        "law_error": ERROR, "law_errors": group.of_slip.__name__,
-        "rows": len(bench.rows), "noise_stated": stated,
-        "soil_type": bench.soil, "soil": asdict(bench.ground),
+        "case": task.name,
+        "seed": seed,
+        "kind": group.kind,
+        "sort": group.sort,
+        "law_error": ERROR,
+        "law_errors": group.of_slip.__name__,
+        "rows": len(bench.rows),
+        "noise_stated": stated,
+        "soil_type": bench.soil,
+        "soil": asdict(bench.ground),
         "noise": dict(zip(CHANNELS, bench.noise, strict=True)),
         **_described(measure, effects, sizes),
-    }  # fmt: skip
+    }
     return Case(_columns(bench, effects, values), setup, truth, clean, bench, effects)
 
 
 def _described(measure: Measure, effects, sizes) -> dict:
     """Truth about the effects: sizes in detection limits, what listed forms leave of a single one, counts or not."""
-    out, counts = [], True
+    out = []
+    counts = True
     for k, effect in enumerate(effects):
         others = [e for j, e in enumerate(effects) if j != k]
         rivals = {} if others else measure.left(effect)
         best = min(rivals, key=rivals.get) if rivals else None
-        out.append({
-            "name": effect.form.effect, "form": effect.form.name, "source": " ".join(effect.form.source.split()),
-            "strength": effect.strength, "unit": effect.form.strength,
-            "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
-            "size": measure.size(effect, others), "rival": best, "rival_left": rivals[best] if best else None,
-        })  # fmt: skip
+        out.append(
+            {
+                "name": effect.form.effect,
+                "form": effect.form.name,
+                "source": " ".join(effect.form.source.split()),
+                "strength": effect.strength,
+                "unit": effect.form.strength,
+                "side": {k: v for k, v in effect.side.items() if not isinstance(v, list)},
+                "size": measure.size(effect, others),
+                "rival": best,
+                "rival_left": rivals[best] if best else None,
+            }
+        )
         seen = out[-1]["rival_left"] if effect.form in (*UNLISTED, *FRESH) else sizes[k]
         counts = counts and seen >= 0.97 * LEAST
     return {"effects": out, "counts": bool(counts)}
@@ -214,25 +259,34 @@ def _described(measure: Measure, effects, sizes) -> dict:
 def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
     rows = bench.conditions(effects)
     columns = {
-        "run": list(bench.runs), "time": rows.time.tolist(), "slip": rows.slip.tolist(), "load": rows.load.tolist(),
-        "speed": rows.speed.tolist(), "pass": [int(p) for p in rows.passes],
-    }  # fmt: skip
+        "run": list(bench.runs),
+        "time": rows.time.tolist(),
+        "slip": rows.slip.tolist(),
+        "load": rows.load.tolist(),
+        "speed": rows.speed.tolist(),
+        "pass": [int(p) for p in rows.passes],
+    }
     if np.any(rows.grade_deg):
         columns["grade_deg"] = [float(np.round(g, 4)) for g in rows.grade_deg]
-    return columns | {name: [float(f"{v:.6g}") for v in row] for name, row in zip(CHANNELS, values, strict=True)}
+    return columns | {
+        name: [float(f"{v:.6g}") for v in row] for name, row in zip(CHANNELS, values, strict=True)
+    }
 
 
 def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
     """Known to the entrant: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
     soil = {}
     for name in SOIL:
-        true, value = getattr(bench.ground, name), -1.0
+        true = getattr(bench.ground, name)
+        value = -1.0
         while value <= 0.05 * true:
             value = true + bench.prior_sd[name] * rng.standard_normal()
         soil[name] = {"value": float(f"{value:.6g}"), "sd": float(f"{PRIOR_SD[name](value):.3g}")}
     setup = {"wheel": asdict(bench.wheel), "soil": soil | {"density": bench.ground.density}}
     if noise_stated:
-        setup["noise"] = {name: float(f"{s:.3g}") for name, s in zip(CHANNELS, bench.noise, strict=True)}
+        setup["noise"] = {
+            name: float(f"{s:.3g}") for name, s in zip(CHANNELS, bench.noise, strict=True)
+        }
     return setup
 
 
@@ -244,5 +298,7 @@ def write_case(case: Case, folder: Path, truth_file: Path) -> None:
         writer = csv.writer(stream)
         writer.writerow(case.columns)
         writer.writerows(zip(*case.columns.values(), strict=True))
-    (folder / "setup.yaml").write_text(yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8")
+    (folder / "setup.yaml").write_text(
+        yaml.safe_dump(case.setup, sort_keys=False), encoding="utf-8"
+    )
     write_json(truth_file, short(case.truth, 6))

@@ -51,7 +51,9 @@ class Answer:
     def of(cls, content: Mapping) -> Answer:
         """Return the answer of a mapping with the keys of this class. Raises `ParameterError` for anything else."""
         if not isinstance(content, Mapping) or not set(content) <= set(cls.__dataclass_fields__):
-            raise ParameterError(f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}")
+            raise ParameterError(
+                f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}"
+            )
         lists = {key: tuple(content[key]) for key in ("named", "alternatives") if key in content}
         return cls(**{**content, **lists})
 
@@ -79,7 +81,9 @@ def workflow(data: Path, setup: Path) -> Answer:
     """
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])
-    others = dict.fromkeys([*(a for e in report["effects"] for a in e["alternatives"]), *report["candidates"]])
+    others = dict.fromkeys(
+        [*(a for e in report["effects"] for a in e["alternatives"]), *report["candidates"]]
+    )
     chance = {rank["name"]: min(rank["probability"], 1.0) for rank in report["ranking"]}
     rest = max(report["probability"]["none"], report["probability"]["unlisted"])
     if report["verdict"] == "ambiguous":

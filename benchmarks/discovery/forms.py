@@ -53,12 +53,19 @@ def constant_exit(contact, s, side):
     contact.exit_angle = lambda entry, r: -np.minimum(s, 0.9 * entry)
 
 
-@_form("rear_contact", "root of the rebound at the mean load, over r [-]", lambda bench: 0.35,
-       side=drawn("load", power=(0.3, 0.8)), freedom=2)  # fmt: skip
+@_form(
+    "rear_contact",
+    "root of the rebound at the mean load, over r [-]",
+    lambda bench: 0.35,
+    side=drawn("load", power=(0.3, 0.8)),
+    freedom=2,
+)
 def unloading_rebound(contact, s, side):
     """Rebound z_e = p/ku of the unloading line of Wong (1989): it grows with the load, not with the sinkage."""
     rebound = s**2 * (contact.load / side["load"]) ** side["power"]
-    contact.exit_angle = lambda entry, r: -np.arccos(1.0 - np.minimum(rebound, 0.9 * (1.0 - np.cos(entry))))
+    contact.exit_angle = lambda entry, r: (
+        -np.arccos(1.0 - np.minimum(rebound, 0.9 * (1.0 - np.cos(entry))))
+    )
 
 
 @_form("stress_peak_shift", "shift at slip 1 [rad]", 0.35)
@@ -67,26 +74,47 @@ def shift_in_degrees(contact, s, side):
     contact.peak_shift.append(lambda entry: s * contact.slip)
 
 
-@_form("stress_peak_shift", "shift over theta1 at much slip [-]", 0.4, side=drawn(slip=(0.06, 0.2)), freedom=2)
+@_form(
+    "stress_peak_shift",
+    "shift over theta1 at much slip [-]",
+    0.4,
+    side=drawn(slip=(0.06, 0.2)),
+    freedom=2,
+)
 def shift_saturating(contact, s, side):
     """thetam = [1/2 + s (1 - exp(-i/i0))] theta1: a peak that moves at once and then stays, after Krick (1969)."""
     contact.peak_shift.append(lambda entry: s * -np.expm1(-_slip(contact) / side["slip"]) * entry)
 
 
-@_late("grousers", "lug height [m]", lambda bench: 0.15 * bench.radius,
-       side=lambda rng, bench: {"lugs": int(rng.integers(12, 31))})  # fmt: skip
+@_late(
+    "grousers",
+    "lug height [m]",
+    lambda bench: 0.15 * bench.radius,
+    side=lambda rng, bench: {"lugs": int(rng.integers(12, 31))},
+)
 def passive_ripple_mean(contact, s, side):
     """Mean of the ripple of passive pressure on each lug at its depth, Irani, Bauer & Warkentin (2011)."""
-    n_phi, gamma = passive(contact), contact.ground.unit_weight
+    n_phi = passive(contact)
+    gamma = contact.ground.unit_weight
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    share, weights = 0.5 * (nodes + 1.0), 0.5 * weights * side["lugs"] / (2.0 * np.pi)  # lugs for each rad
+    share = 0.5 * (nodes + 1.0)  # lugs for each rad
+    weights = 0.5 * weights * side["lugs"] / (2.0 * np.pi)
 
     def hook(entry):
         theta = entry * share
         depth = contact.radius * (np.cos(theta) - np.cos(entry))
         pressure = gamma * (depth + 0.5 * s) * n_phi + 2.0 * contact.cohesion * np.sqrt(n_phi)
-        f = contact.width * s * pressure * np.tanh(np.maximum(contact.slip, 0.0) / 0.03) * entry * weights
-        lift, pull, tangential = (x.sum(1, keepdims=True) for x in (f * np.sin(theta), f * np.cos(theta), f))
+        f = (
+            contact.width
+            * s
+            * pressure
+            * np.tanh(np.maximum(contact.slip, 0.0) / 0.03)
+            * entry
+            * weights
+        )
+        lift, pull, tangential = (
+            x.sum(1, keepdims=True) for x in (f * np.sin(theta), f * np.cos(theta), f)
+        )
         return lift, pull, tangential * (contact.radius + 0.5 * s)
 
     contact.forces.append(hook)
@@ -117,11 +145,14 @@ def resist(contact, s, force):
 @_late("bulldozing", "factor on the force [-]", 0.3, (PULL,))
 def terzaghi(contact, s, side):
     """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), bearing factors of Terzaghi."""
-    phi, gamma, c = contact.phi, contact.ground.unit_weight, contact.cohesion
+    phi = contact.phi
+    gamma = contact.ground.unit_weight
+    c = contact.cohesion
     t = np.tan(phi)
     n_q = np.exp((1.5 * np.pi - phi) * t) / (2.0 * np.cos(np.pi / 4.0 + 0.5 * phi) ** 2)
     n_gamma = 2.0 * (n_q + 1.0) * t / (1.0 + 0.4 * np.sin(4.0 * phi))
-    k_c, k_gamma = ((n_q - 1.0) / t - t) * np.cos(phi) ** 2, (2.0 * n_gamma / t + 1.0) * np.cos(phi) ** 2
+    k_c = ((n_q - 1.0) / t - t) * np.cos(phi) ** 2
+    k_gamma = (2.0 * n_gamma / t + 1.0) * np.cos(phi) ** 2
 
     def force(z, entry):
         wedge = contact.width * np.sin(entry + phi) / (2.0 * np.sin(entry) * np.cos(phi))
@@ -130,13 +161,24 @@ def terzaghi(contact, s, side):
     resist(contact, s, force)
 
 
-@_late("bulldozing", "factor on the force [-]", 2.5, (PULL,), freedom=2, side=drawn(crescent=(0.5, 2.0)))
+@_late(
+    "bulldozing",
+    "factor on the force [-]",
+    2.5,
+    (PULL,),
+    freedom=2,
+    side=drawn(crescent=(0.5, 2.0)),
+)
 def crescent(contact, s, side):
     """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece (1967)."""
-    n_phi, gamma, c = passive(contact), contact.ground.unit_weight, contact.cohesion
+    n_phi = passive(contact)
+    gamma = contact.ground.unit_weight
+    c = contact.cohesion
 
     def force(z, entry):
-        return (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)) * (contact.width + side["crescent"] * z)
+        return (0.5 * gamma * z**2 * n_phi + 2.0 * c * z * np.sqrt(n_phi)) * (
+            contact.width + side["crescent"] * z
+        )
 
     resist(contact, s, force)
 
@@ -146,15 +188,25 @@ def hyperbolic_cosine(contact, s, side):
     """The hump 1 + f/cosh(x), x = j/K, of Kacigin & Guskov (1968) on (1 - e^-x), the peak as strength; f = s."""
     x = np.linspace(0.0, 40.0, 4001)
     peak = np.max(-np.expm1(-x) * (1.0 + s / np.cosh(x)))
-    contact.mobilised = lambda ratio: -np.expm1(-ratio) * (1.0 + s / np.cosh(np.minimum(ratio, 300.0))) / peak
+    contact.mobilised = lambda ratio: (
+        -np.expm1(-ratio) * (1.0 + s / np.cosh(np.minimum(ratio, 300.0))) / peak
+    )
 
 
-@_form("shear_softening", "1 - residual/peak [-]", 0.6, side=drawn(begin=(0.5, 1.5), over=(1.0, 4.0)), freedom=2)
+@_form(
+    "shear_softening",
+    "1 - residual/peak [-]",
+    0.6,
+    side=drawn(begin=(0.5, 1.5), over=(1.0, 4.0)),
+    freedom=2,
+)
 def linear_fall(contact, s, side):
     """Strength that falls linearly in j from its peak to a residual, after Skempton (1964)."""
 
     def mobilised(ratio):
-        return -np.expm1(-ratio) * (1.0 - s * np.clip((ratio - side["begin"]) / side["over"], 0.0, 1.0))
+        return -np.expm1(-ratio) * (
+            1.0 - s * np.clip((ratio - side["begin"]) / side["over"], 0.0, 1.0)
+        )
 
     contact.mobilised = mobilised
 
@@ -187,14 +239,22 @@ def pass_logarithm(contact, s, side):
 
 def reference_speed(rng, bench):
     """A reference speed [m/s] within the range of the table."""
-    return {"speed": float(np.exp(rng.uniform(np.log(bench.rows.speed.min()), np.log(bench.rows.speed.max()))))}
+    return {
+        "speed": float(
+            np.exp(rng.uniform(np.log(bench.rows.speed.min()), np.log(bench.rows.speed.max())))
+        )
+    }
 
 
-@_form("penetration_rate", "exponent of the local penetration velocity [-]", 0.3, side=reference_speed)
+@_form(
+    "penetration_rate", "exponent of the local penetration velocity [-]", 0.3, side=reference_speed
+)
 def local_penetration(contact, s, side):
     """p = k z^n (dz/dt)^m, Grahn (1991), with the velocity V sin theta of each point of the rim."""
     contact.normal.append(
-        lambda sigma, arc: sigma * (4.0 * contact.speed * np.sin(np.abs(arc.theta) + 0.01) / side["speed"]) ** s
+        lambda sigma, arc: (
+            sigma * (4.0 * contact.speed * np.sin(np.abs(arc.theta) + 0.01) / side["speed"]) ** s
+        )
     )
 
 
@@ -214,12 +274,19 @@ def _local_sliding(contact, arc):
 def strength_rate_process(contact, s, side):
     """Strength times 1 + a asinh(v/v0), v the local sliding velocity: a rate process, Mitchell (1964)."""
     contact.tangential.append(
-        lambda tau, arc: tau * (1.0 + s * np.arcsinh(_local_sliding(contact, arc) / (0.3 * side["speed"])))
+        lambda tau, arc: (
+            tau * (1.0 + s * np.arcsinh(_local_sliding(contact, arc) / (0.3 * side["speed"])))
+        )
     )
 
 
-@_form("shear_rate", "viscous over mean contact pressure at the highest speed [-]", 0.3, order=3,
-       side=lambda rng, bench: {"speed": float(bench.rows.speed.max()), "pressure": bench.pressure})  # fmt: skip
+@_form(
+    "shear_rate",
+    "viscous over mean contact pressure at the highest speed [-]",
+    0.3,
+    order=3,
+    side=lambda rng, bench: {"speed": float(bench.rows.speed.max()), "pressure": bench.pressure},
+)
 def bingham(contact, s, side):
     """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law, Ghezzehei & Or (2001)."""
 
@@ -239,11 +306,20 @@ def _along_the_slope(contact):
 @_form("grade", "steepest grade [deg]", 15.0, scales_grade=True)
 def hansen_slope(contact, s, side):
     """Weight along the slope, and bearing on sloping ground by Hansen (1970): S (1 - tan(g)/2)^5, more downhill."""
-    contact.stiffness = contact.stiffness * np.maximum(1.0 - 0.5 * np.abs(np.tan(contact.grade)), 0.1) ** 5
+    contact.stiffness = (
+        contact.stiffness * np.maximum(1.0 - 0.5 * np.abs(np.tan(contact.grade)), 0.1) ** 5
+    )
     _along_the_slope(contact)
 
 
-@_form("grade", "steepest grade [deg]", 15.0, scales_grade=True, side=drawn(height=(0.2, 0.7)), freedom=2)
+@_form(
+    "grade",
+    "steepest grade [deg]",
+    15.0,
+    scales_grade=True,
+    side=drawn(height=(0.2, 0.7)),
+    freedom=2,
+)
 def weight_transfer(contact, s, side):
     """Weight along the slope, and load W (1 + (h/L) tan g) of a vehicle, h/L height over wheelbase, Wong (2008)."""
     _along_the_slope(contact)
@@ -251,8 +327,12 @@ def weight_transfer(contact, s, side):
 
 
 def _drive(rng, bench):
-    return {"unit": bench.load * bench.radius, "omega": bench.speed / (bench.radius * 0.7), "load": bench.load,
-            "share": float(rng.uniform(0.25, 0.75))}  # fmt: skip
+    return {
+        "unit": bench.load * bench.radius,
+        "omega": bench.speed / (bench.radius * 0.7),
+        "load": bench.load,
+        "share": float(rng.uniform(0.25, 0.75)),
+    }
 
 
 def _omega(contact):
@@ -263,14 +343,21 @@ def _lost(contact, loss):
     contact.sensors.append(lambda out: replace(out, torque=out.torque + loss(out)))
 
 
-@_form("drivetrain_friction", "loss over load x radius [-]", 0.15, (TORQUE,), side=_drive, freedom=2)
+@_form(
+    "drivetrain_friction", "loss over load x radius [-]", 0.15, (TORQUE,), side=_drive, freedom=2
+)
 def stribeck(contact, s, side):
     """T0 [1 + q exp(-(omega/omega_s)^2)]: friction that falls from rest, Armstrong-Helouvry et al. (1994)."""
     rest = np.exp(-((_omega(contact) / side["omega"]) ** 2))
-    _lost(contact, lambda out: s * side["unit"] * (1.0 + 2.0 * side["share"] * rest) / (1.0 + side["share"]))
+    _lost(
+        contact,
+        lambda out: s * side["unit"] * (1.0 + 2.0 * side["share"] * rest) / (1.0 + side["share"]),
+    )
 
 
-@_form("drivetrain_friction", "loss over load x radius [-]", 0.15, (TORQUE,), side=_drive, freedom=2)
+@_form(
+    "drivetrain_friction", "loss over load x radius [-]", 0.15, (TORQUE,), side=_drive, freedom=2
+)
 def axle_load(contact, s, side):
     """T0 + mu times the force on the axle, (W^2 + DP^2)^(1/2): the load term of Palmgren (1959)."""
 
@@ -284,7 +371,13 @@ def axle_load(contact, s, side):
 _WRONG_SLIP = {"signs": (1, -1), "order": 0}
 
 
-@_form("slip_bias", "error of the travel speed over its mean [-]", 0.08, side=drawn("speed"), **_WRONG_SLIP)
+@_form(
+    "slip_bias",
+    "error of the travel speed over its mean [-]",
+    0.08,
+    side=drawn("speed"),
+    **_WRONG_SLIP,
+)
 def speed_zero(contact, s, side):
     """The travel speed has a zero error, so that slip is the more wrong the slower the run (ISTVS 1977, on slip)."""
     error = np.clip(s * side["speed"] / column(contact.rows.speed), -0.4, 0.4)
@@ -304,15 +397,31 @@ def _read_sinkage(contact, error):
     contact.sensors.append(lambda out: replace(out, sinkage=out.sinkage + error))
 
 
-@_form("sinkage_offset", "recorded minus true sinkage at the end [m]", lambda bench: 0.06 * bench.radius,
-       (SINKAGE,), freedom=2, side=drawn("time", start=(0.4, 0.8)), **_WRONG_SINKAGE)  # fmt: skip
+@_form(
+    "sinkage_offset",
+    "recorded minus true sinkage at the end [m]",
+    lambda bench: 0.06 * bench.radius,
+    (SINKAGE,),
+    freedom=2,
+    side=drawn("time", start=(0.4, 0.8)),
+    **_WRONG_SINKAGE,
+)
 def drifting_zero(contact, s, side):
     """Zero of the sinkage sensor that creeps through the campaign, from a part of the offset to all of it."""
-    _read_sinkage(contact, s * (side["start"] + (1.0 - side["start"]) * contact.rows.time / side["time"]))
+    _read_sinkage(
+        contact, s * (side["start"] + (1.0 - side["start"]) * contact.rows.time / side["time"])
+    )
 
 
-@_form("sinkage_offset", "recorded minus true sinkage at the mean load [m]", lambda bench: 0.06 * bench.radius,
-       (SINKAGE,), side=drawn("load", power=(0.2, 0.6)), freedom=2, **_WRONG_SINKAGE)  # fmt: skip
+@_form(
+    "sinkage_offset",
+    "recorded minus true sinkage at the mean load [m]",
+    lambda bench: 0.06 * bench.radius,
+    (SINKAGE,),
+    side=drawn("load", power=(0.2, 0.6)),
+    freedom=2,
+    **_WRONG_SINKAGE,
+)
 def bending_frame(contact, s, side):
     """The rig gives way under the load, by s (W/W0)^q: carriage deflection, as corrected for at the CMU rig."""
     _read_sinkage(contact, s * (contact.rows.load / side["load"]) ** side["power"])

@@ -16,8 +16,11 @@ FRESH: list[Form] = []
 _fresh = partial(enter, FRESH, "")
 
 
-@_fresh("loss of S at the resonance [-]", 0.7,
-        side=drawn("speed", "radius", at=(0.5, 2.0), width=(0.25, 0.45), friction=(0.1, 0.4)))  # fmt: skip
+@_fresh(
+    "loss of S at the resonance [-]",
+    0.7,
+    side=drawn("speed", "radius", at=(0.5, 2.0), width=(0.25, 0.45), friction=(0.1, 0.4)),
+)
 def shaking_carriage(contact, s, side):
     """Resonance of the carriage with the teeth of the gear, at one speed of the wheel; the shaken soil is weak.
 
@@ -57,7 +60,9 @@ def churned_rut(contact, s, side):
     contact.tan_phi = contact.tan_phi * loose ** side["friction"]
 
 
-@_fresh("share of the friction that is lost at once [-]", 0.6, side=drawn("speed", drains=(0.5, 2.0)))
+@_fresh(
+    "share of the friction that is lost at once [-]", 0.6, side=drawn("speed", drains=(0.5, 2.0))
+)
 def trapped_water(contact, s, side):
     """Water of a wet bed that carries part of the pressure until it has drained, and gives no friction (Terzaghi 1925).
 
@@ -66,14 +71,21 @@ def trapped_water(contact, s, side):
     """
 
     def hook(tau, arc):
-        drained = side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6  # time of contact over that to drain
+        drained = (
+            side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6
+        )  # time of contact over that to drain
         lost = s / (1.0 + drained) * arc.sigma * contact.tan_phi
         return tau * (1.0 - lost / np.maximum(arc.limit, 1e-9))
 
     contact.tangential.append(hook)
 
 
-@_fresh("loss of gain at the usual power of the motor [-]", 0.12, (PULL, TORQUE), side=drawn("load", "speed"))
+@_fresh(
+    "loss of gain at the usual power of the motor [-]",
+    0.12,
+    (PULL, TORQUE),
+    side=drawn("load", "speed"),
+)
 def sagging_supply(contact, s, side):
     """One supply for the motor and both bridges, whose voltage sags with the power that the motor takes.
 
@@ -83,7 +95,9 @@ def sagging_supply(contact, s, side):
     turning = contact.rows.speed / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))[:, 0]
 
     def read(out):
-        gain = 1.0 / (1.0 + s * np.maximum(out.torque * turning, 0.0) / (0.5 * side["load"] * side["speed"]))
+        gain = 1.0 / (
+            1.0 + s * np.maximum(out.torque * turning, 0.0) / (0.5 * side["load"] * side["speed"])
+        )
         return replace(out, drawbar_pull=out.drawbar_pull * gain, torque=out.torque * gain)
 
     contact.sensors.append(read)
@@ -100,13 +114,19 @@ def skid_in_the_rut(contact, s, side):
 
     def read(out):
         depth = np.bincount(run, out.sinkage) / np.bincount(run)
-        return replace(out, sinkage=out.sinkage - s * np.where(contact.rows.passes > 1.0, depth[run - 1], 0.0))
+        return replace(
+            out, sinkage=out.sinkage - s * np.where(contact.rows.passes > 1.0, depth[run - 1], 0.0)
+        )
 
     contact.sensors.append(read)
 
 
-@_fresh("zero that stays over the overload [-]", 0.8, (TORQUE,),
-        side=lambda rng, bench: {"limit": float(rng.uniform(0.5, 0.75) * bench.base[2].max())})  # fmt: skip
+@_fresh(
+    "zero that stays over the overload [-]",
+    0.8,
+    (TORQUE,),
+    side=lambda rng, bench: {"limit": float(rng.uniform(0.5, 0.75) * bench.base[2].max())},
+)
 def overloaded_shaft(contact, s, side):
     """A torque shaft that yields: the highest torque so far leaves a lasting zero, a share of its excess over a limit.
 
@@ -121,8 +141,12 @@ def overloaded_shaft(contact, s, side):
     contact.sensors.append(read)
 
 
-@_fresh("standard deviation of the slope from bed to bed [deg]", 5.0, (PULL,),
-        side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()})  # fmt: skip
+@_fresh(
+    "standard deviation of the slope from bed to bed [deg]",
+    5.0,
+    (PULL,),
+    side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()},
+)
 def beds_out_of_level(contact, s, side):
     """Beds that are levelled by hand have each a slope that nobody records, whose weight component goes to pull.
 

@@ -40,13 +40,20 @@ def regimes(rng: np.random.Generator) -> OfSlip:
     return lambda slip: slip + LENGTHS[2] * np.tanh((slip - border) / 0.03)
 
 
-def coordinates(arc: Arc, contact: Contact, pressure: float, load: float, of_slip: OfSlip) -> tuple[np.ndarray, ...]:
+def coordinates(
+    arc: Arc, contact: Contact, pressure: float, load: float, of_slip: OfSlip
+) -> tuple[np.ndarray, ...]:
     """Coordinates of a law error: theta/theta1, ln(1 + sigma/pressure), slip, ln(load/`load`); [N, 1 or nodes].
 
     Neither pass, speed, time nor grade: an error that changed with those would be an effect of its own.
     """
     level = np.log1p(np.maximum(arc.sigma, 0.0) / pressure)
-    return arc.theta / arc.entry, level, column(of_slip(contact.rows.slip)), np.log(column(contact.rows.load) / load)
+    return (
+        arc.theta / arc.entry,
+        level,
+        column(of_slip(contact.rows.slip)),
+        np.log(column(contact.rows.load) / load),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +97,9 @@ class StressError:
     of_slip: OfSlip = lambda slip: slip
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, size: float, pressure: float, load: float, kind=smooth) -> StressError:
+    def draw(
+        cls, rng: np.random.Generator, size: float, pressure: float, load: float, kind=smooth
+    ) -> StressError:
         """Draw errors with correlation lengths of their own; `kind`: `smooth`, `log_slip` or `regimes`."""
         of_slip = kind(rng)
         spread = LENGTH_SPREAD ** rng.uniform(-1.0, 1.0, (2, LENGTHS.size))
@@ -102,13 +111,18 @@ class StressError:
             return
 
         def factor(arc, function):
-            return np.exp(self.size * function(coordinates(arc, contact, self.pressure, self.load, self.of_slip)))
+            return np.exp(
+                self.size
+                * function(coordinates(arc, contact, self.pressure, self.load, self.of_slip))
+            )
 
         contact.normal.append(lambda sigma, arc: sigma * factor(arc, self.normal))
         contact.tangential.append(lambda tau, arc: tau * factor(arc, self.shear))
 
 
-def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float, features: int = 96) -> np.ndarray:
+def covariance(
+    contact: Contact, entry: np.ndarray, pressure: float, load: float, features: int = 96
+) -> np.ndarray:
     """Covariance [3N, 3N] of a flat table (sinkage, pull, torque; SI) by law errors of size 1, to first order.
 
     `contact` is of the paper's law, `entry` [N, 1] its solution. Errors change the stresses at a given sinkage, and the
@@ -116,7 +130,9 @@ def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float
     """
     arc, tau, weight = contact.stresses(entry)
     area, shear_area = contact.areas(weight)
-    cos, sin, arm = np.cos(arc.theta), np.sin(arc.theta), contact.shear_radius
+    cos = np.cos(arc.theta)
+    sin = np.sin(arc.theta)
+    arm = contact.shear_radius
     mobilised = contact.mobilised(np.abs(arc.shear) / contact.shear_modulus)
     friction = np.sign(arc.shear) * arc.sigma * contact.tan_phi * mobilised
     by_normal = (
@@ -130,11 +146,15 @@ def covariance(contact: Contact, entry: np.ndarray, pressure: float, load: float
     slope = [(above - below) / (2.0 * step) for below, above in pairs]
     frequency = np.random.default_rng(0).standard_normal((features, LENGTHS.size)) / LENGTHS
     angle = angles(coordinates(arc, contact, pressure, load, lambda slip: slip), frequency)
-    basis = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1) / np.sqrt(features)  # [N, nodes, 2 features]
+    basis = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1) / np.sqrt(
+        features
+    )  # [N, nodes, 2 features]
     out = 0.0
     for parts in (by_normal, by_shear):
         dw, dp, dt = np.moveaxis(np.stack(parts, axis=1) @ basis, 1, 0)
         turn = -dw / slope[0]  # change of the entry angle that restores the load
-        table = np.concatenate([contact.radius * np.sin(entry) * turn, dp + slope[1] * turn, dt + slope[2] * turn])
+        table = np.concatenate(
+            [contact.radius * np.sin(entry) * turn, dp + slope[1] * turn, dt + slope[2] * turn]
+        )
         out = out + table @ table.T
     return out

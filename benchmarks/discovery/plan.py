@@ -22,7 +22,13 @@ from benchmarks.discovery.hidden import Hidden
 from benchmarks.discovery.laws import StressError, covariance, smooth
 from benchmarks.discovery.world import Contact, Ground, Rows, Wheel, predict
 
-SOIL = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
+SOIL = (
+    "friction_angle_deg",
+    "cohesion",
+    "shear_modulus",
+    "sinkage_coefficient",
+    "sinkage_exponent",
+)
 PRIOR_SD = {  # standard deviation of a prior from its value
     "friction_angle_deg": lambda value: 1.5,
     "cohesion": lambda value: max(0.2 * value, 30.0),
@@ -37,9 +43,13 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-SHALLOWEST, DEEPEST = 0.03, 0.35  # sinkage of the base world over the radius
-LEVEL, POWER = 0.01, 0.95
-FREE = 10.0  # standard deviation of the strength of another effect that is refitted, over its strength
+SHALLOWEST = 0.03  # sinkage of the base world over the radius
+DEEPEST = 0.35
+LEVEL = 0.01
+POWER = 0.95
+FREE = (
+    10.0  # standard deviation of the strength of another effect that is refitted, over its strength
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +131,24 @@ def draw_bench(rng: np.random.Generator, size: float, of_slip: Callable = smooth
         if not np.isfinite(s):
             continue
         bench = Bench(
-            wheel, replace(ground, sinkage_coefficient=s), rows, tuple(runs),
-            float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)), _noise(rng, radius, mean_load),
-            {}, soil,
-        )  # fmt: skip
-        bench = replace(bench, error=StressError.draw(rng, size, bench.pressure, bench.load, of_slip))
+            wheel,
+            replace(ground, sinkage_coefficient=s),
+            rows,
+            tuple(runs),
+            float(np.round(np.exp(rng.uniform(np.log(0.5), np.log(12.0))), 1)),
+            _noise(rng, radius, mean_load),
+            {},
+            soil,
+        )
+        bench = replace(
+            bench, error=StressError.draw(rng, size, bench.pressure, bench.load, of_slip)
+        )
         sinkage = np.stack([bench.base[0], replace(bench, error=None).base[0]]) / wheel.radius
-        if np.all(np.isfinite(sinkage)) and sinkage.min() >= SHALLOWEST and sinkage.max() <= DEEPEST:
+        if (
+            np.all(np.isfinite(sinkage))
+            and sinkage.min() >= SHALLOWEST
+            and sinkage.max() <= DEEPEST
+        ):
             break
     prior = {name: rule(getattr(bench.ground, name)) for name, rule in PRIOR_SD.items()}
     return replace(bench, prior_sd=prior)
@@ -162,7 +183,8 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     neighbours.
     """
     loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
-    slowest, fastest = np.exp(rng.uniform(np.log(0.01), np.log(0.1))), rng.uniform(5.0, 10.0)
+    slowest = np.exp(rng.uniform(np.log(0.01), np.log(0.1)))
+    fastest = rng.uniform(5.0, 10.0)
     speeds = np.round(slowest * fastest ** np.array([0.0, 0.5, 1.0]), 4)
     pattern = np.array(((-1.0, 0.0, 1.0), (0.0, 0.5, 1.0))[rng.integers(2)])
     top = rng.uniform(0.5, 0.65)
@@ -170,9 +192,13 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     rng.shuffle(order)
     blocks = [(loads[i], speeds[j], p, pattern[(i + j) % 3]) for i, j in order for p in (1, 2, 3)]
     slips = np.linspace(0.05, top, int(rng.integers(6, 8)))
-    rows, runs, clock = [], [], 0.0
+    rows = []
+    runs = []
+    clock = 0.0
     for number, (load, speed, number_of_pass, grade) in enumerate(blocks, start=1):
-        clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)  # preparing the soil
+        clock += (
+            rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)
+        )  # preparing the soil
         for slip in np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4):
             clock += rng.uniform(30, 90)
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
@@ -192,7 +218,11 @@ def soil_tangent(bench: Bench) -> np.ndarray:
 
     def table(name: str, sds: float) -> np.ndarray:
         value = getattr(bench.ground, name) + sds * bench.prior_sd[name]
-        return predict(replace(bench.ground, **{name: value}), bench.wheel, bench.conditions()).stack().ravel()
+        return (
+            predict(replace(bench.ground, **{name: value}), bench.wheel, bench.conditions())
+            .stack()
+            .ravel()
+        )
 
     return np.stack([(table(name, 0.05) - table(name, -0.05)) / 0.1 for name in SOIL], axis=1)
 
@@ -225,21 +255,30 @@ class Measure:
     def contribution(self, effect: Hidden, others: Sequence[Hidden] = ()) -> np.ndarray:
         """Change of the table by an effect beside the others, whitened; NaN where the wheel finds no balance."""
         return self.white(
-            self.bench.truth([*others, effect]) - (self.bench.truth(others) if others else self.bench.base)
+            self.bench.truth([*others, effect])
+            - (self.bench.truth(others) if others else self.bench.base)
         )
 
     def size(self, effect: Hidden, others: Sequence[Hidden] = ()) -> float:
         """Size of an effect, the strengths of `others` refitted; infinite where the wheel finds no balance."""
-        vector, free = self.contribution(effect, others), [self.contribution(e) for e in others]
+        vector = self.contribution(effect, others)
+        free = [self.contribution(e) for e in others]
         if not all(np.all(np.isfinite(v)) for v in (vector, *free)):
             return np.inf
-        return float(np.sqrt(max(without(vector, free) @ vector, 0.0) / noncentrality(effect.form.freedom)))
+        return float(
+            np.sqrt(max(without(vector, free) @ vector, 0.0) / noncentrality(effect.form.freedom))
+        )
 
-    def strength(self, effect: Hidden, wanted: float, others: Sequence[Hidden] = ()) -> tuple[float, float]:
+    def strength(
+        self, effect: Hidden, wanted: float, others: Sequence[Hidden] = ()
+    ) -> tuple[float, float]:
         """(strength of a wanted size, or the largest sensible one where that is less; its size)."""
-        sign, cap = np.sign(effect.strength) or 1.0, effect.form.cap(self.bench)
-        s, best = 0.15 * cap, (0.0, 0.0)
-        low, high = 0.0, cap
+        sign = np.sign(effect.strength) or 1.0
+        cap = effect.form.cap(self.bench)
+        s = 0.15 * cap
+        best = (0.0, 0.0)
+        low = 0.0
+        high = cap
         for _ in range(8):
             size = self.size(effect.at(sign * s), others)
             if np.isfinite(size):
@@ -248,15 +287,25 @@ class Measure:
                     break
             low, high = (s, high) if size < wanted else (low, min(high, s))
             guess = s * wanted / max(size, 1e-3 * wanted)
-            s = min(guess, cap) if low < min(guess, cap) < high or (guess >= cap == high) else 0.5 * (low + high)
+            s = (
+                min(guess, cap)
+                if low < min(guess, cap) < high or (guess >= cap == high)
+                else 0.5 * (low + high)
+            )
         return sign * best[0], best[1]
 
     def left(self, effect: Hidden) -> dict[str, float]:
         """Size that the best form of each other mechanism leaves of an effect, the strengths fitted."""
-        vector, out = self.contribution(effect), {}
+        vector = self.contribution(effect)
+        out = {}
         for name, cap, signed, change in self.listed:
-            amount = np.clip((change @ vector) / max(change @ change, 1e-12), -cap if signed else 0.0, cap)
-            size = float(np.linalg.norm(vector - amount * change) / np.sqrt(noncentrality(effect.form.freedom)))
+            amount = np.clip(
+                (change @ vector) / max(change @ change, 1e-12), -cap if signed else 0.0, cap
+            )
+            size = float(
+                np.linalg.norm(vector - amount * change)
+                / np.sqrt(noncentrality(effect.form.freedom))
+            )
             if name != effect.form.effect:
                 out[name] = min(out.get(name, np.inf), size)
         return out
@@ -264,7 +313,9 @@ class Measure:
     @cached_property
     def listed(self) -> list[tuple[str, float, bool, np.ndarray]]:
         """(mechanism, largest multiple, negative ones count too, whitened change) of each listed form."""
-        rng, bench, found = np.random.default_rng(0), self.bench, []
+        rng = np.random.default_rng(0)
+        bench = self.bench
+        found = []
         for form in FORMS:
             cap = form.cap(bench)
             some = bench.grade if form.scales_grade else max(0.3 * cap, form.floor)

@@ -54,7 +54,10 @@ def contradicted(answer: Answer) -> bool:
     p = stated(answer)
     if answer.verdict in ASSERTED:
         return any(p[name] < MORE_LIKELY for name in answer.named)
-    return answer.verdict in ("none", "unlisted", "undetermined") and max(p.values(), default=0.0) > MORE_LIKELY
+    return (
+        answer.verdict in ("none", "unlisted", "undetermined")
+        and max(p.values(), default=0.0) > MORE_LIKELY
+    )
 
 
 def first(r: Record) -> bool:
@@ -87,24 +90,71 @@ TARGETS = (
     Target("first", "one effect: its mechanism named first", "one", first, 0.85, True),
     Target("included", "one effect: first or among the alternatives", "one", included, 0.92, True),
     Target("wrong", "one effect: more than half sure of a wrong one", "one", wrong, 0.05, False),
-    Target("second", "one effect: a wrong second name", "one",
-           lambda r: bool(set(r.answer.named[1:]) - set(r.there)), 0.05, False),
-    Target("both", "two effects: both named and no other", "two",
-           lambda r: set(r.answer.named) == set(r.there), 0.65, True),
-    Target("none", "no effect: no name", "none", lambda r: not r.answer.named and not wrong(r), 0.95, True),
-    Target("unlisted", "effect in no catalogue: verdict unlisted", "unlisted",
-           lambda r: r.answer.verdict == "unlisted", 0.90, True),
-    Target("misled", "effect in no catalogue: more than half sure of a listed one", "unlisted", wrong, 0.05, False),
-    Target("instrument", "error of the instrument: named or an alternative", "instrument", included, 0.90, True),
-    Target("soil", "error of the instrument: more than half sure of an effect of soil or drive", "instrument",
-           lambda r: bool(r.sure & set(MECHANISMS) - set(SENSORS)), 0.10, False),
-)  # fmt: skip
+    Target(
+        "second",
+        "one effect: a wrong second name",
+        "one",
+        lambda r: bool(set(r.answer.named[1:]) - set(r.there)),
+        0.05,
+        False,
+    ),
+    Target(
+        "both",
+        "two effects: both named and no other",
+        "two",
+        lambda r: set(r.answer.named) == set(r.there),
+        0.65,
+        True,
+    ),
+    Target(
+        "none",
+        "no effect: no name",
+        "none",
+        lambda r: not r.answer.named and not wrong(r),
+        0.95,
+        True,
+    ),
+    Target(
+        "unlisted",
+        "effect in no catalogue: verdict unlisted",
+        "unlisted",
+        lambda r: r.answer.verdict == "unlisted",
+        0.90,
+        True,
+    ),
+    Target(
+        "misled",
+        "effect in no catalogue: more than half sure of a listed one",
+        "unlisted",
+        wrong,
+        0.05,
+        False,
+    ),
+    Target(
+        "instrument",
+        "error of the instrument: named or an alternative",
+        "instrument",
+        included,
+        0.90,
+        True,
+    ),
+    Target(
+        "soil",
+        "error of the instrument: more than half sure of an effect of soil or drive",
+        "instrument",
+        lambda r: bool(r.sure & set(MECHANISMS) - set(SENSORS)),
+        0.10,
+        False,
+    ),
+)
 
 
 def targets(records: Iterable[Record]) -> dict[str, dict]:
     """Share of each target that has cases."""
     records = list(records)
-    found = {t.key: share(t.value(r) for r in records if r.truth["kind"] == t.kind) for t in TARGETS}
+    found = {
+        t.key: share(t.value(r) for r in records if r.truth["kind"] == t.kind) for t in TARGETS
+    }
     return {key: value for key, value in found.items() if value is not None}
 
 
@@ -120,8 +170,13 @@ def figures(records: list[Record]) -> dict:
         "contradicted": sum(contradicted(r.answer) for r in records),
         "targets": targets(counting),
         "all": targets(records),
-        "groups": {g: targets(r for r in counting if r.truth["case"].rpartition("-")[0] == g) for g in groups},
-        "hidden": {name: targets(r for r in counting if r.there == [name]) for name in sorted(hidden)},
+        "groups": {
+            g: targets(r for r in counting if r.truth["case"].rpartition("-")[0] == g)
+            for g in groups
+        },
+        "hidden": {
+            name: targets(r for r in counting if r.there == [name]) for name in sorted(hidden)
+        },
         "calibration": {"first": reliability(_firsts(records)), "all": reliability(_all(records))},
         "seconds": spread([r.seconds for r in records]),
     }
@@ -130,7 +185,9 @@ def figures(records: list[Record]) -> dict:
 def _firsts(records: list[Record]) -> list[tuple[float, bool]]:
     """(Probability of the first name, true if it is there) of the answers that have one."""
     pairs = [(r, r.answer.named[0]) for r in records if r.answer.named]
-    return [(stated(r.answer)[name], name in r.there) for r, name in pairs if name in stated(r.answer)]
+    return [
+        (stated(r.answer)[name], name in r.there) for r, name in pairs if name in stated(r.answer)
+    ]
 
 
 def _all(records: list[Record]) -> list[tuple[float, bool]]:
@@ -145,14 +202,26 @@ def reliability(pairs: list[tuple[float, bool]]) -> dict:
     for low, high in zip(BINS[:-1], BINS[1:], strict=True):
         inside = [(p, x) for p, x in pairs if low <= p < high or (high == 1.0 and p >= 1.0)]
         if inside:
-            mean, seen = float(np.mean([p for p, _ in inside])), share(x for _, x in inside)
-            bins.append({"from": low, "to": high, "stated": mean, "seen": seen, "deviation": abs(mean - seen["value"])})
+            mean = float(np.mean([p for p, _ in inside]))
+            seen = share(x for _, x in inside)
+            bins.append(
+                {
+                    "from": low,
+                    "to": high,
+                    "stated": mean,
+                    "seen": seen,
+                    "deviation": abs(mean - seen["value"]),
+                }
+            )
     total = sum(b["seen"]["of"] for b in bins)
     return {
-        "of": total, "bins": bins,
-        "largest": max((b["deviation"] for b in bins if b["seen"]["of"] >= LEAST_IN_BIN), default=None),
+        "of": total,
+        "bins": bins,
+        "largest": max(
+            (b["deviation"] for b in bins if b["seen"]["of"] >= LEAST_IN_BIN), default=None
+        ),
         "mean": sum(b["deviation"] * b["seen"]["of"] for b in bins) / total if total else None,
-    }  # fmt: skip
+    }
 
 
 def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]:
@@ -168,7 +237,9 @@ def read_records(folder: Path, label: str, names: Iterable[str]) -> list[Record]
             seconds = answer.pop("seconds")
             out.append(Record(truth, Answer.of(answer), seconds))
         except (ValueError, KeyError, TypeError) as error:
-            raise ParameterError(f"{file}: {error}; delete the file to have the case asked again") from None
+            raise ParameterError(
+                f"{file}: {error}; delete the file to have the case asked again"
+            ) from None
     return out
 
 
@@ -176,12 +247,21 @@ def table(entrants: Mapping[str, dict]) -> Table:
     """Table of the targets and the calibration of each entrant [%]."""
     shares = [f["targets"] for f in entrants.values()]
     rows = [
-        (t.words, f"{'>=' if t.least else '<='} {100 * t.bound:g}",
-         *(f"{100 * of[t.key]['value']:.0f}" if t.key in of else "-" for of in shares)) for t in TARGETS
-    ]  # fmt: skip
+        (
+            t.words,
+            f"{'>=' if t.least else '<='} {100 * t.bound:g}",
+            *(f"{100 * of[t.key]['value']:.0f}" if t.key in of else "-" for of in shares),
+        )
+        for t in TARGETS
+    ]
     for of, words in (("first", "first name"), ("all", "every name")):
         for key, bound in CALIBRATED.items():
             off = [f["calibration"][of][key] for f in entrants.values()]
-            rows.append((f"stated probability of the {words}: {key} deviation", f"<= {100 * bound:g}",
-                         *("-" if x is None else f"{100 * x:.0f}" for x in off)))  # fmt: skip
+            rows.append(
+                (
+                    f"stated probability of the {words}: {key} deviation",
+                    f"<= {100 * bound:g}",
+                    *("-" if x is None else f"{100 * x:.0f}" for x in off),
+                )
+            )
     return Table(("share [%]", "asked", *entrants), rows)

@@ -23,7 +23,9 @@ def _sensed(contact, **change):
     contact.sensors.append(lambda out: replace(out, **{name: f(out) for name, f in change.items()}))
 
 
-@_unlisted("tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5)))
+@_unlisted(
+    "tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5))
+)
 def rim_adhesion(contact, s, side):
     """Moist soil sticks to the rim and is torn off behind the bottom, with a tension (Fountaine 1954).
 
@@ -45,7 +47,9 @@ def soft_layer(contact, s, side):
     Listed effects change S with slip, speed or pass; none with the depth.
     """
     knee = side["depth"] * contact.radius
-    contact.pressure.append(lambda sigma, z: sigma * (1.0 - 0.5 * s * (1.0 + np.tanh((z - knee) / (0.25 * knee)))))
+    contact.pressure.append(
+        lambda sigma, z: sigma * (1.0 - 0.5 * s * (1.0 + np.tanh((z - knee) / (0.25 * knee))))
+    )
 
 
 @_unlisted("gain of pressure at a depth of 0.1 r [-]", 10.0)
@@ -57,7 +61,11 @@ def hard_floor(contact, s, side):
     contact.pressure.append(lambda sigma, z: sigma * (1.0 + s * (z / (0.1 * contact.radius)) ** 3))
 
 
-@_unlisted("gain of cohesion by the end of the campaign [-]", 4.0, side=drawn("time", stiffness=(0.0, 0.15)))
+@_unlisted(
+    "gain of cohesion by the end of the campaign [-]",
+    4.0,
+    side=drawn("time", stiffness=(0.0, 0.15)),
+)
 def rising_moisture(contact, s, side):
     """The bed takes up moisture through the campaign: c (1 + s t/T), and S falls by a part of it (Bekker 1969).
 
@@ -68,8 +76,11 @@ def rising_moisture(contact, s, side):
     contact.stiffness = contact.stiffness / (1.0 + side["stiffness"] * late)
 
 
-@_unlisted("standard deviation of ln S from bed to bed [-]", 0.5,
-           side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()})  # fmt: skip
+@_unlisted(
+    "standard deviation of ln S from bed to bed [-]",
+    0.5,
+    side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()},
+)
 def uneven_beds(contact, s, side):
     """Every bed that is prepared differs in density, and so in S, and less in phi (ISTVS 1977 on soil bins).
 
@@ -82,7 +93,9 @@ def uneven_beds(contact, s, side):
     contact.tan_phi = contact.tan_phi * np.exp(0.1 * s * bed)
 
 
-@_unlisted("coefficient of friction times pressure of the wall over gamma z [-]", 40.0, (PULL, TORQUE))
+@_unlisted(
+    "coefficient of friction times pressure of the wall over gamma z [-]", 40.0, (PULL, TORQUE)
+)
 def rut_sidewall(contact, s, side):
     """From the second pass the wheel's sides rub on the walls of the rut, force s gamma z times the sunk segment.
 
@@ -107,7 +120,9 @@ def carried_soil(contact, s, side):
     """
     full = -np.expm1(-np.maximum(contact.slip, 0.0) / side["slip"])
     weight = s * contact.ground.unit_weight * contact.width * contact.radius**2 * full
-    contact.forces.append(lambda entry: (-weight * np.pi / 2.0, 0.0 * weight, weight * contact.radius))
+    contact.forces.append(
+        lambda entry: (-weight * np.pi / 2.0, 0.0 * weight, weight * contact.radius)
+    )
 
 
 @_unlisted("angle of toe [deg]", 30.0)
@@ -118,7 +133,12 @@ def toed_wheel(contact, s, side):
     """
 
     def hook(tau, arc):
-        across = contact.shear_radius * (1.0 - contact.slip) * (arc.entry - arc.theta) * np.tan(np.radians(s))
+        across = (
+            contact.shear_radius
+            * (1.0 - contact.slip)
+            * (arc.entry - arc.theta)
+            * np.tan(np.radians(s))
+        )
         whole = np.hypot(arc.shear, across)
         share = np.abs(arc.shear) / np.maximum(whole, 1e-12)
         before = contact.mobilised(np.abs(arc.shear) / contact.shear_modulus)
@@ -137,18 +157,28 @@ def wheel_out_of_round(contact, s, side):
     rows = contact.rows
     phase = rows.time * rows.speed / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))[:, 0]
     swing = s * contact.radius * np.cos(column(phase))
-    contact.radius, contact.shear_radius = contact.radius + swing, contact.shear_radius + swing
+    contact.radius = contact.radius + swing
+    contact.shear_radius = contact.shear_radius + swing
     _sensed(contact, sinkage=lambda out: out.sinkage - swing[:, 0])
 
 
-@_unlisted("torque of the cold seal over load x radius [-]", 0.2, (TORQUE,),
-           side=drawn("load", "radius", "time", warm=(0.1, 0.4)))  # fmt: skip
+@_unlisted(
+    "torque of the cold seal over load x radius [-]",
+    0.2,
+    (TORQUE,),
+    side=drawn("load", "radius", "time", warm=(0.1, 0.4)),
+)
 def warming_seal(contact, s, side):
     """The torque of a shaft seal falls as it warms, T0 exp(-t/t0), t0 a part of the campaign.
 
     A constant torque is the listed friction of the drive, which has no time.
     """
-    cold = s * side["load"] * side["radius"] * np.exp(-contact.rows.time / (side["warm"] * side["time"]))
+    cold = (
+        s
+        * side["load"]
+        * side["radius"]
+        * np.exp(-contact.rows.time / (side["warm"] * side["time"]))
+    )
     _sensed(contact, torque=lambda out: out.torque + cold)
 
 
@@ -159,7 +189,9 @@ def slack_load_cell(contact, s, side):
     Listed effects do not change sign with the pull.
     """
     band = max(s * side["load"], 1e-12)
-    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - np.clip(out.drawbar_pull, -band, band))
+    _sensed(
+        contact, drawbar_pull=lambda out: out.drawbar_pull - np.clip(out.drawbar_pull, -band, band)
+    )
 
 
 @_unlisted("share lost at the largest torque [-]", 0.6, (TORQUE,), side=drawn("load", "radius"))
@@ -175,10 +207,15 @@ def saturating_torque(contact, s, side):
 @_instrument("tilt, nose up [deg]", 3.0, (PULL,), floor=0.5)
 def tilt(contact, s, side):
     """A rig that is not level: the weight component along the rail is read as pull, W tan(tilt)."""
-    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull - contact.rows.load * np.tan(np.radians(s)))
+    _sensed(
+        contact,
+        drawbar_pull=lambda out: out.drawbar_pull - contact.rows.load * np.tan(np.radians(s)),
+    )
 
 
-@_instrument("zero of the pull over the mean load [-]", 0.08, (PULL,), floor=0.02, side=drawn("load"))
+@_instrument(
+    "zero of the pull over the mean load [-]", 0.08, (PULL,), floor=0.02, side=drawn("load")
+)
 def force_offset(contact, s, side):
     """Zero of the load cell of the pull."""
     _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull + s * side["load"])
@@ -190,8 +227,13 @@ def force_gain(contact, s, side):
     _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull * (1.0 + s))
 
 
-@_instrument("zero of the torque over mean load x radius [-]", 0.08, (TORQUE,), floor=0.02,
-             side=drawn("load", "radius"))  # fmt: skip
+@_instrument(
+    "zero of the torque over mean load x radius [-]",
+    0.08,
+    (TORQUE,),
+    floor=0.02,
+    side=drawn("load", "radius"),
+)
 def torque_offset(contact, s, side):
     """Zero of the torque sensor."""
     _sensed(contact, torque=lambda out: out.torque + s * side["load"] * side["radius"])
@@ -206,14 +248,17 @@ def torque_gain(contact, s, side):
 @_instrument("true over stated radius, minus 1 [-]", 0.1, floor=0.03, order=0)
 def wheel_radius(contact, s, side):
     """The stated radius is wrong, and with it the recorded slip, 1 - V/(omega r)."""
-    contact.radius, contact.shear_radius = contact.radius * (1.0 + s), contact.shear_radius * (1.0 + s)
+    contact.radius = contact.radius * (1.0 + s)
+    contact.shear_radius = contact.shear_radius * (1.0 + s)
     contact.slip = 1.0 - (1.0 - contact.slip) / (1.0 + s)
 
 
 @_instrument("share of torque over radius that is read as pull [-]", 0.2, (PULL,), floor=0.05)
 def force_crosstalk(contact, s, side):
     """The load cell of the pull reads a part of the torque."""
-    _sensed(contact, drawbar_pull=lambda out: out.drawbar_pull + s * out.torque / contact.radius[:, 0])
+    _sensed(
+        contact, drawbar_pull=lambda out: out.drawbar_pull + s * out.torque / contact.radius[:, 0]
+    )
 
 
 @_instrument("share of the pull that is read as torque over radius [-]", 0.3, (TORQUE,), floor=0.1)
@@ -234,7 +279,12 @@ def arm_load(contact, s, side):
     contact.forces.append(hook)
 
 
-@_instrument("load that is lost at a sinkage of 0.1 r over the mean load [-]", 0.3, floor=0.05, side=drawn("load"))
+@_instrument(
+    "load that is lost at a sinkage of 0.1 r over the mean load [-]",
+    0.3,
+    floor=0.05,
+    side=drawn("load"),
+)
 def spring_load(contact, s, side):
     """A preloaded spring presses the wheel down, and gives less the deeper the wheel sinks."""
     rate = s * side["load"] / 0.1

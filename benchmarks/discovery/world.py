@@ -15,7 +15,8 @@ import numpy as np
 
 GRAVITY = 9.81  # [m/s2]
 NODES = 16  # intervals of the trapezoidal rule in each zone
-SHALLOWEST, DEEPEST = 1e-3, 1.5  # [rad] bracket of the entry angle
+SHALLOWEST = 1e-3  # [rad] bracket of the entry angle
+DEEPEST = 1.5
 
 
 @dataclass(frozen=True)
@@ -122,19 +123,26 @@ class Contact:
     tan_phi: np.ndarray = field(init=False)
     shear_modulus: np.ndarray = field(init=False)  # K [m]
     shear_radius: np.ndarray = field(init=False)  # where the shear stress acts [m]
-    exit_angle: Callable = field(default=lambda entry, radius: 0.0 * entry)  # (theta1, r) -> theta2 <= 0
+    exit_angle: Callable = field(
+        default=lambda entry, radius: 0.0 * entry
+    )  # (theta1, r) -> theta2 <= 0
     mobilised: Callable = field(default=lambda ratio: -np.expm1(-ratio))  # of j/K >= 0
-    peak_shift: list = field(default_factory=list)  # theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
+    peak_shift: list = field(
+        default_factory=list
+    )  # theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
     pressure: list = field(default_factory=list)  # (sigma, depth) -> sigma
     strength: list = field(default_factory=list)  # (tau_max, sigma, theta) -> tau_max
-    deepening: list = field(default_factory=list)  # z -> z, after the balance; the stresses then scale down to the load
+    deepening: list = field(
+        default_factory=list
+    )  # z -> z, after the balance; the stresses then scale down to the load
     forces: list = field(default_factory=list)  # theta1 -> (dW, dDP, dT), each [N, 1]
     sensors: list = field(default_factory=list)  # Outcome -> Outcome
     normal: list = field(default_factory=list)  # (sigma, Arc) -> sigma, along the whole arc
     tangential: list = field(default_factory=list)  # (tau, Arc) -> tau, along the whole arc
 
     def __post_init__(self):
-        n, ground = len(self.rows), self.ground
+        n = len(self.rows)
+        ground = self.ground
         self.radius = column(self.wheel.radius, n)
         self.width = column(self.wheel.width, n)
         self.shear_radius = self.radius.copy()
@@ -168,7 +176,8 @@ class Contact:
 
     def stresses(self, entry: np.ndarray, amplitude=1.0) -> tuple[Arc, np.ndarray, np.ndarray]:
         """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude` multiplies S."""
-        r, exit_ = self.radius, self.exit_angle(entry, self.radius)
+        r = self.radius
+        exit_ = self.exit_angle(entry, self.radius)
         middle = 0.5 * (entry + exit_) + sum(shift(entry) for shift in self.peak_shift)
         middle = np.clip(middle, exit_ + 0.02 * entry, 0.98 * entry)
         front = middle + (entry - middle) * X
@@ -186,17 +195,23 @@ class Contact:
         arc, tau = self._shear(arc)
         return arc, tau, weight
 
-    def integrals(self, entry: np.ndarray, amplitude=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def integrals(
+        self, entry: np.ndarray, amplitude=1.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude` multiplies S."""
         arc, tau, weight = self.stresses(entry, amplitude)
-        cos, sin, sigma = np.cos(arc.theta), np.sin(arc.theta), arc.sigma
+        cos = np.cos(arc.theta)
+        sin = np.sin(arc.theta)
+        sigma = arc.sigma
         area, shear_area = self.areas(weight)
         load = (area * sigma * cos + shear_area * tau * sin).sum(1, keepdims=True)
         pull = (shear_area * tau * cos - area * sigma * sin).sum(1, keepdims=True)
         torque = self.shear_radius * (shear_area * tau).sum(1, keepdims=True)
         for hook in self.forces:
             dw, dp, dt = hook(entry)
-            load, pull, torque = load + dw, pull + dp, torque + dt
+            load = load + dw
+            pull = pull + dp
+            torque = torque + dt
         return load, pull, torque
 
     def areas(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -205,8 +220,12 @@ class Contact:
 
     def _shear(self, arc: Arc) -> tuple[Arc, np.ndarray]:
         """Shear stress [Pa] of Eq. (10), with the sign of the shear displacement."""
-        r, theta, sigma = self.shear_radius, arc.theta, arc.sigma
-        start = np.arccos(np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0))  # entry unless lugs reach further
+        r = self.shear_radius
+        theta = arc.theta
+        sigma = arc.sigma
+        start = np.arccos(
+            np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0)
+        )  # entry unless lugs reach further
         j = r * ((start - theta) - (1.0 - self.slip) * (np.sin(start) - np.sin(theta)))
         limit = self.cohesion + sigma * self.tan_phi
         for hook in self.strength:
@@ -224,7 +243,9 @@ class Contact:
 
     def solve(self) -> Outcome:
         """Steady sinkage, drawbar pull and torque of every row."""
-        entry = _root(lambda x: self._lack(np.exp(x))[0], np.log(SHALLOWEST), np.log(DEEPEST), self._guess())
+        entry = _root(
+            lambda x: self._lack(np.exp(x))[0], np.log(SHALLOWEST), np.log(DEEPEST), self._guess()
+        )
         entry = np.exp(entry)
         amplitude = 1.0
         if self.deepening:
@@ -244,29 +265,37 @@ class Contact:
 
     def _guess(self) -> np.ndarray:
         """log theta1 from the pressure under a flat plate of the contact's length."""
-        r, n = self.radius, self.exponent
+        r = self.radius
+        n = self.exponent
         z = (self.load / (self.width * self.stiffness * np.sqrt(r))) ** (1.0 / (n + 0.5))
         return np.log(np.clip(np.sqrt(2.0 * z / r), 2 * SHALLOWEST, 0.9 * DEEPEST))
 
 
-def _root(function, low: float, high: float, start: np.ndarray, tolerance=1e-10, rounds=60) -> np.ndarray:
+def _root(
+    function, low: float, high: float, start: np.ndarray, tolerance=1e-10, rounds=60
+) -> np.ndarray:
     """Root [N, 1] of a function that rises across [low, high], by secants kept inside the bracket; NaN where none."""
-    a, b = np.full_like(start, low), np.full_like(start, high)
+    a = np.full_like(start, low)
+    b = np.full_like(start, high)
     x0 = start.copy()
     f0 = function(x0)
     x1 = np.clip(x0 - 0.5 * f0, low, high)
     x1 = np.where(x1 == x0, x0 + 1e-3, x1)
     for _ in range(rounds):
-        a, b = np.where(f0 < 0.0, np.maximum(a, x0), a), np.where(f0 > 0.0, np.minimum(b, x0), b)
+        a = np.where(f0 < 0.0, np.maximum(a, x0), a)
+        b = np.where(f0 > 0.0, np.minimum(b, x0), b)
         f1 = function(x1)
-        a, b = np.where(f1 < 0.0, np.maximum(a, x1), a), np.where(f1 > 0.0, np.minimum(b, x1), b)
+        a = np.where(f1 < 0.0, np.maximum(a, x1), a)
+        b = np.where(f1 > 0.0, np.minimum(b, x1), b)
         slope = np.where(x1 == x0, 1.0, (f1 - f0) / np.where(x1 == x0, 1.0, x1 - x0))
         step = np.where(slope > 1e-6, -f1 / np.where(slope > 1e-6, slope, 1.0), np.inf)
         x2 = x1 + step
         outside = ~((x2 >= a) & (x2 <= b))
         x2 = np.where(f1 == 0.0, x1, np.where(outside, 0.5 * (a + b), x2))
         done = np.abs(x2 - x1) < tolerance
-        x0, f0, x1 = np.where(done, x0, x1), np.where(done, f0, f1), x2
+        x0 = np.where(done, x0, x1)
+        f0 = np.where(done, f0, f1)
+        x1 = x2
         if done.all():
             break
     edge = (x1 < low + 1e-6) | (x1 > high - 1e-6)

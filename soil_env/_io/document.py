@@ -25,17 +25,25 @@ class Table:
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.header) for row in self.rows):
-            raise ValueError(f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}")
+            raise ValueError(
+                f"expected rows of {len(self.header)} cells: {', '.join(map(str, self.header))}"
+            )
 
     def markdown(self) -> str:
         """Pipe table of Markdown, the caption in italics below; cells may hold Markdown."""
-        lines = [_markdown_row(self.header), "|" + "---|" * len(self.header), *map(_markdown_row, self.rows)]
+        lines = [
+            _markdown_row(self.header),
+            "|" + "---|" * len(self.header),
+            *map(_markdown_row, self.rows),
+        ]
         return "\n".join(lines) + (f"\n\n*{self.caption}*" if self.caption else "")
 
     def html(self) -> str:
         """Element `table`, all text escaped; cells in columns of numbers have class "n"."""
         numbers = self._numbers()
-        lines = [list(zip(map(str, line), numbers, strict=True)) for line in (self.header, *self.rows)]
+        lines = [
+            list(zip(map(str, line), numbers, strict=True)) for line in (self.header, *self.rows)
+        ]
         return render("table.html", header=lines[0], rows=lines[1:], caption=self.caption)
 
     __html__ = html  # a template takes {{ table }} as HTML
@@ -46,10 +54,13 @@ class Table:
         The longest cells of text are cut where a line would be longer than `WIDTH`.
         """
         lines = [[str(cell) for cell in line] for line in (self.header, *self.rows)]
-        widths, numbers = [max(map(len, column)) for column in zip(*lines, strict=True)], self._numbers()
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        numbers = self._numbers()
         over = indent + sum(widths) + 2 * (len(widths) - 1) - WIDTH
         if over > 0 and not all(numbers):
-            longest = max((k for k, number in enumerate(numbers) if not number), key=widths.__getitem__)
+            longest = max(
+                (k for k, number in enumerate(numbers) if not number), key=widths.__getitem__
+            )
             most = widths[longest] = max(widths[longest] - over, len(lines[0][longest]), 12)
             for line in lines:
                 cell = line[longest]
@@ -68,7 +79,10 @@ class Table:
         """True for each column of numbers: every cell begins with one, is empty or a dash."""
         if not self.rows:
             return [False] * len(self.header)
-        return [all(_NUMBER.match(str(cell)) for cell in column) for column in zip(*self.rows, strict=True)]
+        return [
+            all(_NUMBER.match(str(cell)) for cell in column)
+            for column in zip(*self.rows, strict=True)
+        ]
 
 
 def _markdown_row(cells: Sequence[object]) -> str:
@@ -77,12 +91,15 @@ def _markdown_row(cells: Sequence[object]) -> str:
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
     """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after that of all pages."""
-    return render("page.html", title=title, body=[body] if isinstance(body, str) else body, style=style)
+    return render(
+        "page.html", title=title, body=[body] if isinstance(body, str) else body, style=style
+    )
 
 
 def html_image(content: bytes, caption: str = "", kind: str = "png") -> str:
     """Element `figure` with the image in it; `kind` is its media subtype, "png" or "svg+xml"."""
-    text, data = escape(caption), base64.b64encode(content).decode("ascii")
+    text = escape(caption)
+    data = base64.b64encode(content).decode("ascii")
     below = f"<figcaption>{text}</figcaption>" if caption else ""
     return f'<figure><img alt="{text}" src="data:image/{kind};base64,{data}">{below}</figure>'
 
@@ -112,11 +129,19 @@ def hanging(text: str) -> str:
     """Text in lines of at most `WIDTH` characters; all but the first are indented by two more."""
     first = " " * (len(text) - len(text.lstrip()))
     return textwrap.fill(
-        text.lstrip(), WIDTH, initial_indent=first, subsequent_indent=first + "  ", break_long_words=False,
+        text.lstrip(),
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=first + "  ",
+        break_long_words=False,
         break_on_hyphens=False,
-    )  # fmt: skip
+    )
 
 
 def _source(name: str) -> str:
     package, _, file = name.rpartition(":")
-    return resources.files(package or "soil_env._io").joinpath("templates", file).read_text(encoding="utf-8")
+    return (
+        resources.files(package or "soil_env._io")
+        .joinpath("templates", file)
+        .read_text(encoding="utf-8")
+    )

@@ -62,7 +62,9 @@ def plain(value):
 def is_unused(folder: str | Path) -> bool:
     """True if the folder is missing or holds only a partial write."""
     folder = Path(folder)
-    return not folder.is_dir() or all(p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir())
+    return not folder.is_dir() or all(
+        p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir()
+    )
 
 
 def make_folder(folder: str | Path) -> None:
@@ -76,7 +78,8 @@ def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
 
     A name may have one folder in it, "plots/a.png".
     """
-    folder, names = Path(folder), tuple(names)
+    folder = Path(folder)
+    names = tuple(names)
     for place in sorted({folder, *((folder / name).parent for name in names)}):
         there = next(p for p in (place.absolute(), *place.absolute().parents) if p.exists())
         if not there.is_dir():
@@ -85,10 +88,14 @@ def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
             with tempfile.TemporaryFile(dir=there):
                 pass
         except OSError as error:
-            raise OSError(error.errno, f"cannot be written ({error.strerror})", str(place)) from None
+            raise OSError(
+                error.errno, f"cannot be written ({error.strerror})", str(place)
+            ) from None
     for path in (folder / name for name in names):
         if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "is a folder: expected a file that can be replaced", str(path))
+            raise IsADirectoryError(
+                errno.EISDIR, "is a folder: expected a file that can be replaced", str(path)
+            )
 
 
 def picture_of(figure, kind: str = "png", **options) -> bytes:

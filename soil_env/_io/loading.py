@@ -35,11 +35,19 @@ class FieldError(ParameterError):
     """A field of a dataclass has a wrong value; `load` replaces the name of the class by the place in the file."""
 
     def __init__(self, owner: object, name: str, problem: str) -> None:
-        self.name, self.problem = name, problem
+        self.name = name
+        self.problem = problem
         super().__init__(f"{type(owner).__name__}.{name}{problem}")
 
 
-def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, default=dataclasses.MISSING, doc: str = ""):
+def quantity(
+    unit: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    default=dataclasses.MISSING,
+    doc: str = "",
+):
     """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of such numbers."""
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
@@ -47,14 +55,20 @@ def quantity(unit: str, low: float = -math.inf, high: float = math.inf, *, defau
 def check(instance) -> None:
     """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is allowed."""
     for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
-        value, low, high = getattr(instance, f.name), f.metadata["low"], f.metadata["high"]
+        value = getattr(instance, f.name)
+        low = f.metadata["low"]
+        high = f.metadata["high"]
         for x in value if isinstance(value, tuple) else (value,):
             is_number = isinstance(x, (int, float)) and not isinstance(x, bool)
             if x is not None and not (is_number and low <= x <= high and math.isfinite(x)):
                 limits = f"[{_bound(low)}, {_bound(high)}] {f.metadata['unit']}".rstrip()
-                raise FieldError(instance, f.name, f" = {_said(value)}: expected a number in {limits}")
+                raise FieldError(
+                    instance, f.name, f" = {_said(value)}: expected a number in {limits}"
+                )
         if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
-            raise FieldError(instance, f.name, f" = {list(value)}: expected the smaller number first")
+            raise FieldError(
+                instance, f.name, f" = {list(value)}: expected the smaller number first"
+            )
 
 
 def _said(value: object) -> str:
@@ -74,7 +88,11 @@ def _bound(x: float) -> str:
 def _choices(cls: type) -> dict[str, tuple]:
     """Values that each `Literal` field of a dataclass may have."""
     hints = typing.get_type_hints(cls)
-    return {name: typing.get_args(h) for name, h in hints.items() if typing.get_origin(h) is typing.Literal}
+    return {
+        name: typing.get_args(h)
+        for name, h in hints.items()
+        if typing.get_origin(h) is typing.Literal
+    }
 
 
 class Checked:
@@ -89,13 +107,17 @@ class Checked:
 
 def unknown_key(key, known, where: str) -> ParameterError:
     """The error for a key that does not exist, with the nearest known name."""
-    return ParameterError(f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})")
+    return ParameterError(
+        f"{where}: unknown key {key!r}{nearest(key, known)} (known: {_sorted(known)})"
+    )
 
 
 def unknown_value(value, known, where: str = "") -> ParameterError:
     """Error for a value that is none of the known ones, with the nearest of them."""
     expected = f"one of {_sorted(known)}" if known else "none"
-    return ParameterError(f"{where}: unknown value {value!r}{nearest(value, known)} (expected {expected})")
+    return ParameterError(
+        f"{where}: unknown value {value!r}{nearest(value, known)} (expected {expected})"
+    )
 
 
 class UnknownKeyword(ParameterError, TypeError):
@@ -130,8 +152,12 @@ def load(cls, mapping, where: str = ""):
     for key in mapping:
         if key not in names:
             raise unknown_key(key, names, where)
-    values = {key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()}
-    required = [n for n, f in names.items() if f.default is f.default_factory is dataclasses.MISSING]
+    values = {
+        key: _convert(hints[key], value, _below(where, key)) for key, value in mapping.items()
+    }
+    required = [
+        n for n, f in names.items() if f.default is f.default_factory is dataclasses.MISSING
+    ]
     if missing := ", ".join(n for n in required if n not in values):
         raise ParameterError(f"{where}: missing {missing}")
     try:
@@ -142,7 +168,9 @@ def load(cls, mapping, where: str = ""):
         raise ParameterError(f"{_below(where, error.name)}{error.problem}") from None
     except ParameterError as error:
         of_field = str(error).startswith(tuple(f"{name}{end}" for name in names for end in " .:"))
-        raise ParameterError(_below(where, str(error)) if of_field else f"{where}: {error}") from None
+        raise ParameterError(
+            _below(where, str(error)) if of_field else f"{where}: {error}"
+        ) from None
 
 
 def _below(where: str, key: str) -> str:
@@ -156,7 +184,8 @@ def _keys(cls) -> str:
 
 def _convert(hint, value, where: str):
     """`value` as the annotated type `hint` of a field."""
-    origin, items = typing.get_origin(hint), typing.get_args(hint)
+    origin = typing.get_origin(hint)
+    items = typing.get_args(hint)
 
     def expect(right: bool, what: str) -> None:
         if not right:
@@ -173,18 +202,27 @@ def _convert(hint, value, where: str):
         expect(isinstance(value, (list, tuple)), "a list")
         return tuple(_convert(items[0], v, where) for v in value)
     if origin is tuple:
-        expect(isinstance(value, (list, tuple)) and len(value) == len(items), f"a list of {len(items)} values")
+        expect(
+            isinstance(value, (list, tuple)) and len(value) == len(items),
+            f"a list of {len(items)} values",
+        )
         return tuple(_convert(item, v, where) for item, v in zip(items, value, strict=True))
     if hint is dict or origin is dict:
         expect(isinstance(value, dict), "a mapping")
-        return {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()} if items else value
+        return (
+            {str(k): _convert(items[1], v, f"{where}.{k}") for k, v in value.items()}
+            if items
+            else value
+        )
     if origin is typing.Literal:
         expect(value in items, f"one of {', '.join(map(repr, items))}")
         return value
     if hint in (float, int):
         return number(hint, value, where)
     if hint not in (bool, str):
-        raise TypeError(f"{where}: no rule to load a {hint!r}")  # a programming error, not the user's
+        raise TypeError(
+            f"{where}: no rule to load a {hint!r}"
+        )  # a programming error, not the user's
     expect(isinstance(value, hint), "true or false" if hint is bool else "text")
     return value
 
@@ -196,7 +234,11 @@ def number(kind: type, value, where: str):
             value = float(value)
         except ValueError:
             pass
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or sys.float_info.max < abs(value) < math.inf:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, float))
+        or sys.float_info.max < abs(value) < math.inf
+    ):
         raise ParameterError(f"{where} = {_said(value)}: expected a number")
     if kind is int:
         if not math.isfinite(value) or value != int(value):
@@ -209,7 +251,11 @@ def merge(base: dict, changes: dict) -> dict:
     """`base` with the values of `changes`, nested mappings merged key by key; neither argument is modified."""
     out = dict(base)
     for key, value in changes.items():
-        out[key] = merge(out[key], value) if isinstance(value, dict) and isinstance(out.get(key), dict) else value
+        out[key] = (
+            merge(out[key], value)
+            if isinstance(value, dict) and isinstance(out.get(key), dict)
+            else value
+        )
     return out
 
 
@@ -226,7 +272,9 @@ def to_dict(instance: object) -> dict[str, typing.Any]:
     return plain(instance)
 
 
-MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 20_000, 40  # of a YAML file; shipped ones are far below
+MOST_BYTES = 1_000_000  # of a YAML file; shipped ones are far below
+MOST_VALUES = 20_000
+DEEPEST = 40
 _TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} levels"
 
 
@@ -251,7 +299,9 @@ class _Strict(yaml.SafeLoader):
         if self.values > MOST_VALUES or len(above) >= DEEPEST:
             raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH, node.start_mark)
         if node in above:
-            raise yaml.constructor.ConstructorError(None, None, "a value that contains itself", node.start_mark)
+            raise yaml.constructor.ConstructorError(
+                None, None, "a value that contains itself", node.start_mark
+            )
         if isinstance(node, yaml.ScalarNode):
             return
         keys = set()
@@ -281,7 +331,9 @@ def read_yaml(path: Path) -> dict:
         with open(path, "rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
         if len(raw) > MOST_BYTES:
-            raise ParameterError(f"{path}: larger than {MOST_BYTES // 1000} kB: expected a file of parameters")
+            raise ParameterError(
+                f"{path}: larger than {MOST_BYTES // 1000} kB: expected a file of parameters"
+            )
         content = parse_yaml(raw.decode("utf-8"))
     except OSError as error:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None

@@ -19,7 +19,14 @@ from numba.core.compiler_lock import global_compiler_lock
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
 _ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
-_FILES = ("course_parameters.py", "parameters.py", "readings.py", "slip.py", "soil_parameters.py", "vehicle.py")
+_FILES = (
+    "course_parameters.py",
+    "parameters.py",
+    "readings.py",
+    "slip.py",
+    "soil_parameters.py",
+    "vehicle.py",
+)
 
 
 @cache
@@ -52,11 +59,15 @@ def _places(installed: bool) -> list[type]:
 
     Files beside an installed package outlive it: pip leaves them, and the folder with them hides an editable install.
     """
-    return sorted(CompileResultCacheImpl._locator_classes, key=lambda c: installed and "InTree" in c.__name__)
+    return sorted(
+        CompileResultCacheImpl._locator_classes, key=lambda c: installed and "InTree" in c.__name__
+    )
 
 
 class _Place(CompileResultCacheImpl):
-    _locator_classes = _places(not {"site-packages", "dist-packages"}.isdisjoint(Path(__file__).parts))
+    _locator_classes = _places(
+        not {"site-packages", "dist-packages"}.isdisjoint(Path(__file__).parts)
+    )
 
 
 class _Cache(FunctionCache):
@@ -92,7 +103,9 @@ def keep(dispatcher):
     if CACHE:
         with suppress(RuntimeError):  # a function of no file
             store = dispatcher._cache = _Cache(dispatcher.py_func)
-            own = hashlib.sha256(Path(dispatcher.py_func.__code__.co_filename).read_bytes()).hexdigest()
+            own = hashlib.sha256(
+                Path(dispatcher.py_func.__code__.co_filename).read_bytes()
+            ).hexdigest()
             store._cache_file = _Index(
                 cache_path=store._cache_path,
                 filename_base=store._impl.filename_base,
@@ -135,7 +148,11 @@ class _Once:
 def _lock_of(dispatcher) -> Path | None:
     """The lock file beside the code of a function; None where none is kept."""
     store = getattr(dispatcher._cache, "_impl", None)
-    return None if store is None else Path(dispatcher._cache._cache_path) / f"{store.filename_base}.lock"
+    return (
+        None
+        if store is None
+        else Path(dispatcher._cache._cache_path) / f"{store.filename_base}.lock"
+    )
 
 
 @contextmanager
@@ -157,7 +174,11 @@ _told: set[str] = set()  # lines that this process has said
 
 def _tell(line: str) -> None:
     """A line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
-    if line in _told or "PYTEST_CURRENT_TEST" in os.environ or multiprocessing.parent_process() is not None:
+    if (
+        line in _told
+        or "PYTEST_CURRENT_TEST" in os.environ
+        or multiprocessing.parent_process() is not None
+    ):
         return
     _told.add(line)
     print(f"soil_env: {line}", file=sys.stderr, flush=True)

@@ -69,12 +69,15 @@ class Part:
         update_wrapper(self, function)
         self.py_func = function
         self._root = None
-        compiled = njit(_nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS)
+        compiled = njit(
+            _nrt=False, no_cpython_wrapper=True, forceinline=inline, pipeline_class=PART, **_OPTIONS
+        )
         self.dispatcher = compiled(function)
         template = self.dispatcher.get_call_template
         # One version for a constant and for a number that is not known yet.
         self.dispatcher.get_call_template = lambda args, kws: template(
-            tuple(types.unliteral(a) for a in args), {name: types.unliteral(t) for name, t in kws.items()}
+            tuple(types.unliteral(a) for a in args),
+            {name: types.unliteral(t) for name, t in kws.items()},
         )
 
     @property
@@ -120,13 +123,17 @@ def uncompiled(function: Compiled) -> Compiled:
 @overload
 def compiled_root(function: Callable[..., Any]) -> Compiled: ...
 @overload
-def compiled_root(*, nogil: bool = ..., allocates: bool = ...) -> Callable[[Callable[..., Any]], Compiled]: ...
+def compiled_root(
+    *, nogil: bool = ..., allocates: bool = ...
+) -> Callable[[Callable[..., Any]], Compiled]: ...
 def compiled_root(function: Any = None, *, nogil: bool = False, allocates: bool = False) -> Any:
     """Decorate a compiled function that Python calls. `nogil`: it holds no lock; `allocates`: it may make arrays."""
     if function is None:
         return lambda f: compiled_root(f, nogil=nogil, allocates=allocates)
     if not COMPILED:
-        return np.errstate(all="ignore")(function)  # as compiled code, which divides by zero without a warning
+        return np.errstate(all="ignore")(
+            function
+        )  # as compiled code, which divides by zero without a warning
     pipeline = ALLOCATING if allocates else ROOT
     return keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
 
@@ -139,7 +146,8 @@ class FastCall:
     """
 
     def __init__(self, function) -> None:
-        self._function, self._code = function, None if COMPILED else function
+        self._function = function
+        self._code = None if COMPILED else function
 
     def __call__(self, *arguments):
         if self._code is None:
@@ -179,9 +187,12 @@ def compile_aside(function, arguments: tuple) -> None:
     path = os.pathsep.join([str(Path(__file__).resolve().parents[2]), *sys.path])
     with contextlib.suppress(OSError):
         child = subprocess.Popen(
-            [sys.executable, "-c", _COMPILE], env=os.environ | {"PYTHONPATH": path}, stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [sys.executable, "-c", _COMPILE],
+            env=os.environ | {"PYTHONPATH": path},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         atexit.register(child.kill)
         with child.stdin as orders:
             orders.write(pickle.dumps((function.__module__, function.__name__, signature)))

@@ -19,13 +19,18 @@ class _Emitted:
     """Lanes, or a float, in code that is being emitted: arithmetic on it emits more."""
 
     def __init__(self, builder, value) -> None:
-        self.builder, self.value = builder, value
+        self.builder = builder
+        self.value = value
         self.kind = "v8f64" if value.type == VECTOR else "f64"
 
     def _with(self, other):
         if isinstance(other, _Emitted):
             return other.value
-        return numbers(*[other] * COUNT) if self.kind == "v8f64" else ir.Constant(ir.DoubleType(), float(other))
+        return (
+            numbers(*[other] * COUNT)
+            if self.kind == "v8f64"
+            else ir.Constant(ir.DoubleType(), float(other))
+        )
 
     def __add__(self, other):
         return _Emitted(self.builder, self.builder.fadd(self.value, self._with(other)))
@@ -39,7 +44,8 @@ class _Emitted:
     def __mul__(self, other):
         return _Emitted(self.builder, self.builder.fmul(self.value, self._with(other)))
 
-    __radd__, __rmul__ = __add__, __mul__
+    __radd__ = __add__
+    __rmul__ = __mul__
 
     def __truediv__(self, other):
         return _Emitted(self.builder, self.builder.fdiv(self.value, self._with(other)))
@@ -71,8 +77,12 @@ def _of_one(polynomial, name):
 
     def function(typingctx, x):
         if x == lanes:
-            return lanes(lanes), lambda context, builder, sig, args: polynomial(_Emitted(builder, args[0])).value
-        return types.float64(types.float64), lambda context, builder, sig, args: call(builder, f"llvm.{name}.f64", args)
+            return lanes(
+                lanes
+            ), lambda context, builder, sig, args: polynomial(_Emitted(builder, args[0])).value
+        return types.float64(types.float64), lambda context, builder, sig, args: call(
+            builder, f"llvm.{name}.f64", args
+        )
 
     function.__name__ = name
     return emitted(function)
@@ -81,14 +91,19 @@ def _of_one(polynomial, name):
 def _scaled(x, k):
     """x 2^k for x in [0.5, 2) and whole k in [-1022, 1022]."""
     builder = x.builder
-    shifted = builder.bitcast((k + 6755399441055744.0).value, INTEGERS)  # k + 1.5 2^52 holds k in its low bits
+    shifted = builder.bitcast(
+        (k + 6755399441055744.0).value, INTEGERS
+    )  # k + 1.5 2^52 holds k in its low bits
     exponent = builder.shl(shifted, ir.Constant(INTEGERS, [52] * COUNT))
-    return _Emitted(builder, builder.bitcast(builder.add(builder.bitcast(x.value, INTEGERS), exponent), VECTOR))
+    return _Emitted(
+        builder, builder.bitcast(builder.add(builder.bitcast(x.value, INTEGERS), exponent), VECTOR)
+    )
 
 
 def _exponent_and_mantissa(x):
     """(k, m) with x = m 2^k, m in [sqrt(1/2), sqrt(2)), for normal x > 0."""
-    builder, whole = x.builder, lambda value: ir.Constant(INTEGERS, [value] * COUNT)
+    builder = x.builder
+    whole = lambda value: ir.Constant(INTEGERS, [value] * COUNT)
     bits = builder.bitcast(x.value, INTEGERS)
     shifted = builder.sub(bits, whole(0x3FE6A09E667F3BCD))  # bits of sqrt(1/2)
     k = builder.ashr(shifted, whole(52))
@@ -181,7 +196,9 @@ def half_sin_cos(typingctx, x):
 
     def emit(context, builder, sig, args):
         x = _Emitted(builder, args[0])
-        return context.make_tuple(builder, sig.return_type, [_half_sin(x).value, _half_cos(x).value])
+        return context.make_tuple(
+            builder, sig.return_type, [_half_sin(x).value, _half_cos(x).value]
+        )
 
     return types.UniTuple(lanes, 2)(lanes), emit
 
@@ -198,7 +215,9 @@ def asin_root(typingctx, t):
 
 def _mixed(*given):
     """(result type, argument types) of a function whose arguments are floats or lanes; a float where all are."""
-    return (lanes if lanes in given else types.float64), [t if t == lanes else types.float64 for t in given]
+    return (lanes if lanes in given else types.float64), [
+        t if t == lanes else types.float64 for t in given
+    ]
 
 
 def _evenly(builder, sig, args):
@@ -213,7 +232,9 @@ def fma(typingctx, a, b, c):
     """a b + c, fused where the machine can."""
     result, given = _mixed(a, b, c)
     name = "llvm.fmuladd.v8f64" if result == lanes else "llvm.fmuladd.f64"
-    return result(*given), lambda context, builder, sig, args: call(builder, name, _evenly(builder, sig, args))
+    return result(*given), lambda context, builder, sig, args: call(
+        builder, name, _evenly(builder, sig, args)
+    )
 
 
 @emitted
@@ -221,7 +242,9 @@ def copysign(typingctx, size, sign):
     """`size` with the sign of `sign`."""
     result, given = _mixed(size, sign)
     name = "llvm.copysign.v8f64" if result == lanes else "llvm.copysign.f64"
-    return result(*given), lambda context, builder, sig, args: call(builder, name, _evenly(builder, sig, args))
+    return result(*given), lambda context, builder, sig, args: call(
+        builder, name, _evenly(builder, sig, args)
+    )
 
 
 @emitted

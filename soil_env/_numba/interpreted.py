@@ -91,7 +91,9 @@ asin_root = _of(lambda x: np.arcsin(np.sqrt(np.clip(x, 0.0, 1.0))))
 
 @_of
 def power(x, y):
-    return exp(y * log(np.maximum(x, 1e-300))) if wide(x) or wide(y) else np.power(float(x), float(y))
+    return (
+        exp(y * log(np.maximum(x, 1e-300))) if wide(x) or wide(y) else np.power(float(x), float(y))
+    )
 
 
 def half_sin_cos(x):

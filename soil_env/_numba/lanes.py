@@ -41,7 +41,9 @@ class _LanesModel(models.PrimitiveModel):
 
 def spread(builder, value):
     """Code for `value` in every lane."""
-    one = builder.insert_element(ir.Constant(VECTOR, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+    one = builder.insert_element(
+        ir.Constant(VECTOR, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+    )
     mask = ir.Constant(ir.VectorType(ir.IntType(32), COUNT), [0] * COUNT)
     return builder.shuffle_vector(one, ir.Constant(VECTOR, ir.Undefined), mask)
 
@@ -73,7 +75,11 @@ def _operator(op, emit, signatures):
         @lower_builtin(op, *case.args)
         def lower(context, builder, sig, args):
             return emit(
-                builder, *(a if t == lanes else spread(builder, a) for a, t in zip(args, sig.args, strict=True))
+                builder,
+                *(
+                    a if t == lanes else spread(builder, a)
+                    for a, t in zip(args, sig.args, strict=True)
+                ),
             )
 
 
@@ -109,7 +115,9 @@ def fill(typingctx, x):
 def alike(typingctx, x, pattern):
     """The float `x` as what `pattern` is: a float, or lanes."""
     if pattern == lanes:
-        return lanes(types.float64, lanes), lambda context, builder, sig, args: spread(builder, args[0])
+        return lanes(types.float64, lanes), lambda context, builder, sig, args: spread(
+            builder, args[0]
+        )
     return types.float64(types.float64, types.float64), lambda context, builder, sig, args: args[0]
 
 
@@ -162,9 +170,12 @@ def scratch(size):
         def emit(context, builder, sig, args):
             data = on_stack(builder, ir.DoubleType(), size)
             array = make_array(array_type)(context, builder)
-            count, item = ir.Constant(ir.IntType(64), size), ir.Constant(ir.IntType(64), 8)
+            count = ir.Constant(ir.IntType(64), size)
+            item = ir.Constant(ir.IntType(64), 8)
             pointer = builder.bitcast(data, ir.DoubleType().as_pointer())
-            populate_array(array, data=pointer, shape=[count], strides=[item], itemsize=item, meminfo=None)
+            populate_array(
+                array, data=pointer, shape=[count], strides=[item], itemsize=item, meminfo=None
+            )
             return array._getvalue()
 
         return array_type(), emit
@@ -183,7 +194,9 @@ def over_eight(values):
     @intrinsic
     def get(typingctx, pattern, k):
         if pattern != lanes:
-            return lanes(types.float64, types.intp), lambda context, builder, sig, args: numbers(*eight)
+            return lanes(types.float64, types.intp), lambda context, builder, sig, args: numbers(
+                *eight
+            )
 
         def emit(context, builder, sig, args):
             table = ir.Constant(ir.ArrayType(ir.DoubleType(), COUNT), list(eight))
@@ -192,7 +205,9 @@ def over_eight(values):
                 stored = builder.module.get_global(name)
             except KeyError:
                 stored = ir.GlobalVariable(builder.module, table.type, name)
-                stored.initializer, stored.global_constant, stored.linkage = table, True, "internal"
+                stored.initializer = table
+                stored.global_constant = True
+                stored.linkage = "internal"
             zero = ir.Constant(ir.IntType(64), 0)
             return builder.load(builder.gep(stored, [zero, args[1]]))
 
@@ -206,7 +221,9 @@ def turns(typingctx, pattern):
     """Number of passes of the loop of `over_eight`: one for a float, eight for lanes."""
     count = COUNT if pattern == lanes else 1
     pattern = lanes if pattern == lanes else types.float64
-    return types.intp(pattern), lambda context, builder, sig, args: ir.Constant(ir.IntType(64), count)
+    return types.intp(pattern), lambda context, builder, sig, args: ir.Constant(
+        ir.IntType(64), count
+    )
 
 
 @emitted
@@ -214,7 +231,9 @@ def summed(typingctx, x, pattern):
     """The sum over the eight of a value accumulated in such a loop: over the lanes of `x` if `pattern` is a float."""
     if pattern == lanes:
         return lanes(lanes, lanes), lambda context, builder, sig, args: args[0]
-    return types.float64(lanes, types.float64), lambda context, builder, sig, args: _total(builder, args[0])
+    return types.float64(lanes, types.float64), lambda context, builder, sig, args: _total(
+        builder, args[0]
+    )
 
 
 def _shuffled(builder, a, b, order):
@@ -225,7 +244,8 @@ def _shuffled(builder, a, b, order):
 def _total(builder, value):
     for half in (4, 2, 1):
         n = 2 * half
-        low, high = _shuffled(builder, value, value, range(half)), _shuffled(builder, value, value, range(half, n))
+        low = _shuffled(builder, value, value, range(half))
+        high = _shuffled(builder, value, value, range(half, n))
         value = builder.fadd(low, high)
     return builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
 
@@ -246,7 +266,9 @@ def made_of(typingctx, a, b, c, d, e, f, g, h):
 @emitted
 def lane(typingctx, a, i):
     """Lane i of `a`."""
-    return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
+    return types.float64(
+        lanes, types.intp
+    ), lambda context, builder, sig, args: builder.extract_element(*args)
 
 
 @emitted

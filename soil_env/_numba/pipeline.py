@@ -54,7 +54,9 @@ class _Part(JITCodeLibrary):
 
     def _get_module_for_linking(self):
         if not _Part.linkable:
-            raise TypeError(f"{self.name}: a part called by a function of numba's `njit`: make that a `compiled_root`")
+            raise TypeError(
+                f"{self.name}: a part called by a function of numba's `njit`: make that a `compiled_root`"
+            )
         return super()._get_module_for_linking()
 
     def finalize(self):
@@ -145,11 +147,26 @@ def remember_types() -> None:
     """Let numba remember the types of operators, and try its built-in ones before overloads."""
     context = cpu_target.typing_context
     context.refresh()
-    for name in ("getitem", "setitem", "add", "sub", "mul", "truediv", "eq", "ne", "lt", "le", "gt", "ge"):
+    for name in (
+        "getitem",
+        "setitem",
+        "add",
+        "sub",
+        "mul",
+        "truediv",
+        "eq",
+        "ne",
+        "lt",
+        "le",
+        "gt",
+        "ge",
+    ):
         op = getattr(operator, name)
         templates = context._lookup_global(op).templates
         context._remove_global(op)
-        context._insert_global(op, _Remembered(sorted(templates, key=lambda t: t.__name__.startswith("Overload"))))
+        context._insert_global(
+            op, _Remembered(sorted(templates, key=lambda t: t.__name__.startswith("Overload")))
+        )
 
 
 def _compiler(library_class, default):
@@ -170,4 +187,6 @@ def _compiler(library_class, default):
 
 
 #: Numba's compiler for parts, for roots, and for roots that may make arrays.
-PART, ROOT, ALLOCATING = _compiler(_Part, False), _compiler(_Root, False), _compiler(_Root, True)
+PART = _compiler(_Part, False)
+ROOT = _compiler(_Root, False)
+ALLOCATING = _compiler(_Root, True)

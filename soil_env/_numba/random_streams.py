@@ -16,7 +16,10 @@ from soil_env._numba.lanes import lane, made_of
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
-_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_S30 = np.uint64(30)
+_S27 = np.uint64(27)
+_S31 = np.uint64(31)
+_S11 = np.uint64(11)
 _TO_UNIT = 2.0**-53
 
 
@@ -65,14 +68,19 @@ def normal_pair(streams, k):
 def _normals(u, v):
     """Standard normal numbers in lanes, two of each lane, from uniform ones, as `normal_pair`."""
     radius = sqrt(-2.0 * log(1.0 - u))
-    sin_half, cos_half = half_sin_cos(math.pi * (2.0 * v - 1.0))  # half a turn back, so both functions change sign
+    sin_half, cos_half = half_sin_cos(
+        math.pi * (2.0 * v - 1.0)
+    )  # half a turn back, so both functions change sign
     return radius * (2.0 * sin_half * sin_half - 1.0), radius * (-2.0 * sin_half * cos_half)
 
 
 @compiled_inline
 def four_normals(streams, k):
     """Four independent standard normal numbers of stream k: two `normal_pair` at once."""
-    a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
+    a = uniform(streams, k)
+    b = uniform(streams, k)
+    c = uniform(streams, k)
+    d = uniform(streams, k)
     x, y = _normals(made_of(a, c, a, c, a, c, a, c), made_of(b, d, b, d, b, d, b, d))
     return lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1)
 
@@ -80,11 +88,26 @@ def four_normals(streams, k):
 @compiled_inline
 def ten_normals(streams, k):
     """Ten independent standard normal numbers of stream k: five `normal_pair` at once."""
-    a, b, c, d = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
-    e, f, g, h = uniform(streams, k), uniform(streams, k), uniform(streams, k), uniform(streams, k)
-    i, j = uniform(streams, k), uniform(streams, k)
+    a = uniform(streams, k)
+    b = uniform(streams, k)
+    c = uniform(streams, k)
+    d = uniform(streams, k)
+    e = uniform(streams, k)
+    f = uniform(streams, k)
+    g = uniform(streams, k)
+    h = uniform(streams, k)
+    i = uniform(streams, k)
+    j = uniform(streams, k)
     x, y = _normals(made_of(a, c, e, g, i, a, c, e), made_of(b, d, f, h, j, b, d, f))
     return (
-        lane(x, 0), lane(y, 0), lane(x, 1), lane(y, 1), lane(x, 2), lane(y, 2), lane(x, 3), lane(y, 3), lane(x, 4),
+        lane(x, 0),
+        lane(y, 0),
+        lane(x, 1),
+        lane(y, 1),
+        lane(x, 2),
+        lane(y, 2),
+        lane(x, 3),
+        lane(y, 3),
+        lane(x, 4),
         lane(y, 4),
-    )  # fmt: skip
+    )

@@ -35,7 +35,12 @@ def lane_record(record: type) -> LaneRecord:
     fields = record._fields
     return LaneRecord(
         _compiled(record, "load(rows, i)", [f"from_array(rows.{f}, i)" for f in fields]),
-        _compiled(record, "store(values, rows, i)", [f"to_array(values.{f}, rows.{f}, i)" for f in fields], False),
+        _compiled(
+            record,
+            "store(values, rows, i)",
+            [f"to_array(values.{f}, rows.{f}, i)" for f in fields],
+            False,
+        ),
         _compiled(record, "choose(mask, a, b)", [f"chosen(mask, a.{f}, b.{f})" for f in fields]),
         _compiled(record, "same(x)", ["x" for _ in fields]),
     )
@@ -46,13 +51,22 @@ def row_record(record: type) -> RowRecord:
     fields = record._fields
     return RowRecord(
         _compiled(record, "load(row)", [f"row[{k}]" for k in range(len(fields))]),
-        _compiled(record, "store(values, row)", [f"row[{k}] = values.{f}" for k, f in enumerate(fields)], False),
+        _compiled(
+            record,
+            "store(values, row)",
+            [f"row[{k}] = values.{f}" for k, f in enumerate(fields)],
+            False,
+        ),
     )
 
 
 def _compiled(record: type, head: str, parts: list[str], returns: bool = True):
     """The compiled function `head` that makes a record of its parts, or executes them."""
-    body = f"    return record({', '.join(parts)})" if returns else "\n".join(f"    {part}" for part in parts)
+    body = (
+        f"    return record({', '.join(parts)})"
+        if returns
+        else "\n".join(f"    {part}" for part in parts)
+    )
     names = {"record": record, "from_array": from_array, "to_array": to_array, "chosen": chosen}
     names["__name__"] = record.__module__
     exec(f"def {head}:\n{body}\n", names)  # as `typing.NamedTuple` itself does

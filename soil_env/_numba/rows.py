@@ -45,12 +45,16 @@ class Rows:
     def __init__(self, count: int, data: np.ndarray | None = None) -> None:
         columns = -(-count // COUNT) * COUNT
         self.count: int = count
-        self.data: np.ndarray = np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
+        self.data: np.ndarray = (
+            np.zeros((len(self.NAMES), columns), self.KIND) if data is None else data
+        )
         self._memory = self.data.ctypes.data, self.data.shape[1]  # address, columns
 
     def __getattr__(self, name: str) -> np.ndarray:
         if name.startswith("__") or name not in self.NAMES:
-            raise AttributeError(f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}")
+            raise AttributeError(
+                f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}"
+            )
         return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -85,7 +89,9 @@ class Rows:
 def rows(name: str, *names: str, kind: type = np.float64) -> type[Rows]:
     """A class of `Rows` with these names; `kind`: float64 or int64."""
     module = sys._getframe(1).f_globals["__name__"]
-    return type(name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module})
+    return type(
+        name, (Rows,), {"__slots__": (), "NAMES": names, "KIND": kind, "__module__": module}
+    )
 
 
 class _RowsType(types.Type):
@@ -113,8 +119,11 @@ def _typeof_rows(value, context):
 def _unbox_rows(typ, obj, c):
     value = cgutils.create_struct_proxy(typ)(c.context, c.builder)
     memory = c.pyapi.object_getattr_string(obj, "_memory")
-    address, columns = (c.pyapi.long_as_longlong(c.pyapi.tuple_getitem(memory, i)) for i in range(2))
-    value.pointer, value.columns = c.builder.inttoptr(address, cgutils.voidptr_t), columns
+    address, columns = (
+        c.pyapi.long_as_longlong(c.pyapi.tuple_getitem(memory, i)) for i in range(2)
+    )
+    value.pointer = c.builder.inttoptr(address, cgutils.voidptr_t)
+    value.columns = columns
     c.pyapi.decref(memory)
     return NativeValue(value._getvalue())
 
@@ -130,13 +139,17 @@ class _RowsAttributes(AttributeTemplate):
 @lower_getattr_generic(_RowsType)
 def _row(context, builder, typ, value, name):
     rows = cgutils.create_struct_proxy(typ)(context, builder, value=value)
-    item, kind, names = ir.Constant(ir.IntType(64), 8), typ.array(name), typ.cls.NAMES
+    item = ir.Constant(ir.IntType(64), 8)
+    kind = typ.array(name)
+    names = typ.cls.NAMES
     row = builder.mul(rows.columns, item)
     whole = name == "data"
     offset = builder.mul(row, ir.Constant(ir.IntType(64), 0 if whole else names.index(name)))
     shape = [ir.Constant(ir.IntType(64), len(names)), rows.columns] if whole else [rows.columns]
     array = make_array(kind)(context, builder)
-    pointer = builder.bitcast(builder.gep(rows.pointer, [offset]), context.get_data_type(kind.dtype).as_pointer())
+    pointer = builder.bitcast(
+        builder.gep(rows.pointer, [offset]), context.get_data_type(kind.dtype).as_pointer()
+    )
     strides = [row, item] if whole else [item]
     populate_array(array, data=pointer, shape=shape, strides=strides, itemsize=item, meminfo=None)
     return array._getvalue()
@@ -148,7 +161,9 @@ def scratch_rows(cls: type[Rows], columns: int):
     The caller must not return them: they are gone with its frame, also where it is put into its own caller.
     """
     if not COMPILED:
-        return lambda: cls(columns, np.full((len(cls.NAMES), columns), interpreted.UNSET).astype(cls.KIND))
+        return lambda: cls(
+            columns, np.full((len(cls.NAMES), columns), interpreted.UNSET).astype(cls.KIND)
+        )
     if columns % COUNT:
         raise ValueError(f"scratch_rows: {columns} columns: expected a multiple of {COUNT}")
 

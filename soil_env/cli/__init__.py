@@ -10,12 +10,17 @@ import click
 from soil_env._io.loading import nearest
 from soil_env.cli.running import leave, run
 
-_AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"  # its name in a clone without installation
+_AGENTS = (
+    "soil_env_agents" if find_spec("soil_env_agents") else "agents"
+)  # its name in a clone without installation
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
     "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),
     "train": (f"{_AGENTS}.train", "Train an agent and compare it with the classical controllers."),
-    "evaluate": (f"{_AGENTS}.evaluate.command", "Compare controllers and agents on held-out courses."),
+    "evaluate": (
+        f"{_AGENTS}.evaluate.command",
+        "Compare controllers and agents on held-out courses.",
+    ),
     "tune": (f"{_AGENTS}.tune", "Tune the classical controllers."),
     "study": (f"{_AGENTS}.study.command", "Train and compare arms over seeds and scenarios."),
     "export": (f"{_AGENTS}.export.command", "Export a trained agent as ONNX with its policy file."),
@@ -39,14 +44,18 @@ class _Commands(click.Group):
         """Import the subcommand of this name; `click.UsageError` for an unknown one."""
         if name not in _COMMANDS:
             known = ", ".join(_COMMANDS)
-            raise click.UsageError(f"unknown command {name!r}{nearest(name, _COMMANDS)} (known: {known})")
+            raise click.UsageError(
+                f"unknown command {name!r}{nearest(name, _COMMANDS)} (known: {known})"
+            )
         module = _COMMANDS[name][0]
         try:
             return import_module(module).command
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] in ("soil_env", _AGENTS):
                 raise
-            raise click.UsageError(f"{name} needs the package {error.name}: pip install 'soil_env[train]'") from None
+            raise click.UsageError(
+                f"{name} needs the package {error.name}: pip install 'soil_env[train]'"
+            ) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the subcommands with their summaries."""
@@ -54,7 +63,10 @@ class _Commands(click.Group):
             formatter.write_dl([(name, summary) for name, (_, summary) in _COMMANDS.items()])
 
 
-@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(
+    cls=_Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
 @click.version_option(package_name="soil_env")
 def soil_env() -> None:
     """Wheels on soil they do not know: drive, train, identify, discover.

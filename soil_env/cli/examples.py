@@ -15,7 +15,11 @@ from soil_env.cli.running import PATH
 def command(folder: Path) -> None:
     """Copy the example scripts and their data into FOLDER (default: examples)."""
     source = shipped_dir("examples")
-    files = sorted(f.relative_to(source) for f in source.rglob("*") if f.is_file() and "__pycache__" not in f.parts)
+    files = sorted(
+        f.relative_to(source)
+        for f in source.rglob("*")
+        if f.is_file() and "__pycache__" not in f.parts
+    )
     if folder.resolve() == source.resolve():
         raise ParameterError(f"{folder}: has the examples already, as every clone: nothing to copy")
     if not is_unused(folder):

@@ -34,7 +34,10 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
         check_outputs(out, FILES)
     estimate = identify_table(table, known)
     if out is not None:
-        contents = (json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n", picture(estimate))
+        contents = (
+            json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n",
+            picture(estimate),
+        )
         replace_files(out, dict(zip(FILES, contents, strict=True)))
     Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
     for name in FILES if out is not None else ():

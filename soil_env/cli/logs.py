@@ -20,8 +20,12 @@ from soil_env.logs.steady import FILES, steady_windows
 
 @click.command("logs")
 @click.argument("recording", type=PATH, metavar="RECORDING")
-@click.option("--map", "map_file", type=PATH, metavar="YAML", required=True, help="Channel of each reading.")
-@out_option("report.html, log.json, estimates.csv, figures and tables of steady points", required=True)
+@click.option(
+    "--map", "map_file", type=PATH, metavar="YAML", required=True, help="Channel of each reading."
+)
+@out_option(
+    "report.html, log.json, estimates.csv, figures and tables of steady points", required=True
+)
 def command(recording: Path, map_file: Path, out: Path) -> None:
     """Identify the soil along the log of a rover.
 
@@ -49,7 +53,9 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     report = report_of(recording.name, log, log_map, found, steady, out)
     replace_files(out, report.files)
     for place in out.iterdir():
-        if FILES.fullmatch(place.name) and place.name not in report.files and place.is_file():  # of an earlier run
+        if (
+            FILES.fullmatch(place.name) and place.name not in report.files and place.is_file()
+        ):  # of an earlier run
             place.unlink()
     print(report.text, end="")
 
@@ -58,6 +64,8 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Show how much has been read, on a terminal (stderr)."""
     columns = (TextColumn("reading"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as shown:
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    ) as shown:
         task = shown.add_task("reading", total=None)
         yield lambda done, size: shown.update(task, completed=done, total=size)

@@ -16,7 +16,11 @@ from soil_env.paper.compare import compute
 @click.command("paper")
 @out_option("paper.md and its figures")
 @click.option(
-    "--draws", type=WholeNumber(1), default=1000, metavar="N", help="Draws of the noise in Table 5 (default 1000)."
+    "--draws",
+    type=WholeNumber(1),
+    default=1000,
+    metavar="N",
+    help="Draws of the noise in Table 5 (default 1000).",
 )
 @seed_option("the noise in Table 5")
 def command(out: Path | None, draws: int, seed: int) -> None:

@@ -15,11 +15,15 @@ import click
 from soil_env._io.loading import ParameterError
 
 BAD_INPUT = 2  # exit status
-INTERRUPTED, TERMINATED, UNREAD = 130, 143, 141  # exit statuses, 128 + the number of SIGINT, SIGTERM, SIGPIPE
+INTERRUPTED = 130  # exit statuses, 128 + the number of SIGINT, SIGTERM, SIGPIPE
+TERMINATED = 143
+UNREAD = 141
 _LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
 
 
-def run(command: click.Command | Callable[[], click.Command], arguments: Sequence[str] | None, name: str) -> int:
+def run(
+    command: click.Command | Callable[[], click.Command], arguments: Sequence[str] | None, name: str
+) -> int:
     """Run a click command, or that which a function imports, and return its exit status.
 
     Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`) and too little memory
@@ -29,7 +33,8 @@ def run(command: click.Command | Callable[[], click.Command], arguments: Sequenc
     """
     received: list[int] = []
     given = list(sys.argv[1:] if arguments is None else arguments)
-    program, name = name, _called(command, given, name)
+    program = name
+    name = _called(command, given, name)
     try:
         with _stoppable(received, name):
             own = command if isinstance(command, click.Command) else command()
@@ -156,7 +161,8 @@ class WholeNumber(click.ParamType):
     name = "N"
 
     def __init__(self, least: int = 0, most: int = 10**15) -> None:
-        self.least, self.most = least, most
+        self.least = least
+        self.most = most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         """Convert text; `click.BadParameter` for anything else."""
@@ -165,7 +171,11 @@ class WholeNumber(click.ParamType):
         except ValueError:
             number = -1.0
         if not (self.least <= number <= self.most and number == int(number)):
-            self.fail(f"{value!r}: expected a whole number >= {self.least}, at most {self.most:.0e}", param, ctx)
+            self.fail(
+                f"{value!r}: expected a whole number >= {self.least}, at most {self.most:.0e}",
+                param,
+                ctx,
+            )
         return int(number)
 
 
@@ -192,4 +202,6 @@ def out_option(files: str, required: bool = False) -> Callable[[Callable], Calla
 
 def seed_option(of: str = "everything random") -> Callable[[Callable], Callable]:
     """Option --seed N."""
-    return click.option("--seed", type=WholeNumber(), default=0, metavar="N", help=f"Seed of {of} (default 0).")
+    return click.option(
+        "--seed", type=WholeNumber(), default=0, metavar="N", help=f"Seed of {of} (default 0)."
+    )

@@ -37,9 +37,13 @@ def _drive(env_id: str, action: float, **options: object) -> None:
 
 def warm_up() -> None:
     """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the source paper."""
-    from soil_env.paper import compare  # with its printed values; here so that importing this file reads none
+    from soil_env.paper import (
+        compare,
+    )  # with its printed values; here so that importing this file reads none
 
-    model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}})
+    model = WheelSoilModel(
+        ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}
+    )
     for world in (None, model):
         _drive("SoilWheel-v0", 0.4, model=world)
         envs = SoilWheelVectorEnv(64, model=world)
@@ -56,7 +60,9 @@ def warm_up() -> None:
     sliding_speed(np.float64(0.3), np.float64(0.1))
     excavation_rate(0.2, 0.1, 0.0, 1.0, 0.3)
     out = np.zeros((2, 1))
-    best_points(np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1])
+    best_points(
+        np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1]
+    )
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)

@@ -22,12 +22,33 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env.discrepancy.data import CHANNELS, Data
-from soil_env.discrepancy.instrument import LAWS, LISTED, Choice, in_balance, nuisances, reading, true_rows
+from soil_env.discrepancy.instrument import (
+    LAWS,
+    LISTED,
+    Choice,
+    in_balance,
+    nuisances,
+    reading,
+    true_rows,
+)
 from soil_env.discrepancy.noise import NoiseEstimate, find_noise, with_noise_of_conditions
 from soil_env.discrepancy.unnamed import changed, loaded, soils
 from soil_env.identification.table import form_error
-from soil_env.identification.table.form_error import INPUTS, LENGTHS, Process, compressed, stress_changes, whitened
-from soil_env.identification.table.priors import USUAL_SINKAGE, Unknown, known_digging, soil_state, soil_unknowns
+from soil_env.identification.table.form_error import (
+    INPUTS,
+    LENGTHS,
+    Process,
+    compressed,
+    stress_changes,
+    whitened,
+)
+from soil_env.identification.table.priors import (
+    USUAL_SINKAGE,
+    Unknown,
+    known_digging,
+    soil_state,
+    soil_unknowns,
+)
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
@@ -38,7 +59,9 @@ from soil_env.terramechanics.model import Rows
 PRIOR_WIDTH = 1.5
 ANY_FORM = 10.0  # form error of an effect that is named by its place, in all channels alike, over that of others
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
-_LAW, _EFFECT, _FREE = 24, 24, 40  # functions of a process at most: law, form of an effect, anonymous contribution
+_LAW = 24  # functions of a process at most: law, form of an effect, anonymous contribution
+_EFFECT = 24
+_FREE = 40
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
 #: two slips of a table, for laws that are right at some slips alone: soil flows in two zones below a driven wheel, and
 #: in one at large slip (Wong 1967, J. Agric. Eng. Res. 12:257-269).
@@ -52,7 +75,11 @@ class Sizes(NamedTuple):
 
     law: float = 0.0  # alpha, relative, of the stresses of the base law
     effect: float = 0.0  # beta, relative to what an effect adds
-    free: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of an anonymous contribution, relative to the channel's rms
+    free: tuple[float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+    )  # of an anonymous contribution, relative to the channel's rms
     span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
     scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
     #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their relative sizes.
@@ -79,7 +106,9 @@ class Fit:
     added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
     residual: np.ndarray  # [M] whitened (y - f) of the values in use
     jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
-    law: tuple[np.ndarray, ...]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
+    law: tuple[
+        np.ndarray, ...
+    ]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
     effect: np.ndarray  # [M, R] of the effects
     free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
     rig: np.ndarray  # [M, R] of the nuisances of the instrument
@@ -103,7 +132,9 @@ class Fit:
             (*sizes.laws, sizes.effect, *sizes.free, sizes.rig),
             strict=True,
         )
-        return np.concatenate([size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1)
+        return np.concatenate(
+            [size * block for block, size in blocks if size > 0.0] or [self.effect[:, :0]], axis=1
+        )
 
     def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
         """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
@@ -116,7 +147,9 @@ class Fit:
         free = np.concatenate([self.free_unknowns, np.ones(extra.shape[1], dtype=bool)])
         x = np.concatenate([self.u, np.zeros(extra.shape[1])])
         top = np.concatenate([self.jacobian, extra], axis=1) / sizes.scatter
-        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate([self.residual / sizes.scatter, -x])
+        return np.concatenate([top, np.eye(x.size)])[:, free], np.concatenate(
+            [self.residual / sizes.scatter, -x]
+        )
 
 
 @dataclass(eq=False)
@@ -133,33 +166,46 @@ class Problem:
 
     def __post_init__(self) -> None:
         setup = self.data.setup
-        self.soil, self.known = soil_unknowns(setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH)
+        self.soil, self.known = soil_unknowns(
+            setup, self.data.rows.load, self.data.y[:, 0], PRIOR_WIDTH
+        )
         self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
         self.digging: tuple[float, float] = known_digging(setup)
         self.bench: Bench = self._bench()
         #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig sets them.
-        self.scales = {f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()}
-        self.centres = {f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()}
+        self.scales = {
+            f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
+        }
+        self.centres = {
+            f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.neutral(self.bench).items()
+        }
         self.neutral: Effects = NO_EFFECTS._replace(**self.centres)
         self._processes()
 
     def _processes(self) -> None:
         """Form errors over the conditions of the table, and the size of each channel."""
         at = self.data.conditions | self.data.elapsed
-        self.law_processes: list[Process] = [Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS]
+        self.law_processes: list[Process] = [
+            Process.over(at, of=INPUTS, most=_LAW, lengths=x) for x in LAW_LENGTHS
+        ]
         own = {e.conditions for e in LAWS.values()}
         self.effect_processes: dict[tuple[str, ...], Process] = {
             more: Process.over(at, of=(*INPUTS, *more), most=_EFFECT) for more in own
         }
         lengths = {k: _LONGER * v for k, v in LENGTHS.items()}
-        self.free_functions: np.ndarray = Process.over(at, additive=True, most=_FREE, lengths=lengths).at_points
+        self.free_functions: np.ndarray = Process.over(
+            at, additive=True, most=_FREE, lengths=lengths
+        ).at_points
         square = np.where(self.used, np.nan_to_num(self.data.y) ** 2, 0.0)
         self.size: np.ndarray = np.sqrt(square.sum(axis=0) / np.maximum(self.used.sum(axis=0), 1))
 
     def _bench(self) -> Bench:
         """Sizes of this rig, which priors of effects scale with."""
-        rows, r, wheel = self.data.rows, self.data.wheel.radius, self.data.setup.wheel
-        speed, z = rows.conditions[:, 0], self.data.y[:, 0]
+        rows = self.data.rows
+        r = self.data.wheel.radius
+        wheel = self.data.setup.wheel
+        speed = rows.conditions[:, 0]
+        z = self.data.y[:, 0]
         sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
         middle = sliding = 0.0
         if np.all(speed > 0.0):
@@ -186,14 +232,24 @@ class Problem:
         for choice in choices:
             for full in choice.free:
                 p = LAWS[choice.effect].parameter(full[len(choice.effect) + 1 :])
-                low, high = p.low, p.high
+                low = p.low
+                high = p.high
                 if p.centre is not None:
                     centre = self.centres.get(full, p.centre)
-                    out.append(Unknown(full, math.log(centre), p.scale, math.log(max(low, 1e-3 * centre)),
-                                       math.log(high), True))  # fmt: skip
+                    out.append(
+                        Unknown(
+                            full,
+                            math.log(centre),
+                            p.scale,
+                            math.log(max(low, 1e-3 * centre)),
+                            math.log(high),
+                            True,
+                        )
+                    )
                     continue
                 sd, low, high = self.scales.get(full, (p.scale, low, high))
-                low, high = max(low, p.low), min(high, p.high)
+                low = max(low, p.low)
+                high = min(high, p.high)
                 mean = self.digging[0] if full == "slip_sinkage_gain" else p.neutral
                 out.append(Unknown(full, mean, sd, low, high, False))
         return tuple(out)
@@ -209,16 +265,25 @@ class Problem:
             fx = fx._replace(**choice.fixed, **{name: values[name] for name in choice.free})
         return fx
 
-    def predict(self, values: dict[str, float], choices: tuple[Choice, ...], guess: np.ndarray,
-                rows: Rows | None = None, more: Mapping[str, float] | None = None) -> np.ndarray:  # fmt: skip
+    def predict(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        guess: np.ndarray,
+        rows: Rows | None = None,
+        more: Mapping[str, float] | None = None,
+    ) -> np.ndarray:
         """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given.
 
         `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
         """
         fx = self.effects(choices, values)
         fx = fx._replace(**{k: getattr(fx, k) + v for k, v in (more or {}).items()})
-        soil, weight = self.known | values, self.density * GRAVITY
-        wrong = {name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free}
+        soil = self.known | values
+        weight = self.density * GRAVITY
+        wrong = {
+            name: values[name] for c in choices if c.effect not in CATALOGUE for name in c.free
+        }
         if "tilt_angle_deg" in wrong:
             soil = soil | {"tilt_deg": wrong["tilt_angle_deg"]}
         rows = true_rows(rows or self.data.rows, wrong)
@@ -227,7 +292,9 @@ class Problem:
             out = np.empty((rows.slip.size, 3))
             for here, of in soils(rows, wrong, soil, self.bench):
                 start = guess[here]
-                out[here] = predict_table(self.data.setup, Rows(*(x[here] for x in under)), of, weight, fx, start)
+                out[here] = predict_table(
+                    self.data.setup, Rows(*(x[here] for x in under)), of, weight, fx, start
+                )
                 guess[here] = start
             return out
 
@@ -256,8 +323,13 @@ class Problem:
         more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
         return dataclasses.replace(fit, **rows, **more)
 
-    def fit(self, choices: tuple[Choice, ...] = (), start: dict[str, float] | None = None,
-            sizes: Sizes = EXACT, near: Fit | None = None) -> Fit:  # fmt: skip
+    def fit(
+        self,
+        choices: tuple[Choice, ...] = (),
+        start: dict[str, float] | None = None,
+        sizes: Sizes = EXACT,
+        near: Fit | None = None,
+    ) -> Fit:
         """Most probable parameters of the model with the given effects.
 
         `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit to
@@ -266,8 +338,12 @@ class Problem:
         """
         unknowns = self.unknowns(choices)
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
-        u = np.array([k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns])
-        u = np.clip(u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0))
+        u = np.array(
+            [k.at(start[k.name]) if start and k.name in start else self._first(k) for k in unknowns]
+        )
+        u = np.clip(
+            u, low + 1e-6 * np.minimum(high - low, 1.0), high - 1e-6 * np.minimum(high - low, 1.0)
+        )
         guess = np.zeros(self.data.rows.slip.size)
         known = None if near is None else compressed(near.columns(sizes) / sizes.scatter)
 
@@ -281,9 +357,16 @@ class Problem:
             return scaled(self.derivatives(unknowns, x, choices, guess))
 
         u, _, converged = most_probable(
-            scaled(self.whiten(self.data.y)), model, derivatives, u, (low, high), ftol=1e-5, xtol=1e-4,
-            gtol=1e-4, max_nfev=25,
-        )  # fmt: skip
+            scaled(self.whiten(self.data.y)),
+            model,
+            derivatives,
+            u,
+            (low, high),
+            ftol=1e-5,
+            xtol=1e-4,
+            gtol=1e-4,
+            max_nfev=25,
+        )
         used = sizes if near is not None else EXACT._replace(scatter=sizes.scatter)
         return self._finish(unknowns, choices, u, guess, converged, used)
 
@@ -293,8 +376,13 @@ class Problem:
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
-    def derivatives(self, unknowns: Sequence[Unknown], u: np.ndarray, choices: tuple[Choice, ...],
-                    guess: np.ndarray) -> np.ndarray:  # fmt: skip
+    def derivatives(
+        self,
+        unknowns: Sequence[Unknown],
+        u: np.ndarray,
+        choices: tuple[Choice, ...],
+        guess: np.ndarray,
+    ) -> np.ndarray:
         """[M, p] of the whitened output by whitened unknowns (forward differences)."""
 
         def model(x):
@@ -309,29 +397,72 @@ class Problem:
         residual = self.whiten(self.data.y) - self.whiten(output)
         residual = np.where(np.isfinite(residual), residual, 1e3)
         added = self.added(values, choices, output, guess)
-        law, effect = self.form_errors(choices, self.stresses(values, choices, output, guess), added)
-        free = [self.block(_in_channel(self.free_functions, self.size[j] * unit)) for j, unit in enumerate(np.eye(3))]
-        rig = nuisances(self.data.setup, self.bench, self.data.rows, _finite(output), tuple(c.effect for c in choices))
-        return Fit(choices, unknowns, u, output, added, residual, self.derivatives(unknowns, u, choices, guess),
-                   tuple(map(self.block, law)), self.block(effect), tuple(free), self.block(rig), converged,
-                   sizes)  # fmt: skip
+        law, effect = self.form_errors(
+            choices, self.stresses(values, choices, output, guess), added
+        )
+        free = [
+            self.block(_in_channel(self.free_functions, self.size[j] * unit))
+            for j, unit in enumerate(np.eye(3))
+        ]
+        rig = nuisances(
+            self.data.setup,
+            self.bench,
+            self.data.rows,
+            _finite(output),
+            tuple(c.effect for c in choices),
+        )
+        return Fit(
+            choices,
+            unknowns,
+            u,
+            output,
+            added,
+            residual,
+            self.derivatives(unknowns, u, choices, guess),
+            tuple(map(self.block, law)),
+            self.block(effect),
+            tuple(free),
+            self.block(rig),
+            converged,
+            sizes,
+        )
 
-    def added(self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray,
-              guess: np.ndarray) -> tuple[np.ndarray, ...]:  # fmt: skip
+    def added(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        guess: np.ndarray,
+    ) -> tuple[np.ndarray, ...]:
         """[N, 3] what each effect adds to the output."""
         rest = (choices[:k] + choices[k + 1 :] for k in range(len(choices)))
-        return tuple(_finite(output - self.predict(values, others, guess.copy())) for others in rest)
+        return tuple(
+            _finite(output - self.predict(values, others, guess.copy())) for others in rest
+        )
 
-    def stresses(self, values: dict[str, float], choices: tuple[Choice, ...], output: np.ndarray,
-                 guess: np.ndarray) -> list[np.ndarray]:  # fmt: skip
+    def stresses(
+        self,
+        values: dict[str, float],
+        choices: tuple[Choice, ...],
+        output: np.ndarray,
+        guess: np.ndarray,
+    ) -> list[np.ndarray]:
         """[N, 3] change of the output by each `stress_changes`, relative."""
-        h, sinkage = _STRESS_STEP, float(np.nanmedian(output[:, 0]))
+        h = _STRESS_STEP
+        sinkage = float(np.nanmedian(output[:, 0]))
         changes = stress_changes(self.known | values, h, sinkage)
-        there = (self.predict(values | soil, choices, guess.copy(), more=more) for soil, more in changes)
+        there = (
+            self.predict(values | soil, choices, guess.copy(), more=more) for soil, more in changes
+        )
         return [_finite((out - output) / h) for out in there]
 
-    def form_errors(self, choices: tuple[Choice, ...], stresses: Sequence[np.ndarray], added: Sequence[np.ndarray],
-                    at: Mapping[str, np.ndarray] | None = None) -> tuple[list[np.ndarray], np.ndarray]:  # fmt: skip
+    def form_errors(
+        self,
+        choices: tuple[Choice, ...],
+        stresses: Sequence[np.ndarray],
+        added: Sequence[np.ndarray],
+        at: Mapping[str, np.ndarray] | None = None,
+    ) -> tuple[list[np.ndarray], np.ndarray]:
         """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions.
 
         Of what `stresses` and `added` change.
@@ -347,7 +478,10 @@ class Problem:
             moved = np.array([name in LAWS[choice.effect].moves for name in CHANNELS])
             units = [ANY_FORM * moved] if LAWS[choice.effect].any_form else np.eye(3)[moved]
             blocks += [_in_channel(own, factor * unit) for unit in units]
-        laws = [np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2) for own in law]
+        laws = [
+            np.concatenate([s[:, :, None] * own[:, None, :] for s in stresses], axis=2)
+            for own in law
+        ]
         return laws, np.concatenate(blocks, axis=2)
 
     def effect_process(self, choice: Choice) -> Process:
@@ -376,10 +510,15 @@ def _in_channel(functions: np.ndarray, factor: np.ndarray) -> np.ndarray:
 
 def calibrate(data: Data) -> tuple[Problem, NoiseEstimate]:
     """`Problem` with its noise found and its outliers left out."""
-    spread = np.array([np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)])
-    rough = np.array([
-        getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12) for j, name in enumerate(CHANNELS)
-    ])  # fmt: skip
+    spread = np.array(
+        [np.nanstd(data.y[:, j]) if data.measured[:, j].any() else 1.0 for j in range(3)]
+    )
+    rough = np.array(
+        [
+            getattr(data.setup.noise, name) or max(0.05 * spread[j], 1e-12)
+            for j, name in enumerate(CHANNELS)
+        ]
+    )
     first = Problem(data, rough, data.measured)
     fit = first.fit()
 

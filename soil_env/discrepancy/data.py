@@ -12,12 +12,25 @@ from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-LEAST_PRESSURE, MOST_PRESSURE = 20.0, 1e7  # [Pa] load over radius times width, beyond which the unit is wrong
+LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, beyond which the unit is wrong
+MOST_PRESSURE = 1e7
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
-LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")  # conditions that are compared by their ratio
+LOGARITHMIC = (
+    "load",
+    "speed",
+    "pass",
+    "wheel_radius",
+    "wheel_width",
+)  # conditions that are compared by their ratio
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by its ratio.
-_SAME = {"slip": 0.005, "grade_deg": 0.1, "grouser_height": 1e-4, "wheel_radius": 0.005, "wheel_width": 0.005}
+_SAME = {
+    "slip": 0.005,
+    "grade_deg": 0.1,
+    "grouser_height": 1e-4,
+    "wheel_radius": 0.005,
+    "wheel_width": 0.005,
+}
 _SAME_RATIO = 0.02
 
 
@@ -47,7 +60,9 @@ class Data:
     y: np.ndarray  # [N, 3] measured, nan where not
     varied: dict[str, Factor]  # slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
-    relative_sd: np.ndarray  # [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own
+    relative_sd: (
+        np.ndarray
+    )  # [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own
 
     @property
     def measured(self) -> np.ndarray:
@@ -73,7 +88,9 @@ class Data:
     def beds(self) -> np.ndarray:
         """[N] number of the bed of soil of each row: of its run, or of the last run before it on fresh soil."""
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
-        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[1].ravel()
+        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[
+            1
+        ].ravel()
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:
@@ -87,7 +104,13 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
     """Conditions [N] of rows by the columns of a table."""
     speed, passes, sine = rows.conditions.T
     grade = np.round(np.degrees(np.arcsin(sine)), 6)
-    other = {"slip": rows.slip, "load": rows.load, "speed": speed, "pass": passes, "grade_deg": grade}
+    other = {
+        "slip": rows.slip,
+        "load": rows.load,
+        "speed": speed,
+        "pass": passes,
+        "grade_deg": grade,
+    }
     return other | dict(zip(WHEEL, rows.wheels.T, strict=True))
 
 
@@ -95,7 +118,9 @@ def prepare(table: Table, setup: Setup) -> Data:
     """`Data` of a table and its setup. Raises `ParameterError` where nothing could be learned from it."""
     height = setup.wheel.grouser_height
     wheel = ModelWheel(
-        setup.wheel.radius, setup.wheel.width, UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height
+        setup.wheel.radius,
+        setup.wheel.width,
+        UNKNOWN_HEIGHT * setup.wheel.radius if height is None else height,
     )
     rows = rows_of(table, wheel)._replace(slip=table.rim_slip(setup).copy())
     bare = np.isnan(table.grouser_height)
@@ -109,7 +134,9 @@ def prepare(table: Table, setup: Setup) -> Data:
         rows.conditions[:, 0] = 0.0
     elif np.any(np.isnan(table.speed)):
         k = int(np.flatnonzero(np.isnan(table.speed))[0])
-        raise ParameterError(f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in none")
+        raise ParameterError(
+            f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in none"
+        )
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
     varied: dict[str, Factor] = {}
@@ -138,22 +165,36 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         if wrong:
             raise ParameterError(f"{table.source}: {text}")
 
-    load, size = rows.load, rows.wheels[:, 0]
+    load = rows.load
+    size = rows.wheels[:, 0]
     pressure = float(np.median(load / (size * rows.wheels[:, 1])))
     shown = f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius times width"
     refuse(pressure < LEAST_PRESSURE, f"{shown}: expected newtons (if it is kN, multiply by 1000)")
     refuse(pressure > MOST_PRESSURE, f"{shown}: expected newtons")
-    for j, name, unit, over in ((1, "drawbar_pull", "newtons", load), (2, "torque", "newton metres", load * size)):
+    for j, name, unit, over in (
+        (1, "drawbar_pull", "newtons", load),
+        (2, "torque", "newton metres", load * size),
+    ):
         ratio = np.abs(y[:, j]) / over
         ratio = ratio[np.isfinite(ratio)]
         if ratio.size and np.median(ratio) > MOST_FORCE:
             times = "the load" if j == 1 else "load times radius"
-            refuse(True, f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: expected {unit}")
+            refuse(
+                True,
+                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: expected {unit}",
+            )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
         known = np.isfinite(z)
-        slope = np.polyfit(load[known], z[known], 1)[0] if np.ptp(load[known]) > 0.05 * load.mean() else 0.0
-        refuse(slope <= 0.0, "sinkage is negative in every row: expected metres below the surface, positive downward")
+        slope = (
+            np.polyfit(load[known], z[known], 1)[0]
+            if np.ptp(load[known]) > 0.05 * load.mean()
+            else 0.0
+        )
+        refuse(
+            slope <= 0.0,
+            "sinkage is negative in every row: expected metres below the surface, positive downward",
+        )
     driven = y[(rows.slip > 0.05) & np.isfinite(y[:, 2]), 2]
     refuse(
         driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,

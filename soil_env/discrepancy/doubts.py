@@ -28,7 +28,8 @@ from soil_env.terramechanics.model import Rows
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
 BETTER = 10.0  # times smaller that its mean square above the noise has to get where the table is read otherwise
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
-LOW_SLIP, LEAST_SPAN = 0.2, 0.15  # slip below which a group must begin, and its span, for that to say anything
+LOW_SLIP = 0.2  # slip below which a group must begin, and its span, for that to say anything
+LEAST_SPAN = 0.15
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
@@ -55,16 +56,22 @@ def of_table(problem: Problem) -> tuple[str, ...]:
     if rms < LARGE:
         return always
     tried = [(_rms(reading.problem), reading) for reading in _reinterpretations(problem)]
-    better = [(other, reading) for other, reading in tried if BETTER * (other**2 - 1.0) < rms**2 - 1.0]
+    better = [
+        (other, reading) for other, reading in tried if BETTER * (other**2 - 1.0) < rms**2 - 1.0
+    ]
     if better:
         other, reading = min(better, key=lambda f: f[0])
         text = (
             f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
             f"{reading.remedy}"
         )
-        broken = {"pull": _pull_falls, "load": _beyond_strength}.get(reading.name, lambda problem: "")(problem)
+        broken = {"pull": _pull_falls, "load": _beyond_strength}.get(
+            reading.name, lambda problem: ""
+        )(problem)
         if broken:
-            raise ParameterError(f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}")
+            raise ParameterError(
+                f"{problem.data.table.source}: {broken}; {text[:1].lower()}{text[1:]}"
+            )
         return (f"{text}.", *always)
     if falls := _pull_falls(problem):
         return (f"{falls}: check the sign of drawbar_pull (positive = the wheel pulls).", *always)
@@ -82,20 +89,27 @@ def _grades_doubted(data: Data) -> tuple[str, ...]:
 
 def _channels_doubted(problem: Problem) -> tuple[str, ...]:
     """Doubts of channels that hold one value at all slips, or forces that are far too small for newtons."""
-    data, out = problem.data, []
-    free = data.setup.load == "vertical" or "grade_deg" in data.varied  # a wheel that climbs freely pulls nothing
+    data = problem.data
+    out = []
+    free = (
+        data.setup.load == "vertical" or "grade_deg" in data.varied
+    )  # a wheel that climbs freely pulls nothing
     size = data.rows.load * data.rows.wheels[:, 0]
     for j, name, unit, over in (
-        (0, "sinkage", "", data.rows.wheels[:, 0]), (1, "drawbar_pull", "newtons", data.rows.load),
+        (0, "sinkage", "", data.rows.wheels[:, 0]),
+        (1, "drawbar_pull", "newtons", data.rows.load),
         (2, "torque", "newton metres", size),
-    ):  # fmt: skip
+    ):
         known = data.measured[:, j]
-        y, slips = data.y[known, j], data.rows.slip[known]
+        y = data.y[known, j]
+        slips = data.rows.slip[known]
         if y.size < 4 or np.ptp(slips) < LEAST_SPAN or (j == 1 and free and not np.any(y)):
             continue
         largest = float(np.max(np.abs(y) / over[known]))
         if np.ptp(y) == 0.0:
-            out.append(f"{name} is {y[0]:g} in every row: expected measured values, which change with slip.")
+            out.append(
+                f"{name} is {y[0]:g} in every row: expected measured values, which change with slip."
+            )
         elif unit and largest < WEAK:
             against = "the load" if j == 1 else "load times radius"
             out.append(
@@ -109,41 +123,77 @@ def _rms(problem: Problem) -> float:
 
 
 def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
-    data, rows = problem.data, problem.data.rows
+    data = problem.data
+    rows = problem.data.rows
     out = []
 
     def add(name, words, remedy, **changes):
         noise = problem.noise * changes.pop("scale", np.ones(3))
         used = changes.pop("used", problem.used)
         there = dataclasses.replace(data, **changes)
-        out.append(Reinterpretation(name, words, remedy, Problem(there, noise, used, problem.freedom)))
+        out.append(
+            Reinterpretation(name, words, remedy, Problem(there, noise, used, problem.freedom))
+        )
 
     if problem.used[:, 1].any():
-        add("pull", "With the sign of drawbar_pull turned",
-            "expected drawbar_pull positive where the wheel pulls", y=data.y * [1.0, -1.0, 1.0])  # fmt: skip
-        add("pull_kg", f"With drawbar_pull as kilograms (times {GRAVITY})", "expected drawbar_pull in newtons",
-            y=data.y * [1.0, GRAVITY, 1.0], scale=np.array([1.0, GRAVITY, 1.0]))  # fmt: skip
+        add(
+            "pull",
+            "With the sign of drawbar_pull turned",
+            "expected drawbar_pull positive where the wheel pulls",
+            y=data.y * [1.0, -1.0, 1.0],
+        )
+        add(
+            "pull_kg",
+            f"With drawbar_pull as kilograms (times {GRAVITY})",
+            "expected drawbar_pull in newtons",
+            y=data.y * [1.0, GRAVITY, 1.0],
+            scale=np.array([1.0, GRAVITY, 1.0]),
+        )
     if problem.used[:, 2].any():
-        add("torque_kg", f"With torque as kilogram metres (times {GRAVITY})", "expected torque in newton metres",
-            y=data.y * [1.0, 1.0, GRAVITY], scale=np.array([1.0, 1.0, GRAVITY]))  # fmt: skip
+        add(
+            "torque_kg",
+            f"With torque as kilogram metres (times {GRAVITY})",
+            "expected torque in newton metres",
+            y=data.y * [1.0, 1.0, GRAVITY],
+            scale=np.array([1.0, 1.0, GRAVITY]),
+        )
     if problem.used[:, 1:].any(axis=0).all():
         swapped = [0, 2, 1]
-        of_table = math.isfinite(problem.freedom)  # else the setup gives it by the name of the channel
+        of_table = math.isfinite(
+            problem.freedom
+        )  # else the setup gives it by the name of the channel
         scale = problem.noise[swapped] / problem.noise if of_table else np.ones(3)
-        add("columns", "With the columns of drawbar_pull and torque exchanged",
+        add(
+            "columns",
+            "With the columns of drawbar_pull and torque exchanged",
             "expected drawbar_pull in newtons and torque in newton metres, each in its own column",
-            y=data.y[:, swapped], scale=scale, used=problem.used[:, swapped])  # fmt: skip
-    add("load", f"With load as kilograms (times {GRAVITY})", "expected load in newtons",
-        rows=rows._replace(load=rows.load * GRAVITY))  # fmt: skip
+            y=data.y[:, swapped],
+            scale=scale,
+            used=problem.used[:, swapped],
+        )
+    add(
+        "load",
+        f"With load as kilograms (times {GRAVITY})",
+        "expected load in newtons",
+        rows=rows._replace(load=rows.load * GRAVITY),
+    )
     if problem.used[:, 1:].any():  # sinkage alone may rise or fall with slip
-        add("slip", "With the sign of slip turned", "expected slip positive where the wheel drives",
-            rows=rows._replace(slip=-rows.slip))  # fmt: skip
+        add(
+            "slip",
+            "With the sign of slip turned",
+            "expected slip positive where the wheel drives",
+            rows=rows._replace(slip=-rows.slip),
+        )
     if not np.any(np.isfinite(data.table.wheel_radius)) and data.wheel.radius >= 0.02:
         half = 0.5 * data.wheel.radius
         if not np.any(data.y[:, 0] > half):
-            add("radius", f"With wheel.radius of the setup halved to {half:g} m",
+            add(
+                "radius",
+                f"With wheel.radius of the setup halved to {half:g} m",
                 "expected the radius, not the diameter",
-                wheel=dataclasses.replace(data.wheel, radius=half), rows=_resized(rows, half))  # fmt: skip
+                wheel=dataclasses.replace(data.wheel, radius=half),
+                rows=_resized(rows, half),
+            )
     return out
 
 
@@ -156,21 +206,35 @@ def _resized(rows: Rows, radius: float) -> Rows:
 def _pull_falls(problem: Problem) -> str:
     """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups of rows."""
     data = problem.data
-    falls, first, last = [], [], []
+    falls = []
+    first = []
+    last = []
     for rows in data.groups:
         rows = rows[problem.used[rows, 1]]
         slip = data.rows.slip[rows]
-        if rows.size < 3 or slip.min() < -0.05 or slip.min() > LOW_SLIP or np.ptp(slip) < LEAST_SPAN:
+        if (
+            rows.size < 3
+            or slip.min() < -0.05
+            or slip.min() > LOW_SLIP
+            or np.ptp(slip) < LEAST_SPAN
+        ):
             continue
         order = np.argsort(slip)
-        pull, slip = data.y[rows[order], 1], slip[order]
+        pull = data.y[rows[order], 1]
+        slip = slip[order]
         slope = np.polyfit(slip, pull, 1)[0]
-        falls.append(slope * np.ptp(slip) < -3.0 * problem.noise[1] and pull[-1] < min(pull[0], 0.0))
+        falls.append(
+            slope * np.ptp(slip) < -3.0 * problem.noise[1] and pull[-1] < min(pull[0], 0.0)
+        )
         first.append(pull[0])
         last.append(pull[-1])
     if not falls or np.mean(falls) < FALLS:
         return ""
-    where = "in every group of rows" if all(falls) else f"in {100.0 * np.mean(falls):.0f} % of the groups of rows"
+    where = (
+        "in every group of rows"
+        if all(falls)
+        else f"in {100.0 * np.mean(falls):.0f} % of the groups of rows"
+    )
     return (
         f"drawbar_pull falls with slip {where} that differ in slip alone, from {np.median(first):.3g} N at the least "
         f"to {np.median(last):.3g} N at the largest slip"
@@ -179,16 +243,23 @@ def _pull_falls(problem: Problem) -> str:
 
 def _beyond_strength(problem: Problem) -> str:
     """The thrust is larger than a soil within the priors can bear at that load: c A + W tan(phi) on the contact."""
-    data, priors = problem.data, problem.data.setup.soil
+    data = problem.data
+    priors = problem.data.setup.soil
     if priors.cohesion is None:
         return ""
     cohesion = priors.cohesion.value + SURE * priors.cohesion.sd
     phi = priors.friction_angle_deg
-    tangent = math.tan(math.radians(STEEPEST if phi is None else min(phi.value + SURE * phi.sd, STEEPEST)))
-    radius, width = data.rows.wheels[:, 0], data.rows.wheels[:, 1]
+    tangent = math.tan(
+        math.radians(STEEPEST if phi is None else min(phi.value + SURE * phi.sd, STEEPEST))
+    )
+    radius = data.rows.wheels[:, 0]
+    width = data.rows.wheels[:, 1]
     depth = np.clip(np.nan_to_num(data.y[:, 0], nan=0.3 * float(radius[0])), 0.02 * radius, radius)
     bearable = cohesion * contact_area(depth, radius, width) + tangent * data.rows.load
-    for j, name, force in ((2, "torque/radius", data.y[:, 2] / radius), (1, "drawbar_pull", data.y[:, 1])):
+    for j, name, force in (
+        (2, "torque/radius", data.y[:, 2] / radius),
+        (1, "drawbar_pull", data.y[:, 1]),
+    ):
         share = (force / bearable)[problem.used[:, j] & (data.rows.slip > 0.15)]
         if share.size > 2 and np.median(share) > 1.0:
             return (
@@ -198,10 +269,12 @@ def _beyond_strength(problem: Problem) -> str:
     return ""
 
 
-def of_lone_rows(problem: Problem, noise: NoiseEstimate, finding: Finding,
-                 say: Callable[[str], None]) -> tuple[str, ...]:  # fmt: skip
+def of_lone_rows(
+    problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
+) -> tuple[str, ...]:
     """Return a doubt where rows that stand alone in their conditions decide what is named, none as a rule."""
-    table, alone = problem.data.table, np.flatnonzero(noise.alone)
+    table = problem.data.table
+    alone = np.flatnonzero(noise.alone)
     if not 0 < alone.size <= len(table) // FEW:
         return ()
     say("searching without the rows that stand alone")
@@ -212,7 +285,9 @@ def of_lone_rows(problem: Problem, noise: NoiseEstimate, finding: Finding,
     found = search(others, lambda text: say(f"searching without the rows that stand alone: {text}"))
     if (found.verdict, {*found.names}) == (finding.verdict, {*finding.names}):
         return ()
-    rows = ", line ".join(f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone)
+    rows = ", line ".join(
+        f"{table.row[k]} (slip {table.slip[k]:g}, load {table.load[k]:g} N)" for k in alone
+    )
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
     one = alone.size == 1
     return (

@@ -39,7 +39,8 @@ from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
 
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
-EFFECT_SIZES, EFFECT_PRIOR = (0.03, 0.12, 0.3), (0.35, 0.5, 0.15)
+EFFECT_SIZES = (0.03, 0.12, 0.3)
+EFFECT_PRIOR = (0.35, 0.5, 0.15)
 _NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
@@ -85,7 +86,9 @@ def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray]:
         effect = [(EFFECT_SIZES[0], 1.0)]
     law = list(zip(SIZES.tolist(), size_prior(), strict=True))
     every = product(law, effect, range(len(LAW_LENGTHS)))
-    points = [(Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every]
+    points = [
+        (Sizes(a, e, span=k, rig=1.0), p * q / len(LAW_LENGTHS)) for (a, p), (e, q), k in every
+    ]
     return [s for s, _ in points], np.log([p for _, p in points])
 
 
@@ -107,16 +110,28 @@ def noise_scales(freedom: float) -> np.ndarray:
 def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
     """`Evidence` of a fit, linearised about it, over the sizes of `plain_grid` or others."""
     sizes, log_prior, errors, table, first = over or plain_grid(fit)
-    scatter, p = np.array([s.scatter for s in sizes]), fit.u.size
-    scales, normal = noise_scales(problem.freedom), NormalEquations.of(fit.jacobian, errors, fit.residual)
-    log, mean, covariance = (np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p)))
+    scatter = np.array([s.scatter for s in sizes])
+    p = fit.u.size
+    scales = noise_scales(problem.freedom)
+    normal = NormalEquations.of(fit.jacobian, errors, fit.residual)
+    log, mean, covariance = (
+        np.empty((len(scales), len(sizes), *more)) for more in ((), (p,), (p, p))
+    )
     for k, noise in enumerate(scales):
         for more in np.unique(scatter):
-            at, sd = scatter == more, noise * more
+            at = scatter == more
+            sd = noise * more
             found = marginals(normal, table[at], fit.u, first, sd)
-            log[k, at] = found[0] + log_prior[at] - fit.residual.size * math.log(sd) + _allowed(fit, *found[1:])
+            log[k, at] = (
+                found[0]
+                + log_prior[at]
+                - fit.residual.size * math.log(sd)
+                + _allowed(fit, *found[1:])
+            )
             mean[k, at], covariance[k, at] = found[1:]
-    log, mean, covariance = (x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance))
+    log, mean, covariance = (
+        x.reshape(len(scales) * len(sizes), *x.shape[2:]) for x in (log, mean, covariance)
+    )
     total = float(logsumexp(log))
     share = np.exp(log - total)
     of = dict(zip(sizes, share.reshape(len(scales), -1).sum(axis=0).tolist(), strict=True))
@@ -145,13 +160,19 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return between
 
 
-def settle(problem: Problem, choices: tuple[Choice, ...], near: Evidence | None = None,
-           start: dict[str, float] | None = None) -> Evidence:  # fmt: skip
+def settle(
+    problem: Problem,
+    choices: tuple[Choice, ...],
+    near: Evidence | None = None,
+    start: dict[str, float] | None = None,
+) -> Evidence:
     """Evidence of a model, fitted under the form errors that are most probable with it, and linearised there.
 
     `near`, a model of the same table, is where the first fit takes its form errors from.
     """
-    first = Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span, rig=1.0)
+    first = (
+        Sizes() if near is None else Sizes(min(near.sizes.law, 0.05), span=near.sizes.span, rig=1.0)
+    )
     if start is None and near is not None:
         start = near.fit.parameters()
     best = weigh(problem, problem.fit(choices, start, first, None if near is None else near.fit))
@@ -173,37 +194,54 @@ class _Further:
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
-        self.fit, self.choices = first.fit, choices
-        self.unknowns, columns, self.owner = [], [], []
-        base, guess = problem.whiten(first.fit.output), problem.sinkage_guess(first.fit)
+        self.fit = first.fit
+        self.choices = choices
+        self.unknowns = []
+        columns = []
+        self.owner = []
+        base = problem.whiten(first.fit.output)
+        guess = problem.sinkage_guess(first.fit)
         for k, choice in enumerate(choices):
             own = [u for u in problem.unknowns((choice,)) if u.name in choice.free]
             for moved in (u for u in own if not u.log):
                 trial = {u.name: u.value(0.0) for u in own} | {moved.name: moved.value(_LITTLE)}
-                values, all_ = first.fit.parameters() | trial, (*first.fit.choices, choice)
-                columns.append((problem.whiten(problem.predict(values, all_, guess.copy())) - base) / _LITTLE)
+                values = first.fit.parameters() | trial
+                all_ = (*first.fit.choices, choice)
+                columns.append(
+                    (problem.whiten(problem.predict(values, all_, guess.copy())) - base) / _LITTLE
+                )
                 self.unknowns.append(moved)
                 self.owner.append(k)
         self.columns = finite(columns, base.size)
         blocks = (first.fit.jacobian, *first.fit.law, first.fit.effect, first.fit.rig)
-        self.known, self.width = np.concatenate(blocks, axis=1), [b.shape[1] for b in blocks]
+        self.known = np.concatenate(blocks, axis=1)
+        self.width = [b.shape[1] for b in blocks]
         self.effect = first.sizes.effect
-        self.gram, self.cross = self.known.T @ self.known, self.known.T @ self.columns
+        self.gram = self.known.T @ self.known
+        self.cross = self.known.T @ self.columns
         self.along = self.known.T @ first.fit.residual
-        self.own_gram, self.own_along = self.columns.T @ self.columns, self.columns.T @ first.fit.residual
+        self.own_gram = self.columns.T @ self.columns
+        self.own_along = self.columns.T @ first.fit.residual
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
         """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error, and scatter."""
-        fit, noise = self.fit, sizes.scatter
+        fit = self.fit
+        noise = sizes.scatter
         d = np.repeat([1.0, *sizes.laws, self.effect, 1.0], self.width) / noise
         seen = d > 0.0
-        start, d = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen], d[seen]
-        factor = cholesky(d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True)
-        right = np.column_stack([d * self.along[seen] / noise - start, d[:, None] * self.cross[seen] / noise])
+        start = np.concatenate([fit.u, np.zeros(d.size - fit.u.size)])[seen]
+        d = d[seen]
+        factor = cholesky(
+            d[:, None] * self.gram[np.ix_(seen, seen)] * d + np.eye(d.size), lower=True
+        )
+        right = np.column_stack(
+            [d * self.along[seen] / noise - start, d[:, None] * self.cross[seen] / noise]
+        )
         half = solve_triangular(factor, right, lower=True)
         square = fit.residual @ fit.residual / noise**2 + fit.u @ fit.u - half[:, 0] @ half[:, 0]
         log = -0.5 * square - np.sum(np.log(np.diag(factor))) - fit.residual.size * math.log(noise)
-        normal, pull = self.own_gram / noise**2, self.own_along / noise**2
+        normal = self.own_gram / noise**2
+        pull = self.own_along / noise**2
         return log, normal - half[:, 1:].T @ half[:, 1:], pull - half[:, 1:].T @ half[:, 0]
 
 
@@ -223,7 +261,8 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
 def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
     """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0 where they would."""
     if pull.size == 1:  # most forms: numbers are quicker than arrays
-        x, n = float(pull[0]), 1.0 + float(normal[0, 0])
+        x = float(pull[0])
+        n = 1.0 + float(normal[0, 0])
         return 0.0 if one_sided[0] and x < 0.0 else 0.5 * (x * x / n - math.log(n))
     while pull.size:
         whole = normal + np.eye(pull.size)
@@ -231,7 +270,9 @@ def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
         wrong = one_sided & (solved < 0.0)
         if not wrong.any():
             return float(0.5 * pull @ solved - 0.5 * np.linalg.slogdet(whole)[1])
-        normal, pull, one_sided = normal[np.ix_(~wrong, ~wrong)], pull[~wrong], one_sided[~wrong]
+        normal = normal[np.ix_(~wrong, ~wrong)]
+        pull = pull[~wrong]
+        one_sided = one_sided[~wrong]
     return 0.0
 
 
@@ -244,27 +285,39 @@ class Detectable(NamedTuple):
     power: float  # probability that the strength is larger, by its prior
 
 
-def detectable(problem: Problem, base: Evidence, choices: list[Choice], threshold: float) -> Detectable:
+def detectable(
+    problem: Problem, base: Evidence, choices: list[Choice], threshold: float
+) -> Detectable:
     """`Detectable` of an effect, in the form of `choices` that shows best.
 
     A strength of x prior standard deviations with the normal n under the form errors of the base model is expected to
     gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the `threshold` that its prior sets.
     """
     further = _Further(problem, base, choices)
-    normal = sum(p * np.maximum(np.diag(further.under(s)[1]), 1e-12) for s, p in base.share.items() if p > _SLIGHT)
+    normal = sum(
+        p * np.maximum(np.diag(further.under(s)[1]), 1e-12)
+        for s, p in base.share.items()
+        if p > _SLIGHT
+    )
     x = np.sqrt((2.0 * threshold + np.log1p(normal)) / normal)
     power = np.array([_beyond(u, float(at)) for u, at in zip(further.unknowns, x, strict=True)])
     k = int(np.argmax(power + 1e-9 / x))
-    moved, choice = further.unknowns[k], choices[further.owner[k]]
+    moved = further.unknowns[k]
+    choice = choices[further.owner[k]]
     form = LISTED[choice.effect].forms[choice.form].name
-    return Detectable(float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k]))
+    return Detectable(
+        float(x[k] * moved.sd), moved.name[len(choice.effect) + 1 :], form, float(power[k])
+    )
 
 
 def _beyond(unknown: Unknown, x: float) -> float:
     """Prior probability of a strength further than x standard deviations from its mean, within its bounds."""
     low, high = unknown.bounds
     inside = ndtr(high) - ndtr(low)
-    return float((max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0)) / inside)
+    return float(
+        (max(ndtr(high) - ndtr(max(x, low)), 0.0) + max(ndtr(min(-x, high)) - ndtr(low), 0.0))
+        / inside
+    )
 
 
 #: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each
@@ -273,8 +326,13 @@ FREE_SIZES = (0.03, 0.15, 0.5)
 #: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
 PATTERN_SIZES = (0.05, 0.15, 0.4)
 SCATTERS = (1.5, 2.0, 3.0, 4.5, 7.0, 10.0, 15.0)  # of the values over the noise
-_STRESSES = ("normal stress", "shear stress", "place of the normal stress", "spread of the normal stress",
-             "place of the shear stress")  # fmt: skip
+_STRESSES = (
+    "normal stress",
+    "shear stress",
+    "place of the normal stress",
+    "spread of the normal stress",
+    "place of the shear stress",
+)
 Pattern = tuple[str, float]  # where and with what, and its size
 #: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes with the pass, the
 #: size of a stress with the speed, the pull with the grade, a friction with the speed, a zero that drifts.
@@ -284,9 +342,11 @@ _OWNED = {
     "drawbar_pull": ("pass", "grade_deg"),
     "sinkage": ("pass", "elapsed"),
 }
-FEWEST_BEDS, MOST_BEDS = 4, 60  # of a table that can show that each has a soil of its own
+FEWEST_BEDS = 4  # of a table that can show that each has a soil of its own
+MOST_BEDS = 60
 _FUNCTIONS = 12  # of a pattern at most
-_LIKELY, _COARSE = 2, (0.02, 0.1)  # sizes of the other form errors that are tried beside it
+_LIKELY = 2  # sizes of the other form errors that are tried beside it
+_COARSE = (0.02, 0.1)
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
@@ -294,7 +354,9 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     at = problem.data.conditions | problem.data.elapsed
     moved = problem.stresses(fit.parameters(), fit.choices, fit.output, problem.sinkage_guess(fit))
     sizes = [np.broadcast_to(problem.size * unit, fit.output.shape) for unit in np.eye(3)]
-    channels: dict[str, np.ndarray] = {CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()}
+    channels: dict[str, np.ndarray] = {
+        CHANNELS[j]: sizes[j] for j in range(3) if problem.used[:, j].any()
+    }
     alone = [n for n in LENGTHS if n in at and np.ptp(at[n]) > 0.0]
     alone_with_slip = Process.over(at, of=("slip",), most=_FUNCTIONS).at_points
     out = {}
@@ -302,11 +364,15 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
         process = Process.over(at, of=names, most=_FUNCTIONS)
         if process.names != names:
             continue
-        places, functions = channels, process.at_points
+        places = channels
+        functions = process.at_points
         if not {*names} <= {*INPUTS}:
             places = dict(zip(_STRESSES, moved, strict=True)) | channels
             if "slip" in names:  # what goes with the slip alone is the form error of the base law
-                functions = functions - alone_with_slip @ np.linalg.lstsq(alone_with_slip, functions, rcond=1e-6)[0]
+                functions = (
+                    functions
+                    - alone_with_slip @ np.linalg.lstsq(alone_with_slip, functions, rcond=1e-6)[0]
+                )
         for place, change in places.items():
             if names[-1] in _OWNED.get(place, ()):
                 continue
@@ -315,17 +381,25 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
     beds = problem.data.beds
     if FEWEST_BEDS <= beds.max() + 1 <= min(MOST_BEDS, beds.size // 3):
         for place, change in zip(_STRESSES[:2], moved, strict=False):
-            out[f"{place} with bed"] = problem.block(change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :])
+            out[f"{place} with bed"] = problem.block(
+                change[:, :, None] * np.eye(beds.max() + 1)[beds][:, None, :]
+            )
     return out
 
 
-def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None) -> Grid:
+def anonymous_grid(
+    problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
+) -> Grid:
     """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that `plain` has likely.
 
     With `beside`, a pattern of a first round, those of a second: with that pattern, another or a smooth contribution.
     """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
-    likely = list(dict.fromkeys([*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]))
+    likely = list(
+        dict.fromkeys(
+            [*likely[:_LIKELY], *(s._replace(law=law) for s in likely[:1] for law in _COARSE)]
+        )
+    )
     usual = plain_grid(fit)
     prior = dict(zip(usual.sizes, usual.log_prior, strict=True))
     before = np.array([prior[s] for s in likely])
@@ -333,8 +407,13 @@ def anonymous_grid(problem: Problem, plain: Evidence, fit: Fit, beside: Pattern 
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
-    kinds: list[list[tuple[dict[str, Any], float]]] = [  # (sizes, log of their probability up to a constant)
-        [({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f)) for f in free],
+    kinds: list[
+        list[tuple[dict[str, Any], float]]
+    ] = [  # (sizes, log of their probability up to a constant)
+        [
+            ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
+            for f in free
+        ],
         [({"patterns": (*first, (n, x))}, 0.0) for n in by for x in PATTERN_SIZES],
         [({"scatter": x}, 0.0) for x in SCATTERS if beside is None],
     ]
@@ -366,7 +445,11 @@ def resembling(problem: Problem, plain: Evidence) -> Evidence:
     sizes = [usual.sizes[k]._replace(effect=x) for x in ALIKE_SIZES for k in rows]
     table = np.array([(s.rig, s.effect, *s.laws) for s in sizes])
     prior = np.tile(usual.log_prior[rows], len(ALIKE_SIZES))
-    return weigh(problem, plain.fit, usual._replace(sizes=sizes, log_prior=prior - logsumexp(prior), table=table))
+    return weigh(
+        problem,
+        plain.fit,
+        usual._replace(sizes=sizes, log_prior=prior - logsumexp(prior), table=table),
+    )
 
 
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
@@ -378,7 +461,9 @@ def anonymous(problem: Problem, plain: Evidence) -> Evidence:
     free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
     if free.sizes.scatter > 1.0:
         again = problem.fit(plain.fit.choices, None, free.sizes, plain.fit)
-        return max(free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log)
+        return max(
+            free, weigh(problem, again, anonymous_grid(problem, plain, again)), key=lambda e: e.log
+        )
     single = [s for s in free.share if s.patterns]
     if not single:
         return free

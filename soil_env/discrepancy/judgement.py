@@ -53,23 +53,34 @@ def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     in `own`, their model. In the logarithm where the unknown is fitted in it; never beyond the bounds.
     """
     p = len(finding.best().evidence.fit.unknowns)
-    parts = [(h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p]) for h in finding.hypotheses]
+    parts = [
+        (h.probability, h.evidence.mean[:p], np.diag(h.evidence.covariance)[:p])
+        for h in finding.hypotheses
+    ]
     soil = sum(w * mean for w, mean, _ in parts)
     square = sum(w * (variance + (mean - soil) ** 2) for w, mean, variance in parts)
     mean = np.concatenate([soil, own.mean[p:]])
     sd = np.sqrt(np.concatenate([square, np.diag(own.covariance)[p:]]))
-    return {k.name: _interval(k, float(u), float(s)) for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)}
+    return {
+        k.name: _interval(k, float(u), float(s))
+        for k, u, s in zip(own.fit.unknowns, mean, sd, strict=True)
+    }
 
 
 def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
     """Mean and quantiles, those of the normal distribution brought within the bounds."""
-    return Interval(*(float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
-                      for x in (u, u - SURE * sd, u + SURE * sd)))  # fmt: skip
+    return Interval(
+        *(
+            float(unknown.value(min(max(x, unknown.bounds[0]), unknown.bounds[1])))
+            for x in (u, u - SURE * sd, u + SURE * sd)
+        )
+    )
 
 
 def groups(problem: Problem) -> tuple[np.ndarray, int]:
     """([F, M] which of the values in use each held-out group has, number of ways to cut the table into groups)."""
-    ways, rows = folds(problem.data), np.nonzero(problem.used)[0]
+    ways = folds(problem.data)
+    rows = np.nonzero(problem.used)[0]
     return np.stack([group[rows] for way in ways for group in way]), len(ways)
 
 
@@ -80,7 +91,9 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     linearised about the fit to all. Mean over the ways to cut the table.
     """
     (a, e), (member, ways) = fit.linearised(), groups(problem)
-    top, normal, r = a[: fit.residual.size], a.T @ a, e[: fit.residual.size]
+    top = a[: fit.residual.size]
+    normal = a.T @ a
+    r = e[: fit.residual.size]
     laws = int(fit.free_unknowns.sum())
     error = np.zeros(r.size)
     for out in member:
@@ -88,7 +101,9 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
         error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
     predicted = np.full(problem.used.shape, math.nan)
-    scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[problem.used]
+    scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[
+        problem.used
+    ]
     predicted[problem.used] = problem.data.y[problem.used] - error * scale
     return predicted
 
@@ -108,12 +123,16 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
     """Share of the held-out mean square above the noise that is gone, over all values; None where there was none."""
     count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
-    before, after = (sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items()) for k in (0, 1))
+    before, after = (
+        sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items())
+        for k in (0, 1)
+    )
     return None if before <= 0.0 else 1.0 - after / before
 
 
-def closed_interval(problem: Problem, before: np.ndarray, after: np.ndarray,
-                    rng: np.random.Generator) -> tuple[float, float] | None:  # fmt: skip
+def closed_interval(
+    problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float] | None:
     """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a gap.
 
     Values of one slip share the error of that slip, and values of one combination of the other conditions share
@@ -124,7 +143,9 @@ def closed_interval(problem: Problem, before: np.ndarray, after: np.ndarray,
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for way in folds(problem.data):
         group = np.argmax(np.stack(way), axis=0)
-        weight *= rng.multinomial(len(way), np.full(len(way), 1.0 / len(way)), size=_CLOSED_DRAWS)[:, group]
+        weight *= rng.multinomial(len(way), np.full(len(way), 1.0 / len(way)), size=_CLOSED_DRAWS)[
+            :, group
+        ]
     total = []
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)
@@ -139,7 +160,9 @@ def closed_interval(problem: Problem, before: np.ndarray, after: np.ndarray,
     return float(low), float(high)
 
 
-def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]) -> dict[str, float | None]:
+def shares(
+    problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]
+) -> dict[str, float | None]:
     """Share of the gap above the noise that each named effect closes, from held-out predictions of its sets.
 
     Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley value).
@@ -152,4 +175,6 @@ def shares(problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.
         return dict.fromkeys(full)
     if len(full) == 1:
         return {full[0]: closes[full]}
-    return {n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full}
+    return {
+        n: 0.5 * (closes[n,] + closes[full] - sum(closes[m,] for m in full if m != n)) for n in full
+    }

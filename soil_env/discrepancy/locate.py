@@ -21,11 +21,14 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
-LAW, EFFECT = 0.1, 0.12  # relative errors of the laws and of an effect's form that `structure` allows
+LAW = 0.1  # relative errors of the laws and of an effect's form that `structure` allows
+EFFECT = 0.12
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|
-_TAIL = 0.95  # quantile of the simulated maxima at which the number of independent looks is read off
+_TAIL = (
+    0.95  # quantile of the simulated maxima at which the number of independent looks is read off
+)
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
 
@@ -35,7 +38,9 @@ class Disagreement:
     """One box in which a channel leaves the model."""
 
     channel: str
-    region: dict[str, tuple[float, float]]  # condition -> (low, high) in its unit; what is not named is not limited
+    region: dict[
+        str, tuple[float, float]
+    ]  # condition -> (low, high) in its unit; what is not named is not limited
     size: float  # [m, N or N m] mean of measured - model in the box
     size_sd: float  # the same in standard deviations of the noise of one value
     p_value: float  # of anything as large anywhere
@@ -58,7 +63,9 @@ def boxes(problem: Problem) -> Boxes:
         limits += [{name: (a, b)} for a, b in ends if b - a + 1 < c.levels]
     for (one, c), (two, d) in combinations(varied.items(), 2):
         limits += [{one: p, two: q} for p in _half_lines(c.levels) for q in _half_lines(d.levels)]
-    member, kept, seen = [], [], set()
+    member = []
+    kept = []
+    seen = set()
     for box in limits:
         inside = np.ones(problem.data.rows.slip.size, dtype=bool)
         for name, (a, b) in box.items():
@@ -87,12 +94,15 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
     q = np.linalg.qr(a)[0]  # directions that the parameters absorb
     row, channel = np.nonzero(problem.used)
     measured = [j for j in range(3) if problem.used[:, j].any()]
-    v = np.concatenate([(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1)
+    v = np.concatenate(
+        [(found.member[:, row] & (channel == j)).T.astype(float) for j in measured], axis=1
+    )
     where = [(j, k) for j in measured for k in range(len(found.limits))]
     open_ = v.sum(axis=0) >= LEAST_VALUES
     if not open_.any():
         return ()
-    v, where = v[:, open_], [w for w, ok in zip(where, open_, strict=True) if ok]
+    v = v[:, open_]
+    where = [w for w, ok in zip(where, open_, strict=True) if ok]
     total = np.sqrt(v.sum(axis=0))
     v = np.concatenate([v, np.zeros((q.shape[0] - v.shape[0], v.shape[1]))])
     raw = v
@@ -116,7 +126,9 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
         taken.append((j, found.member[box] & problem.used[:, j]))
         e = e - v[:, k] * (v[:, k] @ e)
         v, left = _project(v, v[:, k : k + 1], np.ones(v.shape[1]))
-        apart = [not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where]
+        apart = [
+            not any(j == i and np.any(m & found.member[b]) for i, m in taken) for j, b in where
+        ]
         allowed = allowed & left & np.array(apart)
     return tuple(out)
 
@@ -129,7 +141,9 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
-    left = locate(problem, problem.fit(model.fit.choices, model.fit.parameters(), sizes, model.fit), seed)
+    left = locate(
+        problem, problem.fit(model.fit.choices, model.fit.parameters(), sizes, model.fit), seed
+    )
     return left[0].p_value if left else 1.0
 
 
@@ -161,8 +175,11 @@ def _p_value(t: float, looks: float, freedom: float) -> float:
     return -math.expm1(looks * math.log1p(-alone)) if alone < 1.0 else 1.0
 
 
-def _disagreement(problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float) -> Disagreement:
-    j, varied = CHANNELS.index(channel), problem.data.varied
+def _disagreement(
+    problem: Problem, fit: Fit, channel: str, found: Boxes, box: int, p: float
+) -> Disagreement:
+    j = CHANNELS.index(channel)
+    varied = problem.data.varied
     inside = found.member[box] & problem.used[:, j]
     size = float(np.mean((problem.data.y - fit.output)[inside, j]))
     region = {}

@@ -46,15 +46,28 @@ class Check(NamedTuple):
 
 CHECKS = (
     Check("level", "put a level on the rig", ("tilt",)),
-    Check("lifted", "lift the wheel, and read pull and torque at rest and turning",
-          ("force_offset", "torque_offset", "drivetrain_friction")),
-    Check("plate", "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
-          "have to read 0", ("sinkage_offset", "slip_bias", "wheel_radius")),
-    Check("weights", "hang known weights on the load cell and on a lever at the wheel, and read both sensors each time",
-          ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk")),
-    Check("scale", "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to stay",
-          ("arm_load", "spring_load")),
-)  # fmt: skip
+    Check(
+        "lifted",
+        "lift the wheel, and read pull and torque at rest and turning",
+        ("force_offset", "torque_offset", "drivetrain_friction"),
+    ),
+    Check(
+        "plate",
+        "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
+        "have to read 0",
+        ("sinkage_offset", "slip_bias", "wheel_radius"),
+    ),
+    Check(
+        "weights",
+        "hang known weights on the load cell and on a lever at the wheel, and read both sensors each time",
+        ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk"),
+    ),
+    Check(
+        "scale",
+        "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to stay",
+        ("arm_load", "spring_load"),
+    ),
+)
 
 
 class Predicted(NamedTuple):
@@ -105,11 +118,14 @@ class Candidates(NamedTuple):
         cov = np.zeros((count, points, before + channels, before + channels))
         for k, root in enumerate(self.root):
             first = root[chosen].reshape(before, root.shape[2])
-            mean[k, :, :before], mean[k, :, before:] = self.mean[k, chosen].ravel(), self.mean[k]
+            mean[k, :, :before] = self.mean[k, chosen].ravel()
+            mean[k, :, before:] = self.mean[k]
             cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
             cov[k, :, before:, :before] = cross = root @ first.T
             cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
-            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + self.own[k][:, :, None] * np.eye(channels)
+            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + self.own[k][
+                :, :, None
+            ] * np.eye(channels)
         return mean, cov
 
 
@@ -120,9 +136,14 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
     """
     share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
-    unseen = [e.name for e in LISTED.values() if e.name in finding.untestable and _could_show(problem, e.name)]
+    unseen = [
+        e.name
+        for e in LISTED.values()
+        if e.name in finding.untestable and _could_show(problem, e.name)
+    ]
     for name in unseen if share[()] * ODDS >= WITHIN_REACH else ():
-        share[name,], found[name,] = share[()] * ODDS, settle(problem, (forms(problem, name)[0],))
+        share[name,] = share[()] * ODDS
+        found[name,] = settle(problem, (forms(problem, name)[0],))
     ranked = sorted(found, key=lambda s: -share[s])
     order = [s for s in ranked if share[s] >= WITHIN_REACH][:CANDIDATES] or ranked[:1]
     unlisted = finding.unlisted > max([finding.none, *(finding.share(n) for n in finding.tried)])
@@ -133,14 +154,22 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
     """Checks that are expected to say more about which candidate is right than any of these runs."""
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
-    names, p = [*share, ()], np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
-    left, out, before, overlap = list(CHECKS), [], 0.0, np.ones((p.size, p.size))
+    names = [*share, ()]  # no check knows what is in no catalogue
+    p = np.array([*share.values(), finding.unlisted])
+    left = list(CHECKS)
+    out = []
+    before = 0.0
+    overlap = np.ones((p.size, p.size))
     while left:
-        worth = [float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before for c in left]
+        worth = [
+            float(information(p, (overlap * decided(names, c))[:, :, None])[0]) - before
+            for c in left
+        ]
         k = int(np.argmax(worth))
         if worth[k] <= max(least, LEAST_OF_CHECK):
             break
-        overlap, before = overlap * decided(names, left[k]), before + worth[k]
+        overlap = overlap * decided(names, left[k])
+        before = before + worth[k]
         out.append(left.pop(k))
     return tuple(out)
 
@@ -154,28 +183,45 @@ def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
     return share
 
 
-def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[float], most: int = MOST,
-             repeat: bool = False) -> tuple[NextTest, ...]:  # fmt: skip
+def proposed(
+    problem: Problem,
+    evidence: Sequence[Evidence],
+    share: Sequence[float],
+    most: int = MOST,
+    repeat: bool = False,
+) -> tuple[NextTest, ...]:
     """The runs for candidates of these probabilities; `repeat`: the run that the first one misses most comes first."""
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
-    missed = np.where(problem.data.measured, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0)
-    worst, last = int(np.argmax(missed.max(axis=1))), grid.value["slip"].size
-    grid = grid._replace(value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()})
-    there, seen = problem_at(problem, grid.value), problem.used.any(axis=0)
+    missed = np.where(
+        problem.data.measured, np.abs(problem.data.y - evidence[0].fit.output) / problem.noise, 0.0
+    )
+    worst = int(np.argmax(missed.max(axis=1)))
+    last = grid.value["slip"].size
+    grid = grid._replace(
+        value={n: np.append(x, problem.data.conditions[n][worst]) for n, x in grid.value.items()}
+    )
+    there = problem_at(problem, grid.value)
+    seen = problem.used.any(axis=0)
     mean, root, own, feasible = zip(*(predicted(problem, there, e) for e in evidence), strict=True)
     able = np.all(feasible, axis=0)
     able[last] = False  # only as the repeat
     names = tuple(" and ".join(e.names) or BASE for e in evidence)
-    of = Candidates(names, np.array(share) / sum(share), np.stack(mean)[:, :, seen],
-                    tuple(r[:, seen] for r in root), np.stack(own)[:, :, seen])  # fmt: skip
+    of = Candidates(
+        names,
+        np.array(share) / sum(share),
+        np.stack(mean)[:, :, seen],
+        tuple(r[:, seen] for r in root),
+        np.stack(own)[:, :, seen],
+    )
     chosen: list[int] = []
     out: list[NextTest] = []
     before = 0.0
     while len(out) < most:
         overlap = overlaps(*of.joint(chosen))
-        gain, cost = information(of.share, overlap) - before, _costs(problem, grid, chosen)
+        gain = information(of.share, overlap) - before
+        cost = _costs(problem, grid, chosen)
         forced = repeat and not chosen
         g = last if forced else int(np.argmax(np.where(able, gain / cost, -math.inf)))
         if not forced and not (able[g] and gain[g] > LEAST):
@@ -190,11 +236,15 @@ def proposed(problem: Problem, evidence: Sequence[Evidence], share: Sequence[flo
     return tuple(out)
 
 
-def _said(problem: Problem, of: Candidates, g: int) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
+def _said(
+    problem: Problem, of: Candidates, g: int
+) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """Predictions of a run, and what it separates, as in `NextTest`."""
     seen, mean, sd = problem.used.any(axis=0), *np.full((2, len(of.names), 3), np.nan)
     mean[:, seen] = of.mean[:, g]
-    sd[:, seen] = np.sqrt([np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)])
+    sd[:, seen] = np.sqrt(
+        [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
+    )
     off = np.nan_to_num(np.abs(mean[:1] - mean) / np.sqrt(0.5 * (sd[:1] ** 2 + sd**2)))
     rival = int(np.argmax(of.share * off.max(axis=1)))
     j = int(np.argmax(off[rival]))
@@ -206,12 +256,16 @@ def _said(problem: Problem, of: Candidates, g: int) -> tuple[tuple[Predicted, ..
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov` [K, G, m, m]."""
     count, points = mean.shape[:2]
-    out, size = np.ones((count, count, points)), np.linalg.slogdet(cov)[1]
+    out = np.ones((count, count, points))
+    size = np.linalg.slogdet(cov)[1]
     for i in range(count):
         for j in range(i):
-            middle, off = 0.5 * (cov[i] + cov[j]), mean[i] - mean[j]
+            middle = 0.5 * (cov[i] + cov[j])
+            off = mean[i] - mean[j]
             square = np.sum(off * np.linalg.solve(middle, off[:, :, None])[:, :, 0], axis=1)
-            distance = square / 8.0 + 0.5 * (np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j]))
+            distance = square / 8.0 + 0.5 * (
+                np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j])
+            )
             out[i, j] = out[j, i] = np.exp(-np.maximum(distance, 0.0))
     return out
 
@@ -236,19 +290,30 @@ def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
 
 def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
     """[G] cost of each run after the last chosen one, or the last of the table, by the setup's rig."""
-    rig, table = problem.data.setup.rig, problem.data.conditions
+    rig = problem.data.setup.rig
+    table = problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
-    changed = {n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()}
+    changed = {
+        n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
+    }
     changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
-    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)  # on fresh soil they have to be made first
+    changed["pass"] = np.maximum(
+        grid.value["pass"] - 1.0, 0.0
+    )  # on fresh soil they have to be made first
     cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
-    return cost + sum((price * changed[name] for name, price in rig.cost.items() if name != "run"), np.zeros_like(cost))
+    return cost + sum(
+        (price * changed[name] for name, price in rig.cost.items() if name != "run"),
+        np.zeros_like(cost),
+    )
 
 
 def _levels(problem: Problem) -> dict[str, list[float]]:
     """Values of each condition but the wheel: the rig's, else around those of the table."""
-    rig, column = problem.data.setup.rig, problem.data.conditions
-    passes, grade, timed = column["pass"], column["grade_deg"], bool(np.all(column["speed"] > 0.0))
+    rig = problem.data.setup.rig
+    column = problem.data.conditions
+    passes = column["pass"]
+    grade = column["grade_deg"]
+    timed = bool(np.all(column["speed"] > 0.0))
     around = {
         "slip": list(SLIPS),
         "load": _around(column["load"], 0.7, 1.4),
@@ -256,15 +321,22 @@ def _levels(problem: Problem) -> dict[str, list[float]]:
         "pass": sorted({1.0, 2.0, float(passes.max()), float(passes.max()) + 1.0}),
         "grade_deg": sorted({float(grade.min()), float(grade.max())}),
     }
-    listed = {"slip": rig.slips, "load": rig.loads, "speed": rig.speeds if timed else (), "pass": rig.passes,
-              "grade_deg": rig.grades_deg}  # fmt: skip
+    listed = {
+        "slip": rig.slips,
+        "load": rig.loads,
+        "speed": rig.speeds if timed else (),
+        "pass": rig.passes,
+        "grade_deg": rig.grades_deg,
+    }
     return {name: sorted(map(float, listed[name])) or values for name, values in around.items()}
 
 
 def _could_show(problem: Problem, name: str) -> bool:
     """True if the rig can vary the condition that an effect needs."""
     effect = LISTED[name]
-    able = not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
+    able = (
+        not effect.hidden(problem.bench) and len(_levels(problem).get(effect.varies or "", ())) > 1
+    )
     return able and bool(forms(problem, name)) and effect.varies not in problem.data.varied
 
 
@@ -274,34 +346,50 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
     What no candidate knows is the middle speed, the first pass and the least grade of the table, or what the rig has
     nearest to them.
     """
-    column, varied, rig = problem.data.conditions, problem.data.varied, problem.data.setup.rig
-    grade, timed = column["grade_deg"], bool(np.all(column["speed"] > 0.0))
+    column = problem.data.conditions
+    varied = problem.data.varied
+    rig = problem.data.setup.rig
+    grade = column["grade_deg"]
+    timed = bool(np.all(column["speed"] > 0.0))
     choices = [choice for c in candidates for choice in c.fit.choices]
     known = {"slip", "load"} | {LISTED[c.effect].varies for c in choices}
     if any("drivetrain_friction_viscous" in c.free for c in choices):
         known.add("speed")
-    usual = {"speed": float(np.median(column["speed"])), "pass": float(column["pass"].min()),
-             "grade_deg": min(max(0.0, float(grade.min())), float(grade.max()))}  # fmt: skip
+    usual = {
+        "speed": float(np.median(column["speed"])),
+        "pass": float(column["pass"].min()),
+        "grade_deg": min(max(0.0, float(grade.min())), float(grade.max())),
+    }
     listed = {"speed": rig.speeds if timed else (), "pass": rig.passes, "grade_deg": rig.grades_deg}
-    usual = {n: min(listed[n], key=lambda v: abs(v - x)) if listed[n] else x for n, x in usual.items()}
+    usual = {
+        n: min(listed[n], key=lambda v: abs(v - x)) if listed[n] else x for n, x in usual.items()
+    }
     levels = {n: x if n in known else [float(usual[n])] for n, x in _levels(problem).items()}
     wheels = np.unique(problem.data.rows.wheels, axis=0)
     if rig.wheels:
         unknown = problem.data.wheel.grouser_height
         heights = [unknown if w.grouser_height is None else w.grouser_height for w in rig.wheels]
-        wheels = np.array([(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)])
+        wheels = np.array(
+            [(w.radius, w.width, h) for w, h in zip(rig.wheels, heights, strict=True)]
+        )
     points = np.array([(*p, *w) for p in product(*levels.values()) for w in wheels])
     if len(points) > _LARGEST:
         points = points[np.sort(np.random.default_rng(0).permutation(len(points))[:_LARGEST])]
     names = (*levels, *WHEEL)
     value = dict(zip(names, points.T, strict=True))
     always = ("slip", "load", "speed") if timed else ("slip", "load")
-    return Grid(value, tuple(n for n in names if n in always or n in varied or np.ptp([*value[n], *column[n]]) > 0.0))
+    return Grid(
+        value,
+        tuple(
+            n for n in names if n in always or n in varied or np.ptp([*value[n], *column[n]]) > 0.0
+        ),
+    )
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
     """The ends and the middle of the values, and beyond by the two factors, in two digits where the table has none."""
-    low, high = float(x.min()), float(x.max())
+    low = float(x.min())
+    high = float(x.max())
     middle = _round((low * high) ** 0.5) if high > 1.1 * low else low
     return sorted({_round(below * low), low, middle, high, _round(above * high)})
 

@@ -49,12 +49,17 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
     given = _given(data)
     repeat_sd, repeat_freedom = repeat_noise(data, model)
     basis = smooth_basis(data)
-    used, sd, freedom, origin = data.measured.copy(), np.ones(3), np.full(3, math.inf), [""] * 3
+    used = data.measured.copy()
+    sd = np.ones(3)
+    freedom = np.full(3, math.inf)
+    origin = [""] * 3
     alone = np.zeros(len(used), dtype=bool)
     for j, name in enumerate(CHANNELS):
         if not used[:, j].any():
             continue
-        origin[j] = "setup" if given[j] is not None else "repeats" if repeat_freedom[j] >= 6 else "scatter"
+        origin[j] = (
+            "setup" if given[j] is not None else "repeats" if repeat_freedom[j] >= 6 else "scatter"
+        )
         sd[j] = given[j] if given[j] is not None else repeat_sd[j]
         values = int(used[:, j].sum())
         if values - basis.shape[1] < 3:
@@ -65,7 +70,8 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
                 )
             continue
         relative = data.relative_sd[:, j]
-        e, weighted = (data.y[:, j] - model[:, j]) / relative, basis / relative[:, None]
+        e = (data.y[:, j] - model[:, j]) / relative
+        weighted = basis / relative[:, None]
         used[:, j] = _without_outliers(weighted, e, used[:, j], given[j], data.varied["slip"].level)
         alone |= used[:, j] & (_surface(weighted, e, used[:, j])[1] > ALONE)
         if origin[j] == "scatter":
@@ -76,7 +82,8 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         repeats = [text == "repeats" for text in origin]
         cleaned = dataclasses.replace(data, y=np.where(used, data.y, math.nan))
         repeat_sd, repeat_freedom = repeat_noise(cleaned, model)
-        sd[repeats], freedom[repeats] = repeat_sd[repeats], repeat_freedom[repeats]
+        sd[repeats] = repeat_sd[repeats]
+        freedom[repeats] = repeat_freedom[repeats]
     _refuse_no_scatter(data, used, sd, origin)
     return NoiseEstimate(np.maximum(sd, 1e-12), freedom, tuple(origin), used, alone)
 
@@ -96,7 +103,9 @@ def _given(data: Data) -> list[float | None]:
     return given
 
 
-def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) -> tuple[Data, tuple[str, ...]]:
+def with_noise_of_conditions(
+    data: Data, predict: Callable[[Rows], np.ndarray]
+) -> tuple[Data, tuple[str, ...]]:
     """The data with the noise of slip and load, where the setup gives it, as noise of what was measured; their names.
 
     An error of the slip moves a value along the surface through the data. The effective variance (Orear 1982, Am. J.
@@ -121,7 +130,9 @@ def with_noise_of_conditions(data: Data, predict: Callable[[Rows], np.ndarray]) 
     setup = dataclasses.replace(data.setup, noise=dataclasses.replace(data.setup.noise, **levels))
     table = dataclasses.replace(data.table, **columns)
     counted = tuple(name for name, sd in noise.items() if sd is not None)
-    return dataclasses.replace(data, table=table, setup=setup, relative_sd=table.relative_sd(setup)), counted
+    return dataclasses.replace(
+        data, table=table, setup=setup, relative_sd=table.relative_sd(setup)
+    ), counted
 
 
 def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
@@ -133,10 +144,14 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
     if name in data.varied:
         factor = data.varied[name]
         scale = np.log(value) if name in LOGARITHMIC else value
-        per_unit = (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
+        per_unit = (
+            (1.0 / value if name in LOGARITHMIC else 1.0) * np.ptp(factor.scaled) / np.ptp(scale)
+        )
         shifted = dataclasses.replace(factor, scaled=factor.scaled + 1e-4)
         basis = smooth_basis(data)
-        change = (smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted})) - basis) / 1e-4
+        change = (
+            smooth_basis(dataclasses.replace(data, varied=data.varied | {name: shifted})) - basis
+        ) / 1e-4
         left = data.y - predict(data.rows)
         for j in range(len(CHANNELS)):
             rows = np.isfinite(left[:, j])
@@ -158,7 +173,9 @@ def _without_outliers(
         left, leverage = _surface(basis, e, keep)
         scale = sd
         if sd is None:
-            median = float(np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05))))
+            median = float(
+                np.median(np.abs(left[keep]) / np.sqrt(np.maximum(1.0 - leverage[keep], 0.05)))
+            )
             scale = max(1.4826 * median, 1e-12)
         far = np.abs(left) / (scale * np.sqrt(np.maximum(1.0 - leverage, 0.05)))
         far[~keep | (leverage > ALONE)] = 0.0
@@ -214,7 +231,9 @@ def smooth_basis(data: Data) -> np.ndarray:
     basis = np.stack(columns, axis=1)
     kept = np.ones(len(columns), dtype=bool)
     if sizes and len(basis) >= len(columns):
-        kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > 1e-9 * math.sqrt(len(basis))
+        kept[plain:] = np.abs(np.diag(np.linalg.qr(basis)[1]))[plain:] > 1e-9 * math.sqrt(
+            len(basis)
+        )
     return basis[:, kept][:, : max(2, cells // 2)]
 
 
@@ -223,11 +242,17 @@ def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
     """
-    left, total, freedom = (data.y - model) / data.relative_sd, np.zeros(3), np.zeros(3)
+    left = (data.y - model) / data.relative_sd
+    total = np.zeros(3)
+    freedom = np.zeros(3)
     for k in range(int(data.cell.max()) + 1):
         inside = data.cell == k
         load = data.rows.load[inside]
-        if inside.sum() < 2 or np.ptp(data.rows.slip[inside]) > REPEAT_SLIP or np.ptp(load) > REPEAT_LOAD * load.mean():
+        if (
+            inside.sum() < 2
+            or np.ptp(data.rows.slip[inside]) > REPEAT_SLIP
+            or np.ptp(load) > REPEAT_LOAD * load.mean()
+        ):
             continue
         for j in range(3):
             v = left[inside, j]

@@ -30,14 +30,18 @@ def problem_at(problem: Problem, conditions: Mapping[str, np.ndarray]) -> Proble
     there = copy.copy(problem)
     rows = rows_of(conditions, problem.data.wheel)
     there.data = dataclasses.replace(problem.data, rows=rows, relative_sd=np.ones((1, 3)))
-    there.used, there.offset = np.ones((rows.slip.size, 3), dtype=bool), None
-    table, ours = problem.data.conditions | problem.data.elapsed, _conditions(there)
+    there.used = np.ones((rows.slip.size, 3), dtype=bool)
+    there.offset = None
+    table = problem.data.conditions | problem.data.elapsed
+    ours = _conditions(there)
     both = {n: np.concatenate([x, ours[n]]) for n, x in table.items()}
 
     def over(names: Sequence[str], lengths: Mapping[str, float] = LENGTHS) -> Process:
         known = [n for n in both if n in names or (n == "slip" and "log_slip" in names)]
         unique = np.unique(np.stack([both[n] for n in known]), axis=1)
-        return Process.over(dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths)
+        return Process.over(
+            dict(zip(known, unique, strict=True)), of=names, most=_FUNCTIONS, lengths=lengths
+        )
 
     there.law_processes = [over(INPUTS, lengths=x) for x in LAW_LENGTHS]
     there.effect_processes = {more: over((*INPUTS, *more)) for more in problem.effect_processes}
@@ -50,33 +54,55 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
     return there.data.conditions | ended
 
 
-def predicted(problem: Problem, there: Problem,
-              candidate: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+def predicted(
+    problem: Problem, there: Problem, candidate: Evidence
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a candidate.
 
     In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical sizes.
     """
-    fit, p = candidate.fit, candidate.fit.u.size
-    sizes = candidate.sizes._replace(law=candidate.typical("law"), effect=candidate.typical("effect"))
+    fit = candidate.fit
+    p = candidate.fit.u.size
+    sizes = candidate.sizes._replace(
+        law=candidate.typical("law"), effect=candidate.typical("effect")
+    )
 
-    def blocks(of: Problem, values: dict[str, float], output: np.ndarray, added: Sequence[np.ndarray],
-               at: dict[str, np.ndarray]) -> list[np.ndarray]:  # fmt: skip
+    def blocks(
+        of: Problem,
+        values: dict[str, float],
+        output: np.ndarray,
+        added: Sequence[np.ndarray],
+        at: dict[str, np.ndarray],
+    ) -> list[np.ndarray]:
         stresses = of.stresses(values, fit.choices, output, np.maximum(output[:, 0], 0.0))
         law, effect = there.form_errors(fit.choices, stresses, added, at)
-        rig = nuisances(of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices))
+        rig = nuisances(
+            of.data.setup, of.bench, of.data.rows, output, tuple(c.effect for c in fit.choices)
+        )
         return [sizes.law * law[sizes.span], sizes.effect * effect, sizes.rig * rig]
 
     table = problem.data.conditions | problem.data.elapsed
-    known = [problem.block(b) for b in blocks(problem, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)]
+    known = [
+        problem.block(b)
+        for b in blocks(problem, fit.parameters(), np.nan_to_num(fit.output), fit.added, table)
+    ]
     a = np.concatenate([fit.jacobian, *known], axis=1) / sizes.scatter
     start = np.concatenate([fit.u, np.zeros(a.shape[1] - p)])
     covariance = np.linalg.inv(np.eye(start.size) + a.T @ a)
-    off, covariance = _within_bounds(fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance)
+    off, covariance = _within_bounds(
+        fit, covariance @ (a.T @ fit.residual / sizes.scatter - start), covariance
+    )
 
-    u, guess, at = fit.u + off[:p], np.zeros(there.data.rows.slip.size), _conditions(there)
+    u = fit.u + off[:p]
+    guess = np.zeros(there.data.rows.slip.size)
+    at = _conditions(there)
     values = {k.name: k.value(x) for k, x in zip(fit.unknowns, u, strict=True)}
     out = there.predict(values, fit.choices, guess)
-    feasible = (guess > 0.0) & (guess < DEEPEST * there.data.wheel.radius) & np.all(np.isfinite(out), axis=1)
+    feasible = (
+        (guess > 0.0)
+        & (guess < DEEPEST * there.data.wheel.radius)
+        & np.all(np.isfinite(out), axis=1)
+    )
     out = np.where(np.isfinite(out), out, 0.0)
     added = there.added(values, fit.choices, out, guess)
     ours = [there.block(b) for b in blocks(there, values, out, added, at)]
@@ -90,14 +116,18 @@ def predicted(problem: Problem, there: Problem,
     return mean, root.reshape(*mean.shape, -1), own, feasible
 
 
-def _within_bounds(fit: Fit, off: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _within_bounds(
+    fit: Fit, off: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one after the other."""
     for k, unknown in enumerate(fit.unknowns):
-        mean, sd = fit.u[k] + off[k], math.sqrt(covariance[k, k])
+        mean = fit.u[k] + off[k]
+        sd = math.sqrt(covariance[k, k])
         low, high = ((end - mean) / sd for end in unknown.bounds)
         if min(-low, high) < 4.0:
             if low > 8.0 or high < -8.0:  # far outside: at the bound
-                moved, left = (low if low > 0.0 else high), 1e-4
+                moved = low if low > 0.0 else high
+                left = 1e-4
             else:
                 moved, left = (float(x) for x in truncnorm.stats(low, high, moments="mv"))
             along = covariance[:, k] / sd

@@ -61,7 +61,9 @@ class Report:
     fit: Fit  # of `model`, whose soil is `soil`
     base_model: WheelSoilModel
     model: WheelSoilModel
-    held_before: np.ndarray  # [N, 3] held-out predictions of the base model, NaN where no value is in use
+    held_before: (
+        np.ndarray
+    )  # [N, 3] held-out predictions of the base model, NaN where no value is in use
     held_after: np.ndarray  # [N, 3] of the corrected model
     doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
     settings: Settings
@@ -98,7 +100,9 @@ class Report:
 
     def known(self, name: str) -> bool:
         """True if the setup gives a soil parameter as known."""
-        return name in self.problem.known or (name == "density" and self.problem.data.setup.soil.density is not None)
+        return name in self.problem.known or (
+            name == "density" and self.problem.data.setup.soil.density is not None
+        )
 
     def is_free(self, effect: str, parameter: str) -> bool:
         """True if a parameter of a named effect was fitted; without an interval it is then at a bound of its range."""

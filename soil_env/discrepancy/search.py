@@ -20,14 +20,23 @@ from scipy.special import logsumexp
 
 from soil_env.discrepancy.calibrate import Problem
 from soil_env.discrepancy.data import CHANNELS
-from soil_env.discrepancy.evidence import Detectable, Evidence, anonymous, detectable, promised, resembling, settle
+from soil_env.discrepancy.evidence import (
+    Detectable,
+    Evidence,
+    anonymous,
+    detectable,
+    promised,
+    resembling,
+    settle,
+)
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
 
 #: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has a listed error, each
 #: independent of the others: none is there with 32 %. An error is less probable where the setup states that the rig is
 #: known better than usual (`instrument.odds`). No single name has odds of its own.
-ODDS, RIG_ODDS = 0.06, 0.04
+ODDS = 0.06
+RIG_ODDS = 0.04
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.
 UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
@@ -57,7 +66,9 @@ class Hypothesis:
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
-    like: tuple[str, ...] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
+    like: tuple[
+        str, ...
+    ] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
 
     @property
     def law(self) -> str:
@@ -80,7 +91,9 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
-    refuted: tuple[tuple[str, ...], ...] = ()  # sets of effects that held-out rows or a pattern speak against
+    refuted: tuple[
+        tuple[str, ...], ...
+    ] = ()  # sets of effects that held-out rows or a pattern speak against
 
     def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1.
@@ -91,7 +104,11 @@ class Finding:
         alone = alone or not names
 
         def refuted(h: Hypothesis) -> bool:
-            return ({*h.names} == {*names} and bool(names or not h.free)) if alone else {*names} <= {*h.names}
+            return (
+                ({*h.names} == {*names} and bool(names or not h.free))
+                if alone
+                else {*names} <= {*h.names}
+            )
 
         left = [h for h in self.hypotheses if alone or not refuted(h)]
         share = np.array([0.0 if refuted(h) else h.probability for h in left])
@@ -103,7 +120,11 @@ class Finding:
 
     def share(self, *names: str, without: tuple[str, ...] = ()) -> float:
         """Probability that these effects are missing, and none of `without`."""
-        return sum(h.probability for h in self.hypotheses if {*names} <= {*h.names} and not {*without} & {*h.names})
+        return sum(
+            h.probability
+            for h in self.hypotheses
+            if {*names} <= {*h.names} and not {*without} & {*h.names}
+        )
 
     @property
     def none(self) -> float:
@@ -132,8 +153,15 @@ class Finding:
     @property
     def candidates(self) -> tuple[str, ...]:
         """Effects with at least `TOLD` that are missing, or resembled by what is missing; none beside a stated one."""
-        near = {n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like)) for n in self.tried}
-        return () if self.names else tuple(sorted((n for n in near if near[n] >= TOLD), key=lambda n: -near[n]))
+        near = {
+            n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like))
+            for n in self.tried
+        }
+        return (
+            ()
+            if self.names
+            else tuple(sorted((n for n in near if near[n] >= TOLD), key=lambda n: -near[n]))
+        )
 
     @property
     def tried(self) -> tuple[str, ...]:
@@ -144,9 +172,13 @@ class Finding:
     def ranking(self) -> tuple[Rank, ...]:
         """Every effect that was tried, the stated ones first, then the most probable."""
         without = max(h.score for h in self.hypotheses if not h.names)
-        score = {n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried}
+        score = {
+            n: max(h.score for h in self.hypotheses if n in h.names) - without for n in self.tried
+        }
         out = [Rank(n, float(x), self.share(n)) for n, x in score.items()]
-        return tuple(sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score)))
+        return tuple(
+            sorted(out, key=lambda r: (r.name not in self.names, -r.probability, -r.score))
+        )
 
     @property
     def verdict(self) -> str:
@@ -160,7 +192,9 @@ class Finding:
     @property
     def blind(self) -> bool:
         """True if a listed effect, had one been missing, would more probably have been overlooked than seen."""
-        return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(self.detectable)
+        return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(
+            self.detectable
+        )
 
     def alternatives(self, name: str) -> tuple[str, ...]:
         """Effects that stand in the place of a stated one with a probability of `TOLD` or more, best first."""
@@ -175,28 +209,45 @@ class Finding:
     @property
     def scatter(self) -> float:
         """Scatter of the values about the model over their noise, root mean square over the probabilities."""
-        return math.sqrt(sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses))
+        return math.sqrt(
+            sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses)
+        )
 
     def best(self, *names: str, free: bool = False) -> Hypothesis:
         """The hypothesis with exactly these effects, with an anonymous contribution or without."""
-        return next(h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like)
+        return next(
+            h for h in self.hypotheses if {*h.names} == {*names} and h.free == free and not h.like
+        )
 
 
 def candidates(problem: Problem) -> tuple[list[str], dict[str, str]]:
     """(names to try, reason by name of those that this table cannot show)."""
-    names, reasons = [], {}
+    names = []
+    reasons = {}
     data = problem.data
     ruled_out = exact(data.setup)
-    words = {"pass": "every row is of the same pass", "speed": "no speed variation", "grade_deg": "no grade variation"}
+    words = {
+        "pass": "every row is of the same pass",
+        "speed": "no speed variation",
+        "grade_deg": "no grade variation",
+    }
     for effect in LISTED.values():
-        measured = [k for k in effect.moves if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()]
+        measured = [
+            k
+            for k in effect.moves
+            if problem.used[:, ("sinkage", "drawbar_pull", "torque").index(k)].any()
+        ]
         if not measured:
             reasons[effect.name] = f"{' and '.join(effect.moves)} not measured"
         elif effect.name in ruled_out:
             reasons[effect.name] = ruled_out[effect.name]
         elif effect.hidden(problem.bench):
             reasons[effect.name] = effect.hidden(problem.bench)
-        elif effect.varies is not None and effect.varies not in data.varied and not effect.shows_without:
+        elif (
+            effect.varies is not None
+            and effect.varies not in data.varied
+            and not effect.shows_without
+        ):
             reasons[effect.name] = words[effect.varies]
         else:
             names.append(effect.name)
@@ -258,16 +309,24 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     rough = free[()].sizes.scatter > 1.0
     for s in [s for s in order if len(s) == 1] if rough else order[:_FREE]:
         if s not in free:
-            say("with something that no catalogue lists and " + " and ".join(LISTED[n].title for n in s))
+            say(
+                "with something that no catalogue lists and "
+                + " and ".join(LISTED[n].title for n in s)
+            )
             free[s] = anonymous(problem, sets.best(s))
-    entries += [(s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True)) for s, e in free.items()]
+    entries += [
+        (s, (), True, e, sets.log(s) + e.log - sets.best(s).log, prior(s, True))
+        for s, e in free.items()
+    ]
     for s in order:
         if not s or any(LISTED[n].any_form for n in s):
             continue  # what resembles it has its name
         alike = resembling(problem, sets.best(s))
         entries.append(((), s, True, alike, alike.log, prior(s) + math.log(ALIKE)))
     say("with a law that no catalogue lists")
-    entries += _unnamed(problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=()))
+    entries += _unnamed(
+        problem, base, max((s for s in order if len(s) == 1), key=sets.log, default=())
+    )
     total = [log / TEMPERATURE + odds_of for *_, log, odds_of in entries]
     share = np.exp(np.array(total) - logsumexp(total))
     found = [
@@ -276,19 +335,29 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
     ]
     threshold = -TEMPERATURE * math.log(ODDS)
     usual = free[()] if rough else base
-    seen = {n: detectable(problem, usual, forms(problem, n), threshold) for n in names if n not in INSTRUMENT}
+    seen = {
+        n: detectable(problem, usual, forms(problem, n), threshold)
+        for n in names
+        if n not in INSTRUMENT
+    }
     return Finding(tuple(sorted(found, key=lambda h: -h.probability)), untestable, seen)
 
 
 def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list[Entry]:
     """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains most."""
     seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
-    laws = [law for law in UNNAMED.values() if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen]
+    laws = [
+        law
+        for law in UNNAMED.values()
+        if law.varies in (None, *problem.data.varied) and {*law.moves} <= seen
+    ]
     found = [settle(problem, (Choice(law.name, 0),), base) for law in laws if nearest]
     return [((), nearest, True, e, e.log, math.log(UNNAMED_ODDS)) for e in found]
 
 
-def log_prior(names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})) -> float:
+def log_prior(
+    names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
+) -> float:
     """Log prior odds of a set of effects, with an anonymous contribution or without, against the base model.
 
     `of_rig`: odds of errors of the instrument over the usual ones.

@@ -25,7 +25,12 @@ from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.judgement import SURE, groups
 from soil_env.terramechanics.model import add_residual
-from soil_env.terramechanics.residual import GROUPS, ResidualTerm, dimensionless_groups, residual_law
+from soil_env.terramechanics.residual import (
+    GROUPS,
+    ResidualTerm,
+    dimensionless_groups,
+    residual_law,
+)
 
 TERMS = 3
 POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
@@ -33,7 +38,8 @@ POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
 WIDTH = 0.5  # prior sd of a term's rms over that of the channel
 _SWAPS = 3
-FURTHER_GROUP, ODD_POWER = 4.0, 0.5  # added to the price of a term
+FURTHER_GROUP = 4.0  # added to the price of a term
+ODD_POWER = 0.5
 _ROUNDS = 5  # of law and soil in turn
 HELD_OUT = 4  # groups of a way, at most, without which a law is chosen anew
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
@@ -61,19 +67,27 @@ class ResidualFit:
 
     def without(self, fit: Fit) -> ResidualFit:
         """No law: the fit alone."""
-        return ResidualFit((), fit, np.zeros_like(self.offset), 0.0, self.column[:, :0], self.width[:0])
+        return ResidualFit(
+            (), fit, np.zeros_like(self.offset), 0.0, self.column[:, :0], self.width[:0]
+        )
 
     def covariance(self) -> np.ndarray:
         """[T, T] of the coefficients (Laplace; soil and form errors move with them)."""
         a, _ = with_terms(*self.fit.linearised(), self.column)
         count = len(self.terms)
-        return np.linalg.inv(a.T @ a)[a.shape[1] - count :, a.shape[1] - count :] * np.outer(self.width, self.width)
+        return np.linalg.inv(a.T @ a)[a.shape[1] - count :, a.shape[1] - count :] * np.outer(
+            self.width, self.width
+        )
 
     def coefficients(self) -> list[Coefficient]:
         """The coefficients of the terms, in their order."""
         sd = np.sqrt(np.diag(self.covariance())) if self.terms else ()
-        return [Coefficient(t.coefficient, *sorted((t.coefficient - SURE * s, t.coefficient + SURE * s)))
-                for t, s in zip(self.terms, sd, strict=True)]  # fmt: skip
+        return [
+            Coefficient(
+                t.coefficient, *sorted((t.coefficient - SURE * s, t.coefficient + SURE * s))
+            )
+            for t, s in zip(self.terms, sd, strict=True)
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +102,34 @@ class Library:
 
     def pick(self, keep: Any) -> Library:
         """The library with the selected products only."""
-        return Library(self.channel[keep], self.powers[keep], self.column[:, keep], self.width[keep], self.price[keep])
+        return Library(
+            self.channel[keep],
+            self.powers[keep],
+            self.column[:, keep],
+            self.width[keep],
+            self.price[keep],
+        )
 
 
 def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
     """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns` times at most."""
-    best = ResidualFit((), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0))
-    at, offset = fit, best.offset
+    best = ResidualFit(
+        (), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0)
+    )
+    at = fit
+    offset = best.offset
     for _ in range(turns):  # the second choice starts where the first has moved the soil
         chosen = choose(problem, at, offset, library(problem, at, offset))
-        if not chosen.channel.size or np.array_equal(chosen.powers, residual_law(best.terms).powers):
+        if not chosen.channel.size or np.array_equal(
+            chosen.powers, residual_law(best.terms).powers
+        ):
             break
         now = refit(problem, fit, at, offset, chosen)
         if now.gain <= best.gain:
             break
-        best, at, offset = now, now.fit, now.offset
+        best = now
+        at = now.fit
+        offset = now.offset
     return best
 
 
@@ -118,7 +145,9 @@ def held_out_predictions(problem: Problem, fit: Fit, say: Callable[[str], None])
         for n, group in enumerate(way):
             say(f"a law without group {n + 1} of {len(way)}, way {k + 1} of {len(ways)}")
             rest = problem.without(group)
-            start = rest.fit(fit.choices, fit.parameters(), fit.sizes, rest.restricted(fit, problem.used))
+            start = rest.fit(
+                fit.choices, fit.parameters(), fit.sizes, rest.restricted(fit, problem.used)
+            )
             total[group] += symbolic(rest, start, turns=1).fit.output[group] / len(ways)
     return np.where(problem.used, total, math.nan)
 
@@ -131,14 +160,23 @@ def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
 
 def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
     """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are `offset`."""
-    rows, soil = problem.data.rows, problem.state(fit.parameters())
+    rows = problem.data.rows
+    soil = problem.state(fit.parameters())
     sinkage = fit.output[:, 0] - offset[:, 0]
-    return np.array([
-        dimensionless_groups(
-            rows.slip[k], sinkage[k], rows.load[k], *rows.conditions[k], soil, *rows.wheels[k, :2], GRAVITY
-        )
-        for k in range(rows.slip.size)
-    ])  # fmt: skip
+    return np.array(
+        [
+            dimensionless_groups(
+                rows.slip[k],
+                sinkage[k],
+                rows.load[k],
+                *rows.conditions[k],
+                soil,
+                *rows.wheels[k, :2],
+                GRAVITY,
+            )
+            for k in range(rows.slip.size)
+        ]
+    )
 
 
 def products(groups: np.ndarray) -> np.ndarray:
@@ -150,8 +188,10 @@ def products(groups: np.ndarray) -> np.ndarray:
         allowed = POWERS if count < 3 else POWERS_OF_THREE
         for chosen in combinations(np.flatnonzero(spread), count):
             for powers in product(allowed, repeat=count):
-                if all((p > 0.0 or low[g] > 0.0) and (p % 1.0 == 0.0 or low[g] >= 0.0)
-                       for g, p in zip(chosen, powers, strict=True)):  # fmt: skip
+                if all(
+                    (p > 0.0 or low[g] > 0.0) and (p % 1.0 == 0.0 or low[g] >= 0.0)
+                    for g, p in zip(chosen, powers, strict=True)
+                ):
                     out.append(np.zeros(len(GROUPS)))
                     out[-1][list(chosen)] = powers
     return np.array(out)
@@ -165,14 +205,21 @@ def library(problem: Problem, fit: Fit, offset: np.ndarray) -> Library:
     measured = [j for j in range(3) if problem.used[:, j].any()]
     # as simple: no more groups, in any channel
     price = 2.0 * np.log(len(measured) * np.array([np.sum(count <= k) for k in count]))
-    price += FURTHER_GROUP * np.maximum(count - 1, 0) + ODD_POWER * np.sum((powers != 0.0) & (powers != 1.0), axis=1)
+    price += FURTHER_GROUP * np.maximum(count - 1, 0) + ODD_POWER * np.sum(
+        (powers != 0.0) & (powers != 1.0), axis=1
+    )
     return at_groups(
-        problem, groups, np.repeat(measured, count.size), np.tile(powers, (len(measured), 1)),
+        problem,
+        groups,
+        np.repeat(measured, count.size),
+        np.tile(powers, (len(measured), 1)),
         np.tile(price, len(measured)),
-    )  # fmt: skip
+    )
 
 
-def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers: np.ndarray, price: Any) -> Library:
+def at_groups(
+    problem: Problem, groups: np.ndarray, channel: np.ndarray, powers: np.ndarray, price: Any
+) -> Library:
     """The products of the given powers at `groups` [N, 7]."""
     rows = problem.data.rows
     value = np.ones((groups.shape[0], powers.shape[0]))
@@ -180,9 +227,14 @@ def at_groups(problem: Problem, groups: np.ndarray, channel: np.ndarray, powers:
         x = groups[:, g]
         for p in np.unique(powers[:, g]):
             if p != 0.0:
-                x_p = np.where(x > 0.0, np.abs(np.where(x > 0.0, x, 1.0)) ** p, x**p if p in (1.0, 2.0, 3.0) else 0.0)
+                x_p = np.where(
+                    x > 0.0,
+                    np.abs(np.where(x > 0.0, x, 1.0)) ** p,
+                    x**p if p in (1.0, 2.0, 3.0) else 0.0,
+                )
                 value[:, powers[:, g] == p] *= x_p[:, None]
-    radius, sd = rows.wheels[:, 0], problem.noise * problem.data.relative_sd
+    radius = rows.wheels[:, 0]
+    sd = problem.noise * problem.data.relative_sd
     scale = np.stack([radius, rows.load, rows.load * radius], axis=1) / sd
     row, of = np.nonzero(problem.used)
     column = np.where(of[:, None] == channel, value[row] * scale[row, of][:, None], 0.0)
@@ -210,14 +262,18 @@ def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Li
     return found.pick(sorted(picked, key=lambda k: found.channel[k]))
 
 
-def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked: list[int]) -> int | None:
+def _next(
+    problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked: list[int]
+) -> int | None:
     """The best further term, None where none is worth its price."""
     plain = without_offset(problem, fit, offset)
     a, e = with_terms(*plain, found.column[:, picked])
     q = np.linalg.qr(a)[0]
     m = found.column.shape[0]
     whole = np.einsum("mc,mc->c", found.column, found.column)
-    length = whole - np.sum((q[:m].T @ found.column) ** 2, axis=0)  # of what the parameters do not absorb
+    length = whole - np.sum(
+        (q[:m].T @ found.column) ** 2, axis=0
+    )  # of what the parameters do not absorb
     along = found.column.T @ (e - q @ (q.T @ e))[:m]
     fall = along**2 / (length + 1.0)
     worth = _likelihood(problem, fall) - math.log(m) - found.price
@@ -230,10 +286,13 @@ def _next(problem: Problem, fit: Fit, offset: np.ndarray, found: Library, picked
     member, ways = groups(problem)
     base = held_out(member, a, e)
     gain = [
-        2.0 / ways * (held_out(member, *with_terms(*plain, found.column[:, [*picked, k]])) - base) - found.price[k]
+        2.0 / ways * (held_out(member, *with_terms(*plain, found.column[:, [*picked, k]])) - base)
+        - found.price[k]
         for k in best
     ]
-    gain = 0.5 * (np.array(gain) + worth[best])  # held-out values alone do not mind an implausible soil
+    gain = 0.5 * (
+        np.array(gain) + worth[best]
+    )  # held-out values alone do not mind an implausible soil
     k = int(np.argmax(gain))
     return int(best[k]) if gain[k] > 0.0 else None
 
@@ -254,9 +313,9 @@ def with_terms(a: np.ndarray, e: np.ndarray, column: np.ndarray) -> tuple[np.nda
     """(A, e) with terms [M, T] added as unknowns with a unit prior."""
     extra = column.shape[1]
     side = np.concatenate([column, np.zeros((a.shape[0] - column.shape[0], extra)), np.eye(extra)])
-    return np.concatenate([np.concatenate([a, np.zeros((extra, a.shape[1]))]), side], axis=1), np.concatenate(
-        [e, np.zeros(extra)]
-    )
+    return np.concatenate(
+        [np.concatenate([a, np.zeros((extra, a.shape[1]))]), side], axis=1
+    ), np.concatenate([e, np.zeros(extra)])
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
@@ -265,12 +324,17 @@ def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
     With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the predictive covariance
     of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
     """
-    normal, m = a.T @ a, member.shape[1]
-    top, r = a[:m], (e - a @ np.linalg.solve(normal, a.T @ e))[:m]
-    whole, total = np.linalg.slogdet(normal)[1], 0.0
+    normal = a.T @ a
+    m = member.shape[1]
+    top = a[:m]
+    r = (e - a @ np.linalg.solve(normal, a.T @ e))[:m]
+    whole = np.linalg.slogdet(normal)[1]
+    total = 0.0
     for out in member:
-        j, held = top[out], r[out]
-        rest, pull = normal - j.T @ j, j.T @ held
+        j = top[out]
+        held = r[out]
+        rest = normal - j.T @ j
+        pull = j.T @ held
         total -= 0.5 * (held @ held + pull @ np.linalg.solve(rest, pull))
         total -= 0.5 * (whole - np.linalg.slogdet(rest)[1])
     return total
@@ -280,17 +344,23 @@ def refit(problem: Problem, base: Fit, at: Fit, offset: np.ndarray, chosen: Libr
     """Law and soil fitted in turn, starting from the fit `at` with its `offset`."""
     shifted = copy.copy(problem)
     for _ in range(_ROUNDS):
-        here = at_groups(problem, groups_of(problem, at, offset), chosen.channel, chosen.powers, chosen.price)
+        here = at_groups(
+            problem, groups_of(problem, at, offset), chosen.channel, chosen.powers, chosen.price
+        )
         a, e = with_terms(*without_offset(problem, at, offset), here.column)
         solved = np.linalg.lstsq(a, e, rcond=None)[0][a.shape[1] - chosen.price.size :]
         terms = _terms(problem, at, offset, here, solved * here.width)
         shifted.offset = law_offset(problem, at, offset, terms)
         moved = problem.whiten(shifted.offset - offset)
-        at, offset = shifted.fit(base.choices, at.parameters(), base.sizes, at), shifted.offset
+        at = shifted.fit(base.choices, at.parameters(), base.sizes, at)
+        offset = shifted.offset
         if np.max(np.abs(moved)) < _CLOSE:
             break
     price = float(np.sum(chosen.price)) + math.log(at.residual.size) * len(terms)
-    left = [_left(*base.linearised()), _left(*with_terms(*without_offset(problem, at, offset), here.column))]
+    left = [
+        _left(*base.linearised()),
+        _left(*with_terms(*without_offset(problem, at, offset), here.column)),
+    ]
     gain = float(_likelihood(problem, np.array(left[0] - left[1]))) - price
     return ResidualFit(terms, at, offset, gain, here.column, here.width)
 
@@ -308,15 +378,28 @@ def _terms(
     for j, powers, c in zip(here.channel, here.powers, coefficient, strict=True):
         used = np.flatnonzero(powers)
         ranges = {GROUPS[g]: (float(groups[:, g].min()), float(groups[:, g].max())) for g in used}
-        out.append(ResidualTerm(CHANNELS[j], float(c), {GROUPS[g]: float(powers[g]) for g in used}, ranges))
+        out.append(
+            ResidualTerm(CHANNELS[j], float(c), {GROUPS[g]: float(powers[g]) for g in used}, ranges)
+        )
     return tuple(out)
 
 
-def law_offset(problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[ResidualTerm, ...]) -> np.ndarray:
+def law_offset(
+    problem: Problem, fit: Fit, offset: np.ndarray, terms: tuple[ResidualTerm, ...]
+) -> np.ndarray:
     """[N, 3] what the terms add to the model of `fit`, which has `offset` in it."""
-    rows, plain = problem.data.rows, fit.output - offset
+    rows = problem.data.rows
+    plain = fit.output - offset
     out = plain.copy()
-    add_residual(residual_law(terms), rows.slip, rows.load, rows.wheels, rows.conditions,
-                 problem.state(fit.parameters()), GRAVITY, out)  # fmt: skip
+    add_residual(
+        residual_law(terms),
+        rows.slip,
+        rows.load,
+        rows.wheels,
+        rows.conditions,
+        problem.state(fit.parameters()),
+        GRAVITY,
+        out,
+    )
     added: np.ndarray = out - plain
     return added

@@ -20,41 +20,117 @@ from types import MappingProxyType
 
 import numpy as np
 
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Channel, Effect, EffectParameter, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Channel,
+    Effect,
+    EffectParameter,
+    Form,
+)
 from soil_env.terramechanics.model import Rows
 
 
-def _p(name: str, sd: float, low: float, high: float, centre: float | None = None) -> EffectParameter:
+def _p(
+    name: str, sd: float, low: float, high: float, centre: float | None = None
+) -> EffectParameter:
     return EffectParameter(name, "", "", centre or 0.0, low, high, sd, "", centre=centre)
 
 
-def _law(name: str, title: str, moves: tuple[Channel, ...], *p: EffectParameter, varies: str | None = None) -> Effect:
-    return Effect(name, title, moves, p, (Form(name, tuple(k.name for k in p), "", "own assumption"),), varies=varies)
+def _law(
+    name: str,
+    title: str,
+    moves: tuple[Channel, ...],
+    *p: EffectParameter,
+    varies: str | None = None,
+) -> Effect:
+    return Effect(
+        name,
+        title,
+        moves,
+        p,
+        (Form(name, tuple(k.name for k in p), "", "own assumption"),),
+        varies=varies,
+    )
 
 
 _BOTH: tuple[Channel, ...] = (PULL, TORQUE)
 _FORCE = _p("pull", 0.15, -3.0, 3.0), _p("torque", 0.15, -3.0, 3.0)
-_POWER, _SLIP = _p("power", 0.35, 0.3, 4.0, 1.5), _p("slip", 0.5, 0.03, 1.0, 0.2)
+_POWER = _p("power", 0.35, 0.3, 4.0, 1.5)
+_SLIP = _p("slip", 0.5, 0.03, 1.0, 0.2)
 _COLUMNS = {"speed": 0, "pass": 1}  # of `Rows.conditions`
 #: Soil parameter and condition of the laws of one soil parameter.
 _SOIL = {
     f"{short}_{condition}": (parameter, condition)
-    for short, parameter in (("friction", "friction_angle_deg"), ("cohesion", "cohesion"), ("modulus", "shear_modulus"))
+    for short, parameter in (
+        ("friction", "friction_angle_deg"),
+        ("cohesion", "cohesion"),
+        ("modulus", "shear_modulus"),
+    )
     for condition in _COLUMNS
 }
 #: Laws of sensors, for which no law goes into a model.
 OF_SENSORS = ("torque_curve", "pull_curve")
-UNNAMED: Mapping[str, Effect] = MappingProxyType({law.name: law for law in (
-    _law("force", "a force that goes with the sinkage, as of soil beside the wheel", _BOTH, *_FORCE, _POWER),
-    _law("rut_force", "a force that goes with the sinkage in a rut", _BOTH, *_FORCE, _POWER, varies="pass"),
-    _law("slip_force", "a force that goes with the slip", _BOTH, *_FORCE, _SLIP),
-    _law("slip_load", "a load that goes with the slip", (SINKAGE, PULL, TORQUE), _p("load", 0.15, -0.8, 2.0), _SLIP),
-    _law("torque_curve", "a torque that is not read in proportion", (TORQUE,), _p("loss", 0.3, -0.4, 3.0)),
-    _law("pull_curve", "a drawbar pull that is not read in proportion", (PULL,), _p("loss", 0.3, -0.4, 3.0)),
-    _law("soft_wheel", "a wheel that yields to its load", (SINKAGE, PULL, TORQUE), _p("gain", 0.5, -0.4, 4.0)),
-    *(_law(name, f"a soil whose {name.split('_')[0]} alone goes with the {by}", (SINKAGE, PULL, TORQUE),
-           _p("power", 0.2, -2.0, 2.0), varies=by) for name, (_, by) in _SOIL.items()),
-)})  # fmt: skip
+UNNAMED: Mapping[str, Effect] = MappingProxyType(
+    {
+        law.name: law
+        for law in (
+            _law(
+                "force",
+                "a force that goes with the sinkage, as of soil beside the wheel",
+                _BOTH,
+                *_FORCE,
+                _POWER,
+            ),
+            _law(
+                "rut_force",
+                "a force that goes with the sinkage in a rut",
+                _BOTH,
+                *_FORCE,
+                _POWER,
+                varies="pass",
+            ),
+            _law("slip_force", "a force that goes with the slip", _BOTH, *_FORCE, _SLIP),
+            _law(
+                "slip_load",
+                "a load that goes with the slip",
+                (SINKAGE, PULL, TORQUE),
+                _p("load", 0.15, -0.8, 2.0),
+                _SLIP,
+            ),
+            _law(
+                "torque_curve",
+                "a torque that is not read in proportion",
+                (TORQUE,),
+                _p("loss", 0.3, -0.4, 3.0),
+            ),
+            _law(
+                "pull_curve",
+                "a drawbar pull that is not read in proportion",
+                (PULL,),
+                _p("loss", 0.3, -0.4, 3.0),
+            ),
+            _law(
+                "soft_wheel",
+                "a wheel that yields to its load",
+                (SINKAGE, PULL, TORQUE),
+                _p("gain", 0.5, -0.4, 4.0),
+            ),
+            *(
+                _law(
+                    name,
+                    f"a soil whose {name.split('_')[0]} alone goes with the {by}",
+                    (SINKAGE, PULL, TORQUE),
+                    _p("power", 0.2, -2.0, 2.0),
+                    varies=by,
+                )
+                for name, (_, by) in _SOIL.items()
+            ),
+        )
+    }
+)
 
 
 def _grown(rows: Rows, scale: float) -> np.ndarray:
@@ -73,7 +149,9 @@ def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
         return rows._replace(wheels=wheels)
     if "slip_load_load" not in values:
         return rows
-    return rows._replace(load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"])))
+    return rows._replace(
+        load=rows.load * (1.0 + values["slip_load_load"] * _grown(rows, values["slip_load_slip"]))
+    )
 
 
 def soils(
@@ -96,7 +174,8 @@ def soils(
 
 def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Bench) -> np.ndarray:
     """[N, 3] sinkage, pull and torque under the anonymous law among `values`."""
-    out, size = out.copy(), bench.load * rows.wheels[:, 0]
+    out = out.copy()
+    size = bench.load * rows.wheels[:, 0]
     out[:, 2] /= _flatter(rows, values, bench.load)
     for name in ("force", "rut_force", "slip_force"):
         if f"{name}_pull" not in values:
@@ -105,9 +184,13 @@ def changed(out: np.ndarray, rows: Rows, values: Mapping[str, float], bench: Ben
             share = _grown(rows, values["slip_force_slip"])
         else:
             share = (np.maximum(out[:, 0], 0.0) / bench.sinkage) ** values[f"{name}_power"]
-            share = share * (1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0))
+            share = share * (
+                1.0 if name == "force" else 1.0 - 1.0 / np.maximum(rows.conditions[:, 1], 1.0)
+            )
         out[:, 1] -= values[f"{name}_pull"] * bench.load * share
         out[:, 2] += values[f"{name}_torque"] * size * share
     for name, j, scale in (("pull_curve", 1, 0.2 * bench.load), ("torque_curve", 2, 0.5 * size)):
-        out[:, j] /= np.maximum(1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale, 0.1)
+        out[:, j] /= np.maximum(
+            1.0 + values.get(f"{name}_loss", 0.0) * np.abs(out[:, j]) / scale, 0.1
+        )
     return out

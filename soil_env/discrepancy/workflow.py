@@ -29,8 +29,15 @@ from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.validity import seen
 
 
-def run(table: Table | str | Path, setup: Setup | str | Path, out: str | Path | None = None, *, seed: int = 0,
-        next_runs: int = MOST, progress: Callable[[str], None] | None = None) -> Report:  # fmt: skip
+def run(
+    table: Table | str | Path,
+    setup: Setup | str | Path,
+    out: str | Path | None = None,
+    *,
+    seed: int = 0,
+    next_runs: int = MOST,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
     """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
 
     Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
@@ -50,10 +57,16 @@ def run(table: Table | str | Path, setup: Setup | str | Path, out: str | Path | 
     read = setup if isinstance(setup, Setup) else read_setup(setup)
     exact(read)  # refuses wrong names before any work
     rows = table if isinstance(table, Table) else read_table(table, read.wheel, read.ignore_columns)
-    settings = Settings(rows.source, "" if isinstance(setup, Setup) else os.fspath(setup), seed,
-                        None if isinstance(table, Table) else _digest(table),
-                        None if isinstance(setup, Setup) else _digest(setup))  # fmt: skip
-    with threadpool_limits(1):  # the matrices are small: threads of the BLAS cost more than they give
+    settings = Settings(
+        rows.source,
+        "" if isinstance(setup, Setup) else os.fspath(setup),
+        seed,
+        None if isinstance(table, Table) else _digest(table),
+        None if isinstance(setup, Setup) else _digest(setup),
+    )
+    with threadpool_limits(
+        1
+    ):  # the matrices are small: threads of the BLAS cost more than they give
         report = _conclude(rows, read, settings, say, next_runs)
     if out is not None:
         say("writing")
@@ -65,7 +78,9 @@ def _digest(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
-def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int) -> Report:
+def _conclude(
+    table: Table, setup: Setup, settings: Settings, say: Callable[[str], None], next_runs: int
+) -> Report:
     data = prepare(table, setup)
     say("calibrating the base model")
     problem, noise = calibrate(data)
@@ -75,24 +90,34 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     say("predicting what was held out")
     rng = np.random.default_rng([settings.seed, 1])
     finding, (plain, final), held = _that_predicts(problem, finding, base, settings.seed)
-    before, after = held[()], held[finding.names]
+    before = held[()]
+    after = held[finding.names]
     doubted += doubts.of_lone_rows(problem, noise, finding, say)
     say("locating the disagreement")
     where = locate(problem, problem.fit((), base.parameters()), settings.seed)
-    own, law = finding.stated.evidence, None
+    own = finding.stated.evidence
+    law = None
     of_sensor = finding.verdict == "unlisted" and finding.hypotheses[0].law in OF_SENSORS
     if finding.verdict in ("partly", "unlisted") and own.sizes.scatter == 1.0 and not of_sensor:
         say("looking for a law of what is left")
         law = symbolic.symbolic(problem, final)
-    shares = judgement.shares(problem, before, {some: there for some, there in held.items() if some})
+    shares = judgement.shares(
+        problem, before, {some: there for some, there in held.items() if some}
+    )
     if law is not None and law.terms:
-        there = symbolic.held_out_predictions(problem, final, lambda text: say(f"predicting what was held out: {text}"))
-        gain = judgement.closed_interval(problem, after, there, np.random.default_rng([settings.seed, 3]))
+        there = symbolic.held_out_predictions(
+            problem, final, lambda text: say(f"predicting what was held out: {text}")
+        )
+        gain = judgement.closed_interval(
+            problem, after, there, np.random.default_rng([settings.seed, 3])
+        )
         if gain is not None and gain[0] > 0.0:
-            final, after = law.fit, there
+            final = law.fit
+            after = there
         else:  # chosen without a group, it does not predict that group better than no law does
             law = law.without(final)
-    gap, corrected = judgement.gaps(problem, before, after), bool(final.choices or (law is not None and law.terms))
+    gap = judgement.gaps(problem, before, after)
+    corrected = bool(final.choices or (law is not None and law.terms))
     closed = judgement.closed(problem, gap) if corrected else None
     say("choosing the next runs")
     runs = next_tests(problem, finding, next_runs)
@@ -100,12 +125,26 @@ def _conclude(table: Table, setup: Setup, settings: Settings, say: Callable[[str
     intervals = judgement.intervals(finding, own)
     interval = None if closed is None else judgement.closed_interval(problem, before, after, rng)
     return Report(
-        finding=finding, problem=problem, noise=noise, where=where, law=law, gap=gap, closed=closed,
-        effects=_effects(problem, finding, final, intervals, shares), soil=_soil(problem, intervals),
-        closed_interval=interval, next_checks=next_checks(finding, runs), next_tests=runs, fit=final,
-        base_model=model_of(problem, plain), model=model, held_before=before, held_after=after, doubts=doubted,
+        finding=finding,
+        problem=problem,
+        noise=noise,
+        where=where,
+        law=law,
+        gap=gap,
+        closed=closed,
+        effects=_effects(problem, finding, final, intervals, shares),
+        soil=_soil(problem, intervals),
+        closed_interval=interval,
+        next_checks=next_checks(finding, runs),
+        next_tests=runs,
+        fit=final,
+        base_model=model_of(problem, plain),
+        model=model,
+        held_before=before,
+        held_after=after,
+        doubts=doubted,
         settings=settings,
-    )  # fmt: skip
+    )
 
 
 STRUCTURED = 1e-3  # p value of a pattern below which a model does not explain the table
@@ -113,7 +152,9 @@ FAR = 8.0  # [sd of the setup] of a soil parameter
 Held = dict[tuple[str, ...], np.ndarray]  # held-out predictions [N, 3] by set of effects
 
 
-def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> tuple[Finding, tuple[Fit, Fit], Held]:
+def _that_predicts(
+    problem: Problem, finding: Finding, base: Fit, seed: int
+) -> tuple[Finding, tuple[Fit, Fit], Held]:
     """The finding without sets of effects that held-out rows speak against.
 
     With it the fits of the base model and of the named effects, and the held-out predictions of the base model, of the
@@ -127,13 +168,19 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
     and the base model with a pattern where nothing would be missing.
     """
     while True:
-        own, names = finding.stated.evidence, finding.names
-        behind = next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
-        model, anonymous = finding.best(*behind), finding.best(free=True)
+        own = finding.stated.evidence
+        names = finding.names
+        behind = (
+            next(h.names for h in finding.hypotheses if {*names} <= {*h.names}) if names else ()
+        )
+        model = finding.best(*behind)
+        anonymous = finding.best(free=True)
         asserted = bool(names) or finding.verdict in ("none", "undetermined")
         if asserted and behind not in finding.refuted:
             weak = not names or model.probability <= anonymous.probability
-            if _far(problem, model.evidence) or (weak and structure(problem, model.evidence, seed) < STRUCTURED):
+            if _far(problem, model.evidence) or (
+                weak and structure(problem, model.evidence, seed) < STRUCTURED
+            ):
                 finding = finding.without(behind, alone=True)
                 continue
         # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
@@ -141,15 +188,21 @@ def _that_predicts(problem: Problem, finding: Finding, base: Fit, seed: int) -> 
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
         fits = {}
         for some in dict.fromkeys(((), *((n,) for n in names), names)):
-            near = base if not some else own.fit if some == names else finding.best(*some).evidence.fit
+            near = (
+                base if not some else own.fit if some == names else finding.best(*some).evidence.fit
+            )
             fits[some] = problem.fit(near.choices, near.parameters(), noise_alone)
         held = {some: held_out_predictions(problem, fit) for some, fit in fits.items()}
-        if not any(_worse(problem, some, held[some], held[names], seed) for some in held if some != names):
+        if not any(
+            _worse(problem, some, held[some], held[names], seed) for some in held if some != names
+        ):
             return finding, (fits[()], fits[names]), held
         finding = finding.without(names)
 
 
-def _worse(problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int) -> bool:
+def _worse(
+    problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int
+) -> bool:
     """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base model's, for sure."""
     share = judgement.closed(problem, judgement.gaps(problem, before, after))
     if share is None or share >= 0.0 or some:
@@ -160,25 +213,40 @@ def _worse(problem: Problem, some: tuple[str, ...], before: np.ndarray, after: n
 
 def _far(problem: Problem, model: Evidence) -> bool:
     """True if a soil parameter is further from the setup's value than a soil that is like the setup's can be."""
-    given = [getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil]
+    given = [
+        getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil
+    ]
     return bool(np.any(np.abs(model.mean[: len(given)])[given] > FAR / PRIOR_WIDTH))
 
 
 def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -> WheelSoilModel:
     """The `WheelSoilModel` of a fit, with residual terms."""
     soil = {**problem.known, **fit.parameters()}
-    names = ("friction_angle_deg", "cohesion", "shear_modulus", "sinkage_coefficient", "sinkage_exponent")
+    names = (
+        "friction_angle_deg",
+        "cohesion",
+        "shear_modulus",
+        "sinkage_coefficient",
+        "sinkage_exponent",
+    )
     values = {name: float(soil[name]) for name in names}
     acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
     effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
-    if problem.data.setup.load == "vertical":  # the load of a model presses normal to the ground but for this share
+    if (
+        problem.data.setup.load == "vertical"
+    ):  # the load of a model presses normal to the ground but for this share
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel
     if problem.data.setup.wheel.grouser_height is None and "grousers" not in effects:
         wheel = replace(wheel, grouser_height=0.0)  # a height was assumed only to try grousers
-    of_soil = Soil(**values, density=problem.density, dig_gain=problem.digging[0], dig_recovery=problem.digging[1],
-                   source="calibrated by soil_env.discrepancy")  # fmt: skip
+    of_soil = Soil(
+        **values,
+        density=problem.density,
+        dig_gain=problem.digging[0],
+        dig_recovery=problem.digging[1],
+        source="calibrated by soil_env.discrepancy",
+    )
     conditions = seen(problem.data.rows.slip, problem.data.rows.load, problem.data.rows.conditions)
     return WheelSoilModel(wheel, of_soil, effects, tuple(terms), GRAVITY, conditions)
 
@@ -187,7 +255,8 @@ def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> d
     """Parameters of an effect: what its form frees, what it sets, and the reference speed that the table set."""
     if choice.effect in INSTRUMENT:
         return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
-    numbers, out = problem.effects((choice,), values), {}
+    numbers = problem.effects((choice,), values)
+    out = {}
     for p in LISTED[choice.effect].parameters:
         full = f"{choice.effect}_{p.name}"
         if full in choice.free or full in choice.fixed or p.name == "reference_speed":
@@ -195,19 +264,29 @@ def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> d
     return out
 
 
-def _effects(problem: Problem, finding: Finding, fit: Fit, intervals: dict[str, Interval],
-             shares: dict[str, float | None]) -> tuple[EffectFound, ...]:  # fmt: skip
+def _effects(
+    problem: Problem,
+    finding: Finding,
+    fit: Fit,
+    intervals: dict[str, Interval],
+    shares: dict[str, float | None],
+) -> tuple[EffectFound, ...]:
     out = []
     for name in finding.names:
         choice = next(c for c in fit.choices if c.effect == name)
         fitted = _parameters(problem, choice, fit.parameters())
         parameters = {p: intervals.get(f"{name}_{p}", Interval(x, x, x)) for p, x in fitted.items()}
         form = LISTED[name].forms[choice.form].name
-        probability, others = finding.share(name), finding.alternatives(name)
+        probability = finding.share(name)
+        others = finding.alternatives(name)
         out.append(EffectFound(name, form, parameters, fitted, probability, shares[name], others))
     return tuple(out)
 
 
 def _soil(problem: Problem, intervals: dict[str, Interval]) -> dict[str, Interval]:
     given = {name: Interval(value, value, value) for name, value in problem.known.items()}
-    return {**{k.name: intervals[k.name] for k in problem.soil}, **given, "density": Interval(*[problem.density] * 3)}
+    return {
+        **{k.name: intervals[k.name] for k in problem.soil},
+        **given,
+        "density": Interval(*[problem.density] * 3),
+    }

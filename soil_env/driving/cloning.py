@@ -18,17 +18,31 @@ from soil_env.simulation.wheels import Record
 
 
 def clone(
-    source: Simulation, wheels: Sequence[int] | np.ndarray, target: Simulation, places: Sequence[int] | np.ndarray
+    source: Simulation,
+    wheels: Sequence[int] | np.ndarray,
+    target: Simulation,
+    places: Sequence[int] | np.ndarray,
 ) -> None:
     """Make wheel `places[i]` of `target` a clone of wheel `wheels[i]` of `source`.
 
     Both simulations are of one scenario, observation and model; reward and time limit may differ. A wheel may be cloned
     to many places. Raises `ParameterError` where the numbers of wheels and places differ, or the simulations' memories.
     """
-    wheels, places = np.asarray(wheels, dtype=np.intp), np.asarray(places, dtype=np.intp)
+    wheels = np.asarray(wheels, dtype=np.intp)
+    places = np.asarray(places, dtype=np.intp)
     if wheels.shape != places.shape or wheels.ndim != 1:
-        raise ParameterError(f"clone: {wheels.shape} wheels for {places.shape} places: expected one for each")
-    _copy(source.worlds, wheels, target.worlds, places, _wheels(source.worlds), _wheels(target.worlds), "worlds")
+        raise ParameterError(
+            f"clone: {wheels.shape} wheels for {places.shape} places: expected one for each"
+        )
+    _copy(
+        source.worlds,
+        wheels,
+        target.worlds,
+        places,
+        _wheels(source.worlds),
+        _wheels(target.worlds),
+        "worlds",
+    )
 
 
 def _wheels(worlds: Any) -> int:
@@ -37,21 +51,29 @@ def _wheels(worlds: Any) -> int:
 
 def _copy(a, wheels, b, places, count, into, name):
     """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds `into`."""
-    if a is None or b is None or isinstance(a, Record):  # no estimator; a record is written anew by every step
+    if (
+        a is None or b is None or isinstance(a, Record)
+    ):  # no estimator; a record is written anew by every step
         return
     if isinstance(a, Rows):
         each = a.count // count  # columns of a wheel
         if b.count // into != each:
-            raise ParameterError(f"clone: {name} has {each} columns a wheel in one simulation and {b.count // into} in "
-                                 "the other: expected the same scenario")  # fmt: skip
+            raise ParameterError(
+                f"clone: {name} has {each} columns a wheel in one simulation and {b.count // into} in "
+                "the other: expected the same scenario"
+            )
         columns = np.arange(each)
         here, there = ((each * rows[:, None] + columns).ravel() for rows in (wheels, places))
         b.data[:, there] = a.data[:, here]
     elif isinstance(a, tuple):
         for field in a._fields:
-            _copy(getattr(a, field), wheels, getattr(b, field), places, count, into, f"{name}.{field}")
+            _copy(
+                getattr(a, field), wheels, getattr(b, field), places, count, into, f"{name}.{field}"
+            )
     elif a.shape[1:] != b.shape[1:]:
-        raise ParameterError(f"clone: {name} is {a.shape[1:]} in one simulation and {b.shape[1:]} in the other: "
-                             "expected the same scenario")  # fmt: skip
+        raise ParameterError(
+            f"clone: {name} is {a.shape[1:]} in one simulation and {b.shape[1:]} in the other: "
+            "expected the same scenario"
+        )
     elif len(a) and len(b):  # averages are kept only where something asks for them
         b[places] = a[wheels]

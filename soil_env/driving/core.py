@@ -51,7 +51,9 @@ class Vehicles:
         self.scenario = scenario
         self.count: int = count
         self._threads = threads or processors()
-        self._least = least  # vehicles that a thread takes at a time, at least; a multiple of `COUNT`
+        self._least = (
+            least  # vehicles that a thread takes at a time, at least; a multiple of `COUNT`
+        )
         self._what = np.full(count, IDLE)
 
     def _begin(self, lay, step, world, trial, commands: int, estimate, estimator, belief) -> None:
@@ -59,9 +61,14 @@ class Vehicles:
 
         Functions that are not in the cache yet are compiled side by side.
         """
-        self._world, self._commands = world, np.zeros(commands)
-        self._lay, self._step, self._estimate = FastCall(lay), FastCall(step), FastCall(estimate)
-        self._estimator, self.belief, count = estimator, belief, self.count
+        self._world = world
+        self._commands = np.zeros(commands)
+        self._lay = FastCall(lay)
+        self._step = FastCall(step)
+        self._estimate = FastCall(estimate)
+        self._estimator = estimator
+        self.belief = belief
+        count = self.count
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
         if estimator is not None:
             compile_aside(estimate, self._knowledge(self._what, 0, count))
@@ -150,7 +157,8 @@ class Vehicles:
         share = max(-(-share // COUNT) * COUNT, self._least)
 
         def follow(first: int) -> int:
-            end, failed = min(first + share, self.count), 0
+            end = min(first + share, self.count)
+            failed = 0
             if laid:
                 failed = self._lay(self._world, self.numbers, courses, first, end)
             self._drive(what, first, end)

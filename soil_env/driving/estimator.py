@@ -31,7 +31,14 @@ from soil_env.identification.online.identifier import (
     new_identifiers,
     observe,
 )
-from soil_env.identification.online.immobilisation import MEMORY, WarningNumbers, begin, follow, see, warning_numbers
+from soil_env.identification.online.immobilisation import (
+    MEMORY,
+    WarningNumbers,
+    begin,
+    follow,
+    see,
+    warning_numbers,
+)
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario
 from soil_env.simulation.task.observation import SENSORS, clip, write_estimate, write_moments
@@ -81,7 +88,9 @@ def new_estimator(wheels: int, scenario: Scenario, warnings: bool) -> Estimator:
 
 def estimator_numbers(scenario: Scenario, task: TaskNumbers) -> EstimatorNumbers:
     """Pack the beliefs of a scenario."""
-    return EstimatorNumbers(identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task)
+    return EstimatorNumbers(
+        identifier_numbers(scenario), memory_numbers(scenario), warning_numbers(scenario), task
+    )
 
 
 @compiled_inline
@@ -102,7 +111,9 @@ def _look_ahead(estimator, numbers, record, k, period):
     """Note the view of wheel k for the warning, where it is asked for."""
     if estimator.recent.shape[0] > 0:
         image = load_image(record.images[k, period])
-        see(estimator.recent, k, image, estimator.memory, numbers.task.camera.sight, numbers.warning)
+        see(
+            estimator.recent, k, image, estimator.memory, numbers.task.camera.sight, numbers.warning
+        )
 
 
 @compiled_part
@@ -121,17 +132,26 @@ def _restart(estimator, numbers, record, results, k):
 @compiled_inline
 def _after_period(estimator, numbers, record, results, k, period):
     """Take the record of a control period of wheel k."""
-    reading, task = load_reading(record.readings[k, period]), numbers.task
+    reading = load_reading(record.readings[k, period])
+    task = numbers.task
     if estimator.recent.shape[0] > 0:
         follow(estimator.recent, k, reading, record.halted[k, period], numbers.warning)
-    paid, prior = task.reward.information > 0.0, numbers.identifier.precision
+    paid = task.reward.information > 0.0
+    prior = numbers.identifier.precision
     before = knowledge(estimator.ids, k, prior) if paid and period == 0 else 0.0
     outcome = observe(estimator.ids, k, reading, numbers.identifier)
     estimator.changed[k] = estimator.changed[k] or outcome != HELD
     if task.camera.classes > 0:
         image = load_image(record.images[k, period])
         if outcome == RENEWED and clear_of_borders(image.since, image.left, numbers.memory):
-            remember(estimator.memory, k, int(image.here), int(image.patch), estimator.ids, numbers.memory)
+            remember(
+                estimator.memory,
+                k,
+                int(image.here),
+                int(image.patch),
+                estimator.ids,
+                numbers.memory,
+            )
         _look_ahead(estimator, numbers, record, k, period)
     if paid:
         after = knowledge(estimator.ids, k, prior) if period == task.repeat - 1 else 0.0
@@ -153,7 +173,9 @@ def _step(estimator, numbers, record, results, k):
 @compiled_inline
 def show_estimate(estimator, numbers, record, results, k, period):
     """Fill what is identified into the observation of wheel k, if its variant has it."""
-    task, ids, out = numbers.task, estimator.ids, results.observation[k]
+    task = numbers.task
+    ids = estimator.ids
+    out = results.observation[k]
     if task.variant != 1:
         return
     converged = ids.status[k] == _CONVERGED
@@ -162,9 +184,13 @@ def show_estimate(estimator, numbers, record, results, k, period):
         image = load_image(record.images[k, period])
         first = out.size - task.camera.lines * _AHEAD
         for line in range(task.camera.lines):
-            label, grade = (image.label_0, image.grade_0) if line == 0 else (image.label_1, image.grade_1)
+            label, grade = (
+                (image.label_0, image.grade_0) if line == 0 else (image.label_1, image.grade_1)
+            )
             there = image.seen > 0.0 and line < image.count
-            _write_line(out[first + line * _AHEAD :], estimator.memory, k, there, int(label), grade, task)
+            _write_line(
+                out[first + line * _AHEAD :], estimator.memory, k, there, int(label), grade, task
+            )
     clip(out, task)
 
 

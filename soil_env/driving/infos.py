@@ -22,9 +22,27 @@ IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 STATUS = {status.value: status.name for status in Status}
-_STATE = ("x", "speed", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+_STATE = (
+    "x",
+    "speed",
+    "wheel_speed",
+    "slip",
+    "sinkage",
+    "load",
+    "drawbar_pull",
+    "torque",
+    "motor_torque",
+    "grade",
+)
 _ROWS = [WheelState.NAMES.index(name) for name in _STATE]
-_WARNING = ("best_slip", "drawbar_margin", "drawbar_margin_sd", "torque_required", "torque_available", "passable")
+_WARNING = (
+    "best_slip",
+    "drawbar_margin",
+    "drawbar_margin_sd",
+    "torque_required",
+    "torque_available",
+    "passable",
+)
 _FORESEEN = tuple(f"immobilised_within_{horizon:g}_s" for horizon in HORIZONS)
 _SEEN = [[e.name for e in layout("blind")].index(name) for name in ("load", "pitch")]
 
@@ -48,7 +66,12 @@ def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
     `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`, `AXLE_estimate_NAME` of an axle.
     """
-    prefixes = {"reward_terms": "reward_", "estimate": "estimate_", "state": "", "traversability": ""}
+    prefixes = {
+        "reward_terms": "reward_",
+        "estimate": "estimate_",
+        "state": "",
+        "traversability": "",
+    }
     out: dict[str, Any] = {}
     for key, value in nested.items():
         if isinstance(value, Mapping):
@@ -66,7 +89,10 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
     True is 1: the vector environments of gymnasium would gather `np.bool_` as objects.
     """
     out = dict(zip(info, np.array(list(info.values())), strict=True))
-    return out | {name: np.int64(info[name]) for name in ("cause", "immobilised", "estimate_status", "passable")}
+    return out | {
+        name: np.int64(info[name])
+        for name in ("cause", "immobilised", "estimate_status", "passable")
+    }
 
 
 class Infos:
@@ -79,10 +105,13 @@ class Infos:
     def __init__(self, simulation: Simulation, kind: str) -> None:
         self.scenario: Scenario = simulation.scenario
         self.kind: str = kind
-        self._simulation, wheels = simulation, simulation.count
+        self._simulation = simulation
+        wheels = simulation.count
         self._assess = FastCall(assess_ground)
         self._foresight = ImmobilisationWarning(self.scenario)
-        self._seen = np.zeros((wheels, 2))  # load [of weight] and pitch [rad] when the estimate last changed
+        self._seen = np.zeros(
+            (wheels, 2)
+        )  # load [of weight] and pitch [rad] when the estimate last changed
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
 
@@ -120,8 +149,11 @@ class Infos:
             "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
         }
         if asks(self.kind):
-            ids, gain = worlds.ids, self.scenario.belief.dig_gain
-            known = published(ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain)
+            ids = worlds.ids
+            gain = self.scenario.belief.dig_gain
+            known = published(
+                ids.estimate[k].tolist(), ids.sd[k].tolist(), ids.best_pull[k].tolist(), gain
+            )
             info["estimate"] = known | {"status": STATUS[ids.status.item(k)]}
             only = np.array([k])
             warning = dict(zip(_WARNING, self._renewed(worlds, only)[k].tolist(), strict=True))
@@ -133,13 +165,16 @@ class Infos:
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
-        return self._foresight.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        return self._foresight.probabilities(
+            rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd
+        )
 
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
         rows = rows[self._stale[rows]]
         if rows.size:
-            ids, numbers = worlds.ids, self._simulation.belief.identifier.filter
+            ids = worlds.ids
+            numbers = self._simulation.belief.identifier.filter
             self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
             self._stale[rows] = False
         return self._warnings
@@ -152,7 +187,11 @@ class Infos:
         terms = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info = {"cause": worlds.cause.copy(), "immobilised": STUCK[worlds.cause]}
         if self.kind == "short":
-            return info | {"x": worlds.state["x"].copy()} | dict(zip(_TERMS, terms.values(), strict=True))
+            return (
+                info
+                | {"x": worlds.state["x"].copy()}
+                | dict(zip(_TERMS, terms.values(), strict=True))
+            )
         full = info | {"reward_terms": terms}
         full |= self._groups(worlds, np.ones(worlds.cause.size, dtype=np.bool_), asks(self.kind))
         return full if self.kind != "numeric" else flat(full)
@@ -162,23 +201,33 @@ class Infos:
 
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
         """
-        worlds, info = self._simulation.worlds, self.many()
-        info["reward_terms"] = {name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
+        worlds = self._simulation.worlds
+        info = self.many()
+        info["reward_terms"] = {
+            name: worlds.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)
+        }
         identified = worlds.recent is not None and len(worlds.recent) > 0
         info |= {"x": worlds.state["x"].copy()} | self._groups(worlds, ended, identified)
         return masked(info, ended)
 
-    def _groups(self, worlds: Any, which: np.ndarray, identified: bool) -> dict[str, dict[str, np.ndarray]]:
+    def _groups(
+        self, worlds: Any, which: np.ndarray, identified: bool
+    ) -> dict[str, dict[str, np.ndarray]]:
         """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
         groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
         if not identified:
             return groups
-        foreseen, rows = np.zeros((which.size, len(HORIZONS))), np.flatnonzero(which)
+        foreseen = np.zeros((which.size, len(HORIZONS)))
+        rows = np.flatnonzero(which)
         warning = dict(zip(_WARNING, self._renewed(worlds, rows).T.copy(), strict=True))
         warning["passable"] = warning["passable"] > 0.0
         foreseen[rows] = self._foreseen(worlds, rows)
         warning |= dict(zip(_FORESEEN, foreseen.T.copy(), strict=True))
-        return {"estimate": estimates(worlds.ids, self.scenario), "traversability": warning, **groups}
+        return {
+            "estimate": estimates(worlds.ids, self.scenario),
+            "traversability": warning,
+            **groups,
+        }
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
@@ -192,6 +241,10 @@ def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
     """Arrays with 0 where `which` is not, and beside each key `_key` with `which`, as vector environments have it."""
     out: dict[str, Any] = {}
     for key, value in info.items():
-        out[key] = masked(value, which) if isinstance(value, dict) else np.where(which, value, value.dtype.type(0))
+        out[key] = (
+            masked(value, which)
+            if isinstance(value, dict)
+            else np.where(which, value, value.dtype.type(0))
+        )
         out[f"_{key}"] = which.copy()
     return out

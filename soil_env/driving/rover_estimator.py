@@ -20,7 +20,14 @@ from soil_env.identification.online.identifier import (
 )
 from soil_env.identification.online.pooling import share
 from soil_env.identification.online.status import Status
-from soil_env.identification.online.stretches import PoolNumbers, Pools, forget_stretches, new_pools, note, pool_numbers
+from soil_env.identification.online.stretches import (
+    PoolNumbers,
+    Pools,
+    forget_stretches,
+    new_pools,
+    note,
+    pool_numbers,
+)
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
@@ -56,7 +63,10 @@ def new_rover_estimator(wheels: int) -> RoverEstimator:
 def rover_estimator_numbers(scenario: RoverScenario, task: TaskNumbers) -> RoverEstimatorNumbers:
     """Pack the beliefs of a scenario."""
     return RoverEstimatorNumbers(
-        _identifier_numbers(scenario), pool_numbers(scenario), task, np.array(scenario.vehicle.axles)
+        _identifier_numbers(scenario),
+        pool_numbers(scenario),
+        task,
+        np.array(scenario.vehicle.axles),
     )
 
 
@@ -90,7 +100,8 @@ def _restart(estimator, numbers, results, j):
 @compiled_inline
 def _knowledge(estimator, numbers, j):
     """Mean of `knowledge` over the axles of rover j."""
-    axles, known = numbers.places.size, 0.0
+    axles = numbers.places.size
+    known = 0.0
     for a in range(axles):
         known += knowledge(estimator.known, wheel_of(j, a, axles), numbers.identifier.precision)
     return known / axles
@@ -99,12 +110,16 @@ def _knowledge(estimator, numbers, j):
 @compiled_inline
 def _after_period(estimator, numbers, record, results, j, period):
     """Take the record of a control period of rover j."""
-    axles, task, furthest = numbers.places.size, numbers.task, HELD
+    axles = numbers.places.size
+    task = numbers.task
+    furthest = HELD
     paid = task.reward.information > 0.0
     before = _knowledge(estimator, numbers, j) if paid and period == 0 else 0.0
     for a in range(axles):
         k = wheel_of(j, a, axles)
-        outcome = observe(estimator.ids, k, load_reading(record.readings[k, period]), numbers.identifier)
+        outcome = observe(
+            estimator.ids, k, load_reading(record.readings[k, period]), numbers.identifier
+        )
         place = record.places[j, period] - numbers.places[a]
         note(estimator.known, estimator.ids, k, place, outcome, a > 0, numbers.pool)
         furthest = max(furthest, outcome)
@@ -129,7 +144,10 @@ def _step(estimator, numbers, record, results, j):
 @compiled_inline
 def _show(estimator, numbers, results, j):
     """Fill what is identified into the observation of rover j, if its variant has it."""
-    known, task, out, axles = estimator.known, numbers.task, results.observation[j], numbers.places.size
+    known = estimator.known
+    task = numbers.task
+    out = results.observation[j]
+    axles = numbers.places.size
     if task.variant != 1:
         return
     for a in range(axles):

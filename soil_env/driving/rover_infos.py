@@ -12,7 +12,17 @@ from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import REWARD_TERMS, Cause
 
 _OF_BODY = ("x", "speed", "pitch", "slip", "sinkage", "drawbar_pull", "motor_work")
-_OF_WHEEL = ("x", "wheel_speed", "slip", "sinkage", "load", "drawbar_pull", "torque", "motor_torque", "grade")
+_OF_WHEEL = (
+    "x",
+    "wheel_speed",
+    "slip",
+    "sinkage",
+    "load",
+    "drawbar_pull",
+    "torque",
+    "motor_torque",
+    "grade",
+)
 
 
 class RoverInfos:
@@ -30,7 +40,11 @@ class RoverInfos:
     def _estimates(self) -> dict[str, np.ndarray]:
         """Estimates of the soil under each wheel, arrays [wheels]; empty if this kind of info does not ask for them."""
         w = self._simulation.worlds
-        return estimates(w.known, self._simulation.scenario) if asks(self.kind) and w.known is not None else {}
+        return (
+            estimates(w.known, self._simulation.scenario)
+            if asks(self.kind) and w.known is not None
+            else {}
+        )
 
     def many(self) -> dict[str, Any]:
         """Info of all rovers, arrays [rovers]; causes and statuses are numbers."""
@@ -40,7 +54,11 @@ class RoverInfos:
         terms = {name: w.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": STUCK[w.cause]}
         if self.kind == "short":
-            return info | {"x": w.rovers.body["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
+            return (
+                info
+                | {"x": w.rovers.body["x"].copy()}
+                | {f"reward_{n}": v for n, v in terms.items()}
+            )
         info["reward_terms"] = terms
         info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
         known = self._estimates()

@@ -51,23 +51,32 @@ class RoverSimulation(Vehicles):
     ) -> None:
         super().__init__(rovers, scenario, threads, COUNT)
         self.numbers: RoverNumbers = rover_numbers(scenario, variant, model)
-        task, axles = self.numbers.task, np.arange(scenario.axles)
+        task = self.numbers.task
+        axles = np.arange(scenario.axles)
         #: [rovers, axles] the row of each wheel in the arrays of wheels
-        self.wheels: np.ndarray = (np.arange(rovers)[:, None] // COUNT * scenario.axles + axles) * COUNT
+        self.wheels: np.ndarray = (
+            np.arange(rovers)[:, None] // COUNT * scenario.axles + axles
+        ) * COUNT
         self.wheels += np.arange(rovers)[:, None] % COUNT
         estimates = estimates or asks_for_estimates(scenario, variant)
         world = new_rover_worlds(rovers, scenario, task, estimates)
-        wheels, estimator, belief = world.wheel_streams.size, None, None
+        wheels = world.wheel_streams.size
+        estimator = None
+        belief = None
         if estimates:
-            estimator, belief = new_rover_estimator(wheels), rover_estimator_numbers(scenario, task)
+            estimator = new_rover_estimator(wheels)
+            belief = rover_estimator_numbers(scenario, task)
         self.worlds = Worlds._make((*world, *(estimator or (None, None))))
         trial = new_rover_worlds(1, scenario, task, False)
         self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
-        self._begin(lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief)
+        self._begin(
+            lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief
+        )
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""
-        entries, sensed = rover_layout("true_soil", self.scenario.axles), first_soil(self.scenario.axles)
+        entries = rover_layout("true_soil", self.scenario.axles)
+        sensed = first_soil(self.scenario.axles)
         out = np.zeros((self.count, len(entries)), dtype=np.float32)
         out[:, :sensed] = self.worlds.observation[:, :sensed]
         observe_true_soils(self._world, self.numbers, out)

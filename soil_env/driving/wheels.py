@@ -5,7 +5,13 @@ from collections import namedtuple
 import numpy as np
 
 from soil_env.driving.core import Vehicles, asks_for_estimates, processors
-from soil_env.driving.estimator import Estimator, EstimatorNumbers, estimate_wheels, estimator_numbers, new_estimator
+from soil_env.driving.estimator import (
+    Estimator,
+    EstimatorNumbers,
+    estimate_wheels,
+    estimator_numbers,
+    new_estimator,
+)
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import VARIANTS, truth
 from soil_env.simulation.task.rules import task_numbers
@@ -56,12 +62,15 @@ class Simulation(Vehicles):
         self.numbers: WheelNumbers = WheelNumbers(world_numbers(scenario, model), drawn, task)
         estimator = belief = None
         if warnings or asks_for_estimates(scenario, variant):
-            estimator, belief = new_estimator(wheels, scenario, warnings), estimator_numbers(scenario, task)
+            estimator = new_estimator(wheels, scenario, warnings)
+            belief = estimator_numbers(scenario, task)
         world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
         self.worlds = Worlds._make((*world, *(estimator or (None,) * 4)))
         trial = new_wheel_worlds(1, scenario, task, False)
         self._ahead = drawn.ahead
-        self._begin(lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief)
+        self._begin(
+            lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief
+        )
 
     def wheel(self, k: int) -> dict[str, float]:
         """State and counts of wheel k by name, as they are now."""

@@ -11,5 +11,15 @@ from soil_env.logs.recordings import read_recording
 from soil_env.logs.replay import Replay, replay
 from soil_env.logs.steady import Steady, steady_windows
 
-__all__ = ["Aligned", "LogMap", "Replay", "Source", "Steady", "Windows", "read_map", "read_recording", "replay",
-           "steady_windows"]  # fmt: skip
+__all__ = [
+    "Aligned",
+    "LogMap",
+    "Replay",
+    "Source",
+    "Steady",
+    "Windows",
+    "read_map",
+    "read_recording",
+    "replay",
+    "steady_windows",
+]

@@ -31,7 +31,10 @@ class Channel:
 
     def facts(self) -> dict[str, str | int | float]:
         """Fields of the report."""
-        return {n: getattr(self, n) for n in ("place", "readings", "unusable", "interpolated", "missing")}
+        return {
+            n: getattr(self, n)
+            for n in ("place", "readings", "unusable", "interpolated", "missing")
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +43,9 @@ class Aligned:
 
     start: int  # [ns] of time 0, in the clock of the recording
     time: np.ndarray  # [N] s, rising in whole periods, with jumps where nothing was read
-    readings: dict[str, np.ndarray]  # [N] each, by the names of `soil_env.online.Readings`; NaN = missing
+    readings: dict[
+        str, np.ndarray
+    ]  # [N] each, by the names of `soil_env.online.Readings`; NaN = missing
     channels: dict[str, Channel]
     period: float  # [s]
     notes: list[str] = field(default_factory=list)
@@ -58,9 +63,15 @@ class Aligned:
 
         Speed and slip follow from each other where one of them is missing.
         """
-        rim, speed, slip = self.get("wheel_speed") * radius, self.get("speed"), self.get("slip")
+        rim = self.get("wheel_speed") * radius
+        speed = self.get("speed")
+        slip = self.get("slip")
         slip = np.where(np.isnan(slip), slips(rim, speed), np.clip(slip, -1.0, 1.0))
-        return rim, np.where(np.isnan(speed), travel_speeds(rim, np.maximum(slip, _LOCKED)), speed), slip
+        return (
+            rim,
+            np.where(np.isnan(speed), travel_speeds(rim, np.maximum(slip, _LOCKED)), speed),
+            slip,
+        )
 
     def travelled(self, radius: float) -> np.ndarray:
         """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of the wheel."""
@@ -69,14 +80,19 @@ class Aligned:
         return np.cumsum(np.abs(np.nan_to_num(np.where(np.isnan(speed), rim, speed))) * steps)
 
 
-def align(channels: dict[str, Channel], constants: dict[str, float], period: float, max_gap: float) -> Aligned:
+def align(
+    channels: dict[str, Channel], constants: dict[str, float], period: float, max_gap: float
+) -> Aligned:
     """Readings from the first to the last of the wheel speed; `constants` by the name of the reading, in SI units."""
-    ns, measured = round(period * 1e9), {n: c for n, c in channels.items() if n not in constants}
+    ns = round(period * 1e9)
+    measured = {n: c for n, c in channels.items() if n not in constants}
     turning = np.frombuffer(channels["wheel_speed"].times, np.int64)
     if turning.size == 0:
         return Aligned(0, np.zeros(0), {n: np.zeros(0) for n in channels}, channels, period)
     origin = int(turning.min())
-    steps = {n: (np.frombuffer(c.times, np.int64) - origin + ns // 2) // ns for n, c in measured.items()}
+    steps = {
+        n: (np.frombuffer(c.times, np.int64) - origin + ns // 2) // ns for n, c in measured.items()
+    }
     grid = _bridged(np.unique(np.concatenate(list(steps.values()))), round(max_gap / period))
     kept = (grid >= 0) & (grid <= steps["wheel_speed"].max())
     readings = {}
@@ -87,8 +103,10 @@ def align(channels: dict[str, Channel], constants: dict[str, float], period: flo
         means = np.divide(sums, counts, out=np.full(grid.size, math.nan), where=counts > 0)
         values, filled = interpolated(grid * period, means, max_gap)
         readings[name] = values[kept]
-        channel.interpolated, channel.missing = float(np.mean(filled[kept])), float(np.mean(np.isnan(values[kept])))
-    time, seen = grid[kept] * period, ~np.all([np.isnan(v) for v in readings.values()], axis=0)
+        channel.interpolated = float(np.mean(filled[kept]))
+        channel.missing = float(np.mean(np.isnan(values[kept])))
+    time = grid[kept] * period
+    seen = ~np.all([np.isnan(v) for v in readings.values()], axis=0)
     readings |= {name: np.full(time.size, value) for name, value in constants.items()}
     return Aligned(origin, time[seen], {n: v[seen] for n, v in readings.items()}, channels, period)
 
@@ -100,7 +118,9 @@ def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
     return np.append(np.repeat(steps[:-1], count) + within, steps[-1:])
 
 
-def interpolated(time: np.ndarray, values: np.ndarray, max_gap: float) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(
+    time: np.ndarray, values: np.ndarray, max_gap: float
+) -> tuple[np.ndarray, np.ndarray]:
     """`values` [N] with NaN filled linearly between neighbours at most `max_gap` apart; True [N] where filled."""
     known = np.flatnonzero(~np.isnan(values))
     if known.size < 2:

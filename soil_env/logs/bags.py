@@ -62,7 +62,9 @@ def bag_files(path: Path) -> list[Path]:
         found = [path / Path(str(name)).name for name in named or []] or found
     packed = [p for p in found if p.suffix not in SUFFIXES]
     if packed:
-        raise ParameterError(f"{packed[0]}: expected .mcap or .db3; unpack a file that is compressed whole (zstd -d)")
+        raise ParameterError(
+            f"{packed[0]}: expected .mcap or .db3; unpack a file that is compressed whole (zstd -d)"
+        )
     if not found:
         raise ParameterError(f"{path}: no .mcap or .db3 file in this folder: expected a ROS 2 bag")
     return found
@@ -79,7 +81,9 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
     sizes = [p.stat().st_size if p.is_file() else 0 for p in files]
     for k, file in enumerate(files):
         if not file.is_file():
-            notes.add(f"{file.name} is named in metadata.yaml and is not there: its part of the recording is missing")
+            notes.add(
+                f"{file.name} is named in metadata.yaml and is not there: its part of the recording is missing"
+            )
             continue
 
         def report(position: int, before: int = sum(sizes[:k])) -> None:
@@ -117,7 +121,9 @@ class _Decoder:
         for store in (self._own, self._known):
             if kind in store.types:
                 return store.deserialize_cdr(data, kind)
-        raise ParameterError(f"{where}: message type {kind} is not known, and the recording does not define it")
+        raise ParameterError(
+            f"{where}: message type {kind} is not known, and the recording does not define it"
+        )
 
 
 def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
@@ -126,24 +132,44 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
     from mcap.records import Chunk, DataEnd, Footer, Message as Record
     from mcap.stream_reader import StreamReader, breakup_chunk
 
-    size, last, record = file.stat().st_size, None, None
+    size = file.stat().st_size
+    last = None
+    record = None
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=True, record_size_limit=max(size, 1)).records
         while not isinstance(record, (DataEnd, Footer)):
             try:
                 record = next(records)
             except InvalidMagic:
-                raise ParameterError(f"{file}: not an MCAP file (its first bytes are others)") from None
+                raise ParameterError(
+                    f"{file}: not an MCAP file (its first bytes are others)"
+                ) from None
             except (EndOfFile, McapError, struct.error, ValueError, MemoryError) as error:
                 why = "" if isinstance(error, EndOfFile) else f" ({error})"
-                at = f"after the message recorded at {last * 1e-9:.3f} s" if last else "before its first message"
-                end = "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
-                notes.add(f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read")
+                at = (
+                    f"after the message recorded at {last * 1e-9:.3f} s"
+                    if last
+                    else "before its first message"
+                )
+                end = (
+                    "at its end" if stream.tell() >= size else f"at byte {stream.tell()} of {size}"
+                )
+                notes.add(
+                    f"{file.name} is cut off or damaged {end}{why}, {at}: what is whole was read"
+                )
                 return
             try:
-                inside = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
-            except Exception as error:  # checksum, decompression: each library has errors of its own
-                notes.add(f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})")
+                inside = (
+                    breakup_chunk(record, validate_crc=True)
+                    if isinstance(record, Chunk)
+                    else [record]
+                )
+            except (
+                Exception
+            ) as error:  # checksum, decompression: each library has errors of its own
+                notes.add(
+                    f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})"
+                )
                 continue
             for r in inside:
                 last = r.log_time if isinstance(r, Record) else last
@@ -151,11 +177,15 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
             report(stream.tell())
 
 
-def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
+def _mcap(
+    file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]
+) -> Iterator[Message]:
     """Messages of an MCAP file."""
     from mcap.records import Channel, Message as Record, Schema
 
-    decoder, schemas, channels = _Decoder(), {}, {}
+    decoder = _Decoder()
+    schemas = {}
+    channels = {}
     for r in _mcap_records(file, notes, report):
         if isinstance(r, Schema):
             schemas[r.id] = r
@@ -164,7 +194,11 @@ def _mcap(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], No
             kind = schema.name if schema else r.message_encoding
             notes.topics.setdefault(r.topic, kind)
             if r.topic in wanted:
-                channels[r.id] = r.topic, kind, _decoding(decoder, f"{file}: topic {r.topic}", r, schema)
+                channels[r.id] = (
+                    r.topic,
+                    kind,
+                    _decoding(decoder, f"{file}: topic {r.topic}", r, schema),
+                )
         elif isinstance(r, Record) and r.channel_id in channels:
             topic, kind, decode = channels[r.channel_id]
             yield Message(topic, r.log_time, kind, decode(r.data))
@@ -174,21 +208,33 @@ def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes
     """Function that decodes the messages of a channel; `ParameterError` for an encoding that is not read."""
     if channel.message_encoding == "json":
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
-    if channel.message_encoding != "cdr" or schema is None or schema.encoding not in ("ros2msg", ""):
+    if (
+        channel.message_encoding != "cdr"
+        or schema is None
+        or schema.encoding not in ("ros2msg", "")
+    ):
         encoding = f"{channel.message_encoding} with schema {schema.encoding if schema else 'none'}"
-        raise ParameterError(f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json")
+        raise ParameterError(
+            f"{where}: encoding {encoding}: expected cdr with schema ros2msg, or json"
+        )
     if schema.data:
         decoder.define(schema.name, schema.data.decode("utf-8", "replace"))
     return partial(decoder.cdr, schema.name, where)
 
 
-def _sqlite(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]) -> Iterator[Message]:
+def _sqlite(
+    file: Path, wanted: set[str], notes: Notes, report: Callable[[int], None]
+) -> Iterator[Message]:
     """Messages of a .db3 file in the order of its rows, which is that of recording."""
-    decoder, size = _Decoder(), file.stat().st_size
+    decoder = _Decoder()
+    size = file.stat().st_size
     _check_size(file, size)
     with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as base:
         try:
-            topics = {i: (name, kind) for i, name, kind in base.execute("SELECT id, name, type FROM topics")}
+            topics = {
+                i: (name, kind)
+                for i, name, kind in base.execute("SELECT id, name, type FROM topics")
+            }
             count = base.execute("SELECT max(id) FROM messages").fetchone()[0] or 1
             notes.topics |= dict(topics.values())
             _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
@@ -200,7 +246,9 @@ def _sqlite(file: Path, wanted: set[str], notes: Notes, report: Callable[[int], 
                 if number % 64 == 0:
                     report(int(size * min(number / count, 1.0)))
         except sqlite3.DatabaseError as error:
-            raise ParameterError(f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})") from None
+            raise ParameterError(
+                f"{file}: cannot be read as a ROS 2 bag in SQLite ({error})"
+            ) from None
 
 
 def _check_size(file: Path, size: int) -> None:
@@ -211,7 +259,9 @@ def _check_size(file: Path, size: int) -> None:
     whole = (65536 if page == 1 else page) * pages
     if header.startswith(b"SQLite format 3") and size < whole:
         recover = f"sqlite3 {file.name} .recover | sqlite3 whole.db3"
-        raise ParameterError(f"{file}: is cut off at byte {size} of {whole}: expected a whole file; try {recover}")
+        raise ParameterError(
+            f"{file}: is cut off at byte {size} of {whole}: expected a whole file; try {recover}"
+        )
 
 
 def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
@@ -240,7 +290,9 @@ def parse(field: str, where: str) -> tuple[str | int, ...]:
     return tuple(steps)
 
 
-def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False) -> float:
+def number(
+    message: Any, steps: tuple[str | int, ...], where: str, quaternion: bool = False
+) -> float:
     """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
 
     Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where only this message
@@ -258,7 +310,9 @@ def number(message: Any, steps: tuple[str | int, ...], where: str, quaternion: b
         try:
             return uphill(value.x, value.y, value.z, value.w)
         except AttributeError:
-            raise ParameterError(f"{where}: expected an orientation with x, y, z and w for unit quaternion") from None
+            raise ParameterError(
+                f"{where}: expected an orientation with x, y, z and w for unit quaternion"
+            ) from None
     if not isinstance(value, Real):
         raise ParameterError(f"{where}: is no number but {_kind(value)}{_near(message, steps)}")
     return float(value)
@@ -269,9 +323,13 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
     if not hasattr(values, "__len__") or isinstance(values, str):
         raise ParameterError(f"{where}: {step} of something that is no list: {_kind(values)}")
     if isinstance(step, str):
-        names = next((list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None)
+        names = next(
+            (list(getattr(message, key)) for key in _LISTS_OF_NAMES if hasattr(message, key)), None
+        )
         if names is None:
-            raise ParameterError(f"{where}: the message has no list of names: expected a number in brackets")
+            raise ParameterError(
+                f"{where}: the message has no list of names: expected a number in brackets"
+            )
         name = step[1:-1]
         if name not in names:
             known = ", ".join(map(str, names)) or "none"
@@ -285,7 +343,9 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
 def uphill(x: float, y: float, z: float, w: float) -> float:
     """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no orientation."""
     norm = x * x + y * y + z * z + w * w
-    return math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
+    return (
+        math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
+    )
 
 
 def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
@@ -294,12 +354,18 @@ def _paths(value: Any, prefix: str = "", depth: int = 6) -> list[str]:
         return [prefix]
     if dataclasses.is_dataclass(value) or isinstance(value, SimpleNamespace):
         fields = {n: v for n, v in vars(value).items() if not n.startswith("_")} if depth else {}
-        return [p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)]
+        return [
+            p for n, v in fields.items() for p in _paths(v, f"{prefix}.{n}".lstrip("."), depth - 1)
+        ]
     return [f"{prefix}[0]"] if hasattr(value, "__len__") and not isinstance(value, str) else []
 
 
 def _kind(value: Any) -> str:
-    return f"a list of {len(value)}" if hasattr(value, "__len__") else type(value).__name__.removesuffix("_")
+    return (
+        f"a list of {len(value)}"
+        if hasattr(value, "__len__")
+        else type(value).__name__.removesuffix("_")
+    )
 
 
 def _near(message: Any, steps: tuple[str | int, ...]) -> str:

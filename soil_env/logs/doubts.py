@@ -17,10 +17,16 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-_SLIPS = (0.05, 0.3)  # difference between the slip measured and that of the speeds: least of another sign, most
+_SLIPS = (
+    0.05,
+    0.3,
+)  # difference between the slip measured and that of the speeds: least of another sign, most
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
-_AGAINST, _ALIKE = -0.5, 0.5  # slope of the gravity felt by that of the pitch; size of their correlation
-_INTERVAL, _USUAL, _SHORT = (5e-4, 5.0), (2e-3, 2.0), 10.0  # [s] between rows; the usual; length of a short table
+_AGAINST = -0.5  # slope of the gravity felt by that of the pitch; size of their correlation
+_ALIKE = 0.5
+_INTERVAL = (5e-4, 5.0)  # [s] between rows; the usual; length of a short table
+_USUAL = (2e-3, 2.0)
+_SHORT = 10.0
 
 
 class Range(NamedTuple):
@@ -37,20 +43,33 @@ class Range(NamedTuple):
         return f"{self.low:g} to {self.high:g}"
 
 
-_RIM = Range(0.65, 6.0)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
+_RIM = Range(
+    0.65, 6.0
+)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
-_LOAD, _PULL, _TORQUE = Range(0.2, 5.0), Range(1e-3, 2.0), Range(5e-3, 3.0)  # of weight, or of weight times radius
-_PITCH, _FELT = Range(0.0, 0.8), Range(0.0, 0.7)  # [rad]; [of gravity], more with an axis that points down
+_LOAD = Range(0.2, 5.0)  # of weight, or of weight times radius
+_PULL = Range(1e-3, 2.0)
+_TORQUE = Range(5e-3, 3.0)
+_PITCH = Range(0.0, 0.8)  # [rad]; [of gravity], more with an axis that points down
+_FELT = Range(0.0, 0.7)
 _SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not known."""
     brief = interval < _USUAL[0] and length < _SHORT
-    if log_map.time is None or interval == 0.0 or not (interval < _INTERVAL[0] or interval > _INTERVAL[1] or brief):
+    if (
+        log_map.time is None
+        or interval == 0.0
+        or not (interval < _INTERVAL[0] or interval > _INTERVAL[1] or brief)
+    ):
         return []
     now = log_map.time.unit
-    usual = [u for u, f in TIMES.items() if u != "iso" and _USUAL[0] <= interval * f / TIMES[now] <= _USUAL[1]]
+    usual = [
+        u
+        for u, f in TIMES.items()
+        if u != "iso" and _USUAL[0] <= interval * f / TIMES[now] <= _USUAL[1]
+    ]
     likely = " or ".join(u for u in usual if u != now) or "another"
     return [
         f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s in all: expected "
@@ -67,11 +86,17 @@ class _Doubts:
     """Comparisons of the readings of one log."""
 
     def __init__(self, log: Aligned, log_map: LogMap) -> None:
-        self.log, self.map, self.lines = log, log_map, []
-        self.rim, self.speed = log.readings["wheel_speed"] * log_map.wheel.radius, log.get("speed")
+        self.log = log
+        self.map = log_map
+        self.lines = []
+        self.rim = log.readings["wheel_speed"] * log_map.wheel.radius
+        self.speed = log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius
-        self.drives = (np.abs(self.rim) > self.slowest) | (np.abs(np.nan_to_num(self.speed)) > self.slowest)
-        sound_speeds, sound_sizes = self._speeds(), self._sizes()
+        self.drives = (np.abs(self.rim) > self.slowest) | (
+            np.abs(np.nan_to_num(self.speed)) > self.slowest
+        )
+        sound_speeds = self._speeds()
+        sound_sizes = self._sizes()
         for name in ("load", "sinkage"):
             if _median(log.get(name)) < 0.0:
                 self._doubt(name, "negative", "positive", "another sign or offset")
@@ -94,18 +119,26 @@ class _Doubts:
 
     def _units(self, name: str, low: float, high: float) -> list[str]:
         """Units in which the reading would be `low` to `high` times as large."""
-        unit, others = self.map.channels[name].unit, ("A", "quaternion")
+        unit = self.map.channels[name].unit
+        others = ("A", "quaternion")
         now = si_factor(name, unit)
         units = {} if unit in others else UNITS[name]
-        return [u for u, f in units.items() if u not in others and f != now and low <= f / now <= high]
+        return [
+            u for u, f in units.items() if u not in others and f != now and low <= f / now <= high
+        ]
 
     def _unit(self, name: str, low: float, high: float) -> str:
         """A unit that explains a reading which should be `low` to `high` times as large."""
-        return " or ".join(f"unit {u}" for u in self._units(name, low, high)) or "another unit or field"
+        return (
+            " or ".join(f"unit {u}" for u in self._units(name, low, high))
+            or "another unit or field"
+        )
 
     def _speeds(self) -> bool:
         """Compare rim speed, travel speed and slip; True if nothing is doubtful."""
-        rim, speed, slip = self.rim, self.speed, self.log.readings.get("slip")
+        rim = self.rim
+        speed = self.speed
+        slip = self.log.readings.get("slip")
         both = self.drives & ~np.isnan(rim) & ~np.isnan(speed)
         moves = both & (np.abs(np.nan_to_num(speed)) > self.slowest)
         both = moves if moves.sum() >= _LEAST else both
@@ -117,9 +150,14 @@ class _Doubts:
         freest = float(np.quantile(np.abs(rim[turns] / speed[turns]), 0.1)) if known else 1.0
         if over < _RIM.low or not _FREEST.has(freest) or (over > _RIM.high and not known):
             over = over if over < _RIM.low or not known else freest
-            units = [f"wheel_speed in {u}" for u in self._units("wheel_speed", 0.9 / over, 2.0 / over)]
+            units = [
+                f"wheel_speed in {u}" for u in self._units("wheel_speed", 0.9 / over, 2.0 / over)
+            ]
             units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / 0.9)]
-            reason = " or ".join(units) or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"
+            reason = (
+                " or ".join(units)
+                or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"
+            )
             said = f"a rim speed of {over:.3g} times the travel speed ({self._place('speed')})"
             self._doubt("wheel_speed", said, _RIM, reason)
             return False
@@ -135,20 +173,29 @@ class _Doubts:
         away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
         if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
             expected = f"{_median(of_speeds[both]):.2g}, as of the two speeds"
-            self._doubt("slip", f"{_median(slip[both]):.2g}", expected, "another sign, unit or definition")
+            self._doubt(
+                "slip", f"{_median(slip[both]):.2g}", expected, "another sign, unit or definition"
+            )
             return False
         return True
 
     def _sizes(self) -> bool:
         """Compare readings with sizes of the wheel; True if nothing is doubtful. Forces wait for a doubtful load."""
-        weight, radius, gravity = self.map.weight, self.map.wheel.radius, self.map.gravity
-        of_weight, of_twist = (weight, "N", "the weight on the wheel"), (weight * radius, "N m", "weight times radius")
+        weight = self.map.weight
+        radius = self.map.wheel.radius
+        gravity = self.map.gravity
+        of_weight = (weight, "N", "the weight on the wheel")
+        of_twist = (weight * radius, "N m", "weight times radius")
         sizes = {  # its size, with unit and words, the quantile that is compared, plausible ratios
             "acceleration": ((gravity, "m/s2", "gravity"), 0.5, _FELT),
             "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
             "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
             "load": (of_weight, 0.5, _LOAD),
-            "drawbar_pull": (of_weight, 0.75, _PULL),  # may be small for a while, as the torque of a wheel that rolls
+            "drawbar_pull": (
+                of_weight,
+                0.75,
+                _PULL,
+            ),  # may be small for a while, as the torque of a wheel that rolls
             "torque": (of_twist, 0.75, _TORQUE),
             "motor_torque": (of_twist, 0.75, _TORQUE),
         }
@@ -159,7 +206,11 @@ class _Doubts:
             ratio = size / scale
             if math.isnan(ratio) or plausible.has(ratio) or (ratio == 0.0 and name == "sinkage"):
                 continue
-            reason = self._unit(name, plausible.low / ratio, plausible.high / ratio) if ratio else "a dead sensor"
+            reason = (
+                self._unit(name, plausible.low / ratio, plausible.high / ratio)
+                if ratio
+                else "a dead sensor"
+            )
             if name == "load":
                 reason += f", or wheel.body_mass {size / gravity:.3g} kg"
             if name == "acceleration":
@@ -171,7 +222,8 @@ class _Doubts:
 
     def _pitch(self) -> None:
         """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
-        log, gravity = self.log, self.map.gravity
+        log = self.log
+        gravity = self.map.gravity
         if "pitch" not in log.readings:
             return
         name = "acceleration" if "acceleration" in log.readings else "drawbar_pull"
@@ -181,10 +233,12 @@ class _Doubts:
         felt = felt - np.nan_to_num(np.gradient(self.speed, log.time))
         expected = gravity * np.sin(log.readings["pitch"])
         known = ~np.isnan(expected + felt)
-        x, y = expected[known], felt[known]
+        x = expected[known]
+        y = felt[known]
         if x.size < _LEAST or math.sqrt(float(x @ x) / x.size) < _HILL * gravity:
             return
-        slope, alike = float(x @ y) / float(x @ x), float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
+        slope = float(x @ y) / float(x @ x)
+        alike = float(x @ y) / math.sqrt(max(float(x @ x) * float(y @ y), 1e-300))
         if slope <= _AGAINST and alike <= -_ALIKE:
             said = f"{slope:.2g} times the gravity that {name} ({self._place(name)}) feels"
             self._doubt("pitch", said, "once", "another sign of one of the two")
@@ -194,7 +248,8 @@ class _Doubts:
         for name in ("wheel_speed", "speed", "sinkage", "drawbar_pull", "torque", "motor_torque"):
             values = self._driven(self.log.get(name))
             if values.size >= _LEAST and np.ptp(values) == 0.0:
-                said, reason = f"{values[0]:.3g} in all {values.size} steps that drive", "a stuck sensor, or a command"
+                said = f"{values[0]:.3g} in all {values.size} steps that drive"
+                reason = "a stuck sensor, or a command"
                 self._doubt(name, said, "values with the noise of a sensor", reason)
 
 

@@ -44,8 +44,14 @@ UNITS: dict[str, dict[str, float]] = {
 #: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 _GEARED = ("wheel_speed", "torque", "motor_torque")
-UNKNOWN_INERTIA = 1e5  # [kg m2] of a map that has none; a motor torque, which needs it, is left out then
-_WHEEL = {"inertia": UNKNOWN_INERTIA, "stall_torque": 1e6, "no_load_speed": 10.0}  # that limit nothing
+UNKNOWN_INERTIA = (
+    1e5  # [kg m2] of a map that has none; a motor torque, which needs it, is left out then
+)
+_WHEEL = {
+    "inertia": UNKNOWN_INERTIA,
+    "stall_torque": 1e6,
+    "no_load_speed": 10.0,
+}  # that limit nothing
 _BORDER = 2.0  # [wheel radii] length of a border between soils, where the belief of the map says nothing of it
 
 
@@ -58,7 +64,9 @@ class Source(Checked):
     """
 
     topic: str = ""
-    field: str = ""  # twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names
+    field: str = (
+        ""  # twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names
+    )
     column: str = ""
     constant: float | None = quantity("", default=None)  # in `unit`
     unit: str | None = None  # None = the SI unit
@@ -67,7 +75,9 @@ class Source(Checked):
     gear: float = quantity("", 1e-3, 1e5, default=1.0)
     motor_constant: float | None = quantity("N m/A", 1e-6, 1e3, default=None)
     efficiency: float = quantity("", 0.01, 1.0, default=1.0)
-    sd: float | None = quantity("", 0.0, default=None, doc="1-sigma of the reading, in `unit`; of a current in A")
+    sd: float | None = quantity(
+        "", 0.0, default=None, doc="1-sigma of the reading, in `unit`; of a current in A"
+    )
 
     @property
     def place(self) -> str:
@@ -111,16 +121,30 @@ class LogMap(Checked):
     """Contents of a recording, and how it is read."""
 
     wheel: Wheel
-    channels: dict[str, Source]  # by the name of the reading (`soil_env.online.Readings`); others are not measured
+    channels: dict[
+        str, Source
+    ]  # by the name of the reading (`soil_env.online.Readings`); others are not measured
     time: TimeColumn | None = None  # of a table
-    clock: Literal["header", "log"] = "header"  # of a bag: time stamp in the message, or that of its recording
-    period: float = quantity("s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier")
-    max_gap: float = quantity("s", 0.0, 60.0, default=0.5, doc="over which readings are interpolated")
-    restart_gap: float = quantity("s", 0.1, 1e6, default=10.0, doc="without readings, after which all starts anew")
+    clock: Literal["header", "log"] = (
+        "header"  # of a bag: time stamp in the message, or that of its recording
+    )
+    period: float = quantity(
+        "s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier"
+    )
+    max_gap: float = quantity(
+        "s", 0.0, 60.0, default=0.5, doc="over which readings are interpolated"
+    )
+    restart_gap: float = quantity(
+        "s", 0.1, 1e6, default=10.0, doc="without readings, after which all starts anew"
+    )
     gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
-    relaxation: float = quantity("wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts")
+    relaxation: float = quantity(
+        "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
+    )
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    soil: dict[str, Any] = dataclasses.field(default_factory=dict)  # what is known of it, for setup.yaml
+    soil: dict[str, Any] = dataclasses.field(
+        default_factory=dict
+    )  # what is known of it, for setup.yaml
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:
@@ -130,9 +154,17 @@ class LogMap(Checked):
                 raise FieldError(self, "channels", str(unknown_key(name, UNITS, "")))
             self._check_source(name, source)
         if "wheel_speed" not in self.channels or self.channels.keys().isdisjoint(("speed", "slip")):
-            raise FieldError(self, "channels", ": expected wheel_speed, and speed or slip, or else no slip is known")
+            raise FieldError(
+                self,
+                "channels",
+                ": expected wheel_speed, and speed or slip, or else no slip is known",
+            )
         if self.channels["wheel_speed"].constant is not None:
-            raise FieldError(self, "channels.wheel_speed", ": expected readings, which make the time axis; no constant")
+            raise FieldError(
+                self,
+                "channels.wheel_speed",
+                ": expected readings, which make the time axis; no constant",
+            )
         self.noise()
         if self.windows.duration < 4.0 * self.period:
             raise ParameterError(
@@ -150,11 +182,15 @@ class LogMap(Checked):
         if abs(s.sign) != 1.0:
             raise FieldError(self, f"{place}.sign", f" = {s.sign:g}: expected 1 or -1")
         if (s.unit == "A") != (s.motor_constant is not None):
-            raise FieldError(self, place, ": expected motor_constant [N m/A] with unit A, and only there")
+            raise FieldError(
+                self, place, ": expected motor_constant [N m/A] with unit A, and only there"
+            )
         if s.gear != 1.0 and name not in _GEARED:
             raise FieldError(self, f"{place}.gear", f": expected only with {', '.join(_GEARED)}")
         if s.efficiency != 1.0 and "torque" not in name:
-            raise FieldError(self, f"{place}.efficiency", ": expected only with torque or motor_torque")
+            raise FieldError(
+                self, f"{place}.efficiency", ": expected only with torque or motor_torque"
+            )
 
     @property
     def weight(self) -> float:
@@ -163,7 +199,8 @@ class LogMap(Checked):
 
     def noise(self) -> Noise:
         """The sensors: `sd` of the channels where given, else the defaults of `Noise`."""
-        force, twist = self.weight, self.weight * self.wheel.radius
+        force = self.weight
+        twist = self.weight * self.wheel.radius
         scale = {"drawbar_pull": force, "load": force, "torque": twist, "motor_torque": twist}
         most = {f.name: f.metadata["high"] for f in fields(Noise)}
         sd = {}
@@ -179,7 +216,8 @@ class LogMap(Checked):
 
 def read_map(path: str | Path) -> LogMap:
     """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
-    mapping, where = read_yaml(Path(path)), str(path)
+    mapping = read_yaml(Path(path))
+    where = str(path)
     wheel = with_preset(mapping.get("wheel"), where)
     if isinstance(wheel, dict):
         mapping = mapping | {"wheel": _WHEEL | wheel}
@@ -190,5 +228,8 @@ def read_map(path: str | Path) -> LogMap:
     if "border" not in belief:
         border = min(_BORDER * found.wheel.radius, 10.0)
         found = dataclasses.replace(found, belief=dataclasses.replace(found.belief, border=border))
-    setup_of({"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil}, where)
+    setup_of(
+        {"wheel": {"radius": found.wheel.radius, "width": found.wheel.width}, "soil": found.soil},
+        where,
+    )
     return found

@@ -17,7 +17,9 @@ _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the
 _SLOW = 0.3  # share of interpolated steps beyond which the report says so
 
 
-def read_recording(path: str | Path, log_map: LogMap, progress: Progress = lambda done, size: None) -> Aligned:
+def read_recording(
+    path: str | Path, log_map: LogMap, progress: Progress = lambda done, size: None
+) -> Aligned:
     """The readings of a bag (a folder, .mcap, .db3), a CSV or a Parquet file, as `log_map` describes it.
 
     `progress` is called with the bytes read so far and those in all. Raises `ParameterError` for a recording of another
@@ -25,29 +27,40 @@ def read_recording(path: str | Path, log_map: LogMap, progress: Progress = lambd
     """
     path = Path(path)
     table = _check_kind(path, log_map)
-    notes, reader = Notes(), _Reader(log_map)
+    notes = Notes()
+    reader = _Reader(log_map)
     (reader.read_table if table else reader.read_bag)(path, notes, progress)
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
     if len(found) == 0:
-        raise ParameterError(f"{path}: {log_map.channels['wheel_speed'].place}: not one reading of wheel_speed")
+        raise ParameterError(
+            f"{path}: {log_map.channels['wheel_speed'].place}: not one reading of wheel_speed"
+        )
     found.notes.extend(notes.lines + _remarks(found, log_map, reader.limits))
-    found.doubts.extend(time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map))
+    found.doubts.extend(
+        time_doubts(reader.interval, reader.length, log_map) + doubts(found, log_map)
+    )
     return found
 
 
 def _check_kind(path: Path, log_map: LogMap) -> bool:
     """True for a table, False for a bag; `ParameterError` for neither, or where the map is for the other kind."""
     if not path.exists():
-        raise ParameterError(f"{path}: is not there: expected a bag, an .mcap, .db3, .csv or .parquet file")
+        raise ParameterError(
+            f"{path}: is not there: expected a bag, an .mcap, .db3, .csv or .parquet file"
+        )
     table = path.suffix.lower() in tables.SUFFIXES and path.is_file()
     if not (table or path.is_dir() or path.suffix in bags.SUFFIXES):
-        raise ParameterError(f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file")
+        raise ParameterError(
+            f"{path}: expected a ROS 2 bag (a folder), an .mcap, .db3, .csv or .parquet file"
+        )
     if path.is_file() and path.stat().st_size == 0:
         raise ParameterError(f"{path}: is empty (0 bytes)")
     for name, source in log_map.channels.items():
         if (source.topic and table) or (source.column and not table):
             expected = "column" if table else "topic and field"
-            raise ParameterError(f"channels.{name}: has a {source.place}: expected {expected} for {path.name}")
+            raise ParameterError(
+                f"channels.{name}: has a {source.place}: expected {expected} for {path.name}"
+            )
     if table and log_map.time is None:
         raise ParameterError(f"time: expected {{column: ..., unit: s}} for the table {path.name}")
     return table
@@ -60,7 +73,8 @@ class _Clock:
     """
 
     def __init__(self, source: str, gap: int) -> None:
-        self._source, self._gap = source, gap
+        self._source = source
+        self._gap = gap
         self._back = self._left_out = 0
         self._first = ""
         self.begin()
@@ -74,9 +88,12 @@ class _Clock:
         if time >= self._latest:
             self._latest = time
             return True
-        self._first = self._first or f"{place} ({time * 1e-9:.3f} s after {self._latest * 1e-9:.3f} s)"
+        self._first = (
+            self._first or f"{place} ({time * 1e-9:.3f} s after {self._latest * 1e-9:.3f} s)"
+        )
         late = self._latest - time > self._gap
-        self._back, self._left_out = self._back + 1, self._left_out + late
+        self._back = self._back + 1
+        self._left_out = self._left_out + late
         return not late
 
     def note(self, notes: Notes) -> None:
@@ -92,23 +109,33 @@ class _Reader:
     """Numbers of a recording, in SI units and by channel."""
 
     def __init__(self, log_map: LogMap) -> None:
-        self.map, given = log_map, log_map.channels
-        self.constants = {n: s.constant * factor(n, s) + s.offset for n, s in given.items() if s.constant is not None}
+        self.map = log_map
+        given = log_map.channels
+        self.constants = {
+            n: s.constant * factor(n, s) + s.offset
+            for n, s in given.items()
+            if s.constant is not None
+        }
         self.sources = {n: s for n, s in given.items() if s.constant is None}
         self.channels = {n: Channel(s.place) for n, s in given.items()}
-        self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()  # larger readings are left out
+        self.limits = largest_readings(
+            log_map.wheel, log_map.gravity
+        )._asdict()  # larger readings are left out
         self._scale = {n: (factor(n, s), s.offset) for n, s in self.sources.items()}
         self._gap = round(log_map.max_gap * 1e9)
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
         for name, value in self.constants.items():
             if not abs(value) <= (most := self.limits[name]):
-                raise ParameterError(f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}")
+                raise ParameterError(
+                    f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}"
+                )
 
     def _add(self, name: str, time: int, value: float) -> None:
         """Count a reading in the unit of its source, and keep it if it is plausible."""
         scale, offset = self._scale[name]
-        channel, value = self.channels[name], scale * value + offset
+        channel = self.channels[name]
+        value = scale * value + offset
         channel.readings += 1
         if abs(value) <= self.limits[name]:
             channel.times.append(time)
@@ -118,11 +145,13 @@ class _Reader:
 
     def read_table(self, path: Path, notes: Notes, progress: Progress) -> None:
         """Read a CSV or Parquet file."""
-        stamps, columns = self.map.time, {}
+        stamps = self.map.time
+        columns = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
         labels = {column: ", ".join(names) for column, names in columns.items()}
-        clock, times = _Clock(path.name, self._gap), []
+        clock = _Clock(path.name, self._gap)
+        times = []
         for row in tables.rows(path, stamps.column, stamps.unit, labels, notes, progress):
             if len(times) < 4096:
                 times.append(row.time)
@@ -141,34 +170,52 @@ class _Reader:
         by_topic: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             by_topic.setdefault(source.topic, []).append(name)
-        paths = {name: parse(source.field, f"channels.{name}.field") for name, source in self.sources.items()}
+        paths = {
+            name: parse(source.field, f"channels.{name}.field")
+            for name, source in self.sources.items()
+        }
         lacking: dict[str, NotHere] = {}
         delays: dict[str, list[float]] = {topic: [] for topic in by_topic}
-        clocks, file = {t: _Clock(f"topic {t}", self._gap) for t in by_topic}, ""
+        clocks = {t: _Clock(f"topic {t}", self._gap) for t in by_topic}
+        file = ""
         for message in bags.messages(path, set(by_topic), notes, progress):
             time = self._time(message, delays[message.topic])
             if notes.file != file:
                 file = notes.file
                 for clock in clocks.values():
                     clock.begin()
-            if not clocks[message.topic].accept(time, f"the message recorded at {message.time * 1e-9:.3f} s"):
+            if not clocks[message.topic].accept(
+                time, f"the message recorded at {message.time * 1e-9:.3f} s"
+            ):
                 continue
             for name in by_topic[message.topic]:
                 source = self.sources[name]
-                where = f"channels.{name}: topic {message.topic} ({message.kind}), field {source.field}"
+                where = (
+                    f"channels.{name}: topic {message.topic} ({message.kind}), field {source.field}"
+                )
                 try:
-                    self._add(name, time, number(message.content, paths[name], where, source.unit == "quaternion"))
+                    self._add(
+                        name,
+                        time,
+                        number(message.content, paths[name], where, source.unit == "quaternion"),
+                    )
                 except NotHere as error:
                     lacking.setdefault(name, error)
         self._check_found(path, notes, lacking)
         for clock in clocks.values():
             clock.note(notes)
-        _note_delays(notes, {topic: float(np.mean(d)) for topic, d in delays.items() if d}, set(delays))
+        _note_delays(
+            notes, {topic: float(np.mean(d)) for topic, d in delays.items() if d}, set(delays)
+        )
 
     def _time(self, message: Message, delays: list[float]) -> int:
         """[ns] in the clock of the map; of a message without a stamp, the time of its recording."""
         stamp = getattr(getattr(message.content, "header", None), "stamp", None)
-        own = 0 if stamp is None else stamp.sec * 1_000_000_000 + getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
+        own = (
+            0
+            if stamp is None
+            else stamp.sec * 1_000_000_000 + getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))
+        )
         if own and self.map.clock == "header":
             delays.append((message.time - own) * 1e-9)
             return own
@@ -183,7 +230,10 @@ class _Reader:
             if source.topic not in notes.topics:
                 where = f"{path}: channels.{name}.topic"
                 cut = " (of what is whole)" if notes.lines else ""
-                raise ParameterError(str(unknown_key(source.topic, notes.topics, where)).replace("key", "topic") + cut)
+                raise ParameterError(
+                    str(unknown_key(source.topic, notes.topics, where)).replace("key", "topic")
+                    + cut
+                )
             if name in lacking and self.channels[name].readings == 0:
                 raise ParameterError(f"{path}: {lacking[name]}, in all messages")
 

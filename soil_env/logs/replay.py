@@ -15,7 +15,9 @@ from soil_env.online import Estimate, OnlineIdentifier, Readings, Status
 from soil_env.parameters import Soil
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
-ESTIMATED = tuple(n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders"))
+ESTIMATED = tuple(
+    n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders")
+)
 COLUMNS = (*ESTIMATED, "drawbar_margin", "drawbar_margin_sd", "torque_required")
 #: Standard deviation of each parameter of the soil, by its name.
 SD_OF = {
@@ -33,7 +35,9 @@ _LEFT = 1.2  # [border lengths] before a border that the identifier found, where
 _COMPARED = ("friction_angle_deg", "shear_modulus", "cohesion")  # of two grounds
 _SEEN = 0.8  # prior probability that there is another soil behind a border that the identifier saw
 _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own sd
-_BOUNDS = {f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED}
+_BOUNDS = {
+    f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED
+}
 _NO_WAY = (math.nan,) * 3
 
 
@@ -42,11 +46,17 @@ class Replay:
     """Estimates over the steps of a log."""
 
     time: np.ndarray  # [N] s
-    values: dict[str, np.ndarray]  # [N] each, by `COLUMNS`; the last three NaN before the first, all where refused
+    values: dict[
+        str, np.ndarray
+    ]  # [N] each, by `COLUMNS`; the last three NaN before the first, all where refused
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: changed in this step
-    ground: np.ndarray  # [N] int from 1: one more at each border to another soil, and after each gap
-    differs: list[float]  # probability, by ground, that its soil is not that of the last; NaN of the first after a gap
+    ground: (
+        np.ndarray
+    )  # [N] int from 1: one more at each border to another soil, and after each gap
+    differs: list[
+        float
+    ]  # probability, by ground, that its soil is not that of the last; NaN of the first after a gap
     borders: int  # that the identifier found, whatever lies behind them
     prior: Estimate
     on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either
@@ -67,7 +77,11 @@ class Replay:
     def last_on(self, ground: int) -> dict[str, float] | None:
         """The last current estimate on a ground, by `COLUMNS`; None where there was none."""
         current = np.flatnonzero((self.ground == ground) & (self.status == Status.CONVERGED))
-        return {name: float(values[current[-1]]) for name, values in self.values.items()} if current.size else None
+        return (
+            {name: float(values[current[-1]]) for name, values in self.values.items()}
+            if current.size
+            else None
+        )
 
     def learnt(self, current: bool = False) -> dict[str, float]:
         """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt.
@@ -77,7 +91,8 @@ class Replay:
         kept = self.status == Status.CONVERGED
         kept = ~self.on_border & (kept if current else kept | (self.status == Status.NOT_EXCITED))
         return {
-            name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd))) / getattr(self.prior, sd)
+            name: float(np.min(self.values[sd], where=kept, initial=getattr(self.prior, sd)))
+            / getattr(self.prior, sd)
             for name, sd in SD_OF.items()
         }
 
@@ -90,44 +105,80 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
     renewed with the estimate. An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
     """
     identifier = OnlineIdentifier(
-        log_map.wheel, log_map.belief, log_map.noise(), period=log_map.period, gravity=log_map.gravity,
+        log_map.wheel,
+        log_map.belief,
+        log_map.noise(),
+        period=log_map.period,
+        gravity=log_map.gravity,
         relaxation=log_map.relaxation,
-    )  # fmt: skip
-    prior, size = identifier.estimate, len(log)
-    status, found, restarts = np.zeros(size, np.int64), np.zeros(size, np.int64), 0
-    renewed, on_border, table = np.zeros(size, bool), np.zeros(size, bool), np.empty((size, len(COLUMNS)))
+    )
+    prior = identifier.estimate
+    size = len(log)
+    status = np.zeros(size, np.int64)
+    found = np.zeros(size, np.int64)
+    restarts = 0
+    renewed = np.zeros(size, bool)
+    on_border = np.zeros(size, bool)
+    table = np.empty((size, len(COLUMNS)))
     no_inertia = log_map.wheel.inertia == UNKNOWN_INERTIA
-    names = [n for n in Readings._fields if n in log.readings and not (no_inertia and n == "motor_torque")]
-    before, last, way = 0, math.nan, _NO_WAY
+    names = [
+        n
+        for n in Readings._fields
+        if n in log.readings and not (no_inertia and n == "motor_torque")
+    ]
+    before = 0
+    last = math.nan
+    way = _NO_WAY
     for k, t in enumerate(log.time.tolist()):
         if t - last > log_map.restart_gap:
             before += identifier.estimate.borders
             identifier.reset()
-            restarts, way = restarts + 1, _NO_WAY
+            restarts = restarts + 1
+            way = _NO_WAY
         reading = Readings(**{n: float(log.readings[n][k]) for n in names}, time=t)
         e = identifier.update(reading)
         if e.renewed:
-            load, pitch = reading.load, reading.pitch if reading.pitch == reading.pitch else 0.0
-            ahead = identifier.traversability(None if load != load else max(load, _LEAST_LOAD), pitch)
+            load = reading.load
+            pitch = reading.pitch if reading.pitch == reading.pitch else 0.0
+            ahead = identifier.traversability(
+                None if load != load else max(load, _LEAST_LOAD), pitch
+            )
             way = ahead.drawbar_margin, ahead.drawbar_margin_sd, ahead.torque_required
         table[k] = [*(getattr(e, name) for name in ESTIMATED), *way]
-        status[k], renewed[k], on_border[k], found[k] = e.status, e.renewed, identifier.on_border, before + e.borders
+        status[k] = e.status
+        renewed[k] = e.renewed
+        on_border[k] = identifier.on_border
+        found[k] = before + e.borders
         last = t
-    values, warnings = {name: table[:, i] for i, name in enumerate(COLUMNS)}, []
+    values = {name: table[:, i] for i, name in enumerate(COLUMNS)}
+    warnings = []
     if restarts:
-        warnings.append(f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s")
+        warnings.append(
+            f"Started anew {restarts} times, after gaps of more than {log_map.restart_gap:g} s"
+        )
     warnings += _refused(log.time, values, status)
     ground, differs = _grounds(log, log_map, found, values, status, prior)
     borders = int(found[-1]) if size else 0
     return Replay(
-        log.time, values, status, renewed, ground, differs, borders, prior, on_border, frozenset(names), restarts,
+        log.time,
+        values,
+        status,
+        renewed,
+        ground,
+        differs,
+        borders,
+        prior,
+        on_border,
+        frozenset(names),
+        restarts,
         warnings,
-    )  # fmt: skip
+    )
 
 
 def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
     """Put NaN in place of estimates out of the bounds of a soil; a line that says so, where there are some."""
-    bad, said = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0), ""
+    bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
+    said = ""
     for name, (low, high) in _BOUNDS.items():
         if name == "dig_gain":  # of which little may be known
             continue
@@ -141,44 +192,70 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
     for column in values.values():
         column[bad] = math.nan
     status[bad] = Status.MISFIT
-    return [f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong unit, sign or wheel?"]
+    return [
+        f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong unit, sign or wheel?"
+    ]
 
 
 def _grounds(
-    log: Aligned, log_map: LogMap, found: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray, prior: Estimate
+    log: Aligned,
+    log_map: LogMap,
+    found: np.ndarray,
+    values: dict[str, np.ndarray],
+    status: np.ndarray,
+    prior: Estimate,
 ) -> tuple[np.ndarray, list[float]]:
     """Number [N] from 1 of the ground at each step, and the probability by ground that it is not as the last.
 
     `found` [N]: borders found so far. A stretch shorter than two borders is part of the next: a border that is long is
     found twice. A stretch whose estimate does not differ from that of the ground before is part of that.
     """
-    where, border, size = log.travelled(log_map.wheel.radius), log_map.belief.border, len(log)
-    gap, out = np.diff(log.time, append=math.inf) > log_map.restart_gap, np.zeros(size, np.int64)
-    ends = np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist() if size else []
-    begins, before, differs = 0, None, []
+    where = log.travelled(log_map.wheel.radius)
+    border = log_map.belief.border
+    size = len(log)
+    gap = np.diff(log.time, append=math.inf) > log_map.restart_gap
+    out = np.zeros(size, np.int64)
+    ends = (
+        np.flatnonzero((np.diff(found, append=found[-1:] + 1) != 0) | gap).tolist() if size else []
+    )
+    begins = 0
+    before = None
+    differs = []
     for end in ends:
         if not gap[end] and where[end] - where[begins] < 2.0 * border:
             continue
-        settled = end if gap[end] else int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
+        settled = (
+            end
+            if gap[end]
+            else int(np.searchsorted(where, where[end] - _LEFT * border, side="right")) - 1
+        )
         here = _last_known(values, status, begins, max(settled, begins), prior)
         differs.append(math.nan if before is None else _probability_of_two(before, here))
         if before is not None and differs[-1] < DIFFERS:
             differs.pop()
             here = _pooled(before, here)
-        out[begins : end + 1], begins = len(differs), end + 1
+        out[begins : end + 1] = len(differs)
+        begins = end + 1
         before = None if gap[end] else here
     return out, differs
 
 
-def _last_known(values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate):
+def _last_known(
+    values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
+):
     """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps `first` to `last`."""
     steps = slice(first, last + 1)
-    known = np.flatnonzero((status[steps] != Status.NO_DATA) & np.isfinite(values["cohesion"][steps]))
+    known = np.flatnonzero(
+        (status[steps] != Status.NO_DATA) & np.isfinite(values["cohesion"][steps])
+    )
     if known.size == 0:
         return np.array([np.zeros(len(_COMPARED)), np.ones(len(_COMPARED))])
-    k, rows = first + int(known[-1]), []
+    k = first + int(known[-1])
+    rows = []
     for name in _COMPARED:
-        value, middle, scale = float(values[name][k]), getattr(prior, name), getattr(prior, SD_OF[name])
+        value = float(values[name][k])
+        middle = getattr(prior, name)
+        scale = getattr(prior, SD_OF[name])
         away = math.log(value / middle) if "relative" in SD_OF[name] else value - middle
         rows.append((away / scale, min(float(values[SD_OF[name]][k]) / scale, 1.0) ** 2))
     return np.array(rows).T
@@ -190,9 +267,12 @@ def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
     An estimate of variance v, of a soil that scatters by 1, scatters by 1 - v itself. Two of one soil have in common
     what they take from the prior: their difference has the variance v + w - 2 v w. Two of two soils have 2 - v - w.
     """
-    away, doubt = one[0] - other[0], 2.0 * _DOUBTED**2
-    v, w = one[1], other[1]
-    same, apart = v + w - 2.0 * v * w + doubt, 2.0 - v - w + doubt
+    away = one[0] - other[0]
+    doubt = 2.0 * _DOUBTED**2
+    v = one[1]
+    w = other[1]
+    same = v + w - 2.0 * v * w + doubt
+    apart = 2.0 - v - w + doubt
     odds = 0.5 * float(np.sum(np.log(same / apart) + away**2 * (1.0 / same - 1.0 / apart)))
     odds += math.log(_SEEN / (1.0 - _SEEN))
     return 1.0 / (1.0 + math.exp(-min(max(odds, -50.0), 50.0)))
@@ -200,8 +280,11 @@ def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
 
 def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """The estimate of two of one soil, whose prior (0, 1) counts once."""
-    own, more = 1.0 / np.maximum(one[1], 1e-9), 1.0 / np.maximum(other[1], 1e-9)
-    return np.array([(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)])
+    own = 1.0 / np.maximum(one[1], 1e-9)
+    more = 1.0 / np.maximum(other[1], 1e-9)
+    return np.array(
+        [(one[0] * own + other[0] * more) / (own + more - 1.0), 1.0 / (own + more - 1.0)]
+    )
 
 
 _NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
@@ -217,19 +300,29 @@ _MISFIT = (
 
 def findings(found: Replay, log: Aligned) -> list[str]:
     """Sentences on what can be identified from the channels of this log, and what was."""
-    measured, lines = found.measured, []
+    measured = found.measured
+    lines = []
     if "motor_torque" in log.readings and "motor_torque" not in measured:
-        lines.append("The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear included.")
+        lines.append(
+            "The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear included."
+        )
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
         lines.append(_NO_FORCE if "sinkage" in measured else _NOTHING)
-    names = {"friction_angle_deg": "friction angle", "shear_modulus": "K", "sinkage_coefficient": "S"}
-    shares, current = found.learnt(), found.learnt(current=True)
+    names = {
+        "friction_angle_deg": "friction angle",
+        "shear_modulus": "K",
+        "sinkage_coefficient": "S",
+    }
+    shares = found.learnt()
+    current = found.learnt(current=True)
     for name, words in names.items():
         result = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
         if shares[name] < _LEARNT <= current[name]:
             result = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
-        lines.append(f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)")
+        lines.append(
+            f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)"
+        )
     share = {s: float(np.mean(found.status == s)) if found.status.size else 0.0 for s in Status}
     lines.append(f"The estimate was current in {share[Status.CONVERGED]:.0%} of the steps.")
     if share[Status.MISFIT] > _CONTRADICTS:

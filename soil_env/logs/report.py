@@ -49,7 +49,8 @@ def report_of(
     folder: Path = Path(),  # noqa: B008
 ) -> Report:
     """Report of a replayed log; `folder` is where its files will be."""
-    parts, begin = grounds(found, steady), datetime.fromtimestamp(log.start * 1e-9, UTC)
+    parts = grounds(found, steady)
+    begin = datetime.fromtimestamp(log.start * 1e-9, UTC)
     length = log.time[-1] - log.time[0]
     values = {
         "recording": recording,
@@ -69,7 +70,8 @@ def report_of(
         "steady_points": len(steady.rows),
         "borders": found.borders,
         "grounds": [
-            {n: getattr(g, n) for n in ("begin", "end", "differs", "estimate")} | {"steady_points": len(g.points.rows)}
+            {n: getattr(g, n) for n in ("begin", "end", "differs", "estimate")}
+            | {"steady_points": len(g.points.rows)}
             for g in parts
         ],
         "noise": steady.noise,
@@ -82,11 +84,16 @@ def report_of(
         "grounds": _ground_table(parts),
         "steady": advice(found, parts, steady),
     }
-    estimates, readings = _estimates_picture(found), _readings_picture(log, steady, log_map)
+    estimates = _estimates_picture(found)
+    readings = _readings_picture(log, steady, log_map)
     shaded = "Readings over time in SI units; steady stretches are shaded."
-    grey = "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
+    grey = (
+        "The soil as identified, with 95 % intervals; grey where the estimate is the prior or held."
+    )
     pictures = {"readings": html_image(readings, shaded), "estimates": html_image(estimates, grey)}
-    body = render("soil_env.logs:report.html", commands=commands(parts, steady), **values, **pictures)
+    body = render(
+        "soil_env.logs:report.html", commands=commands(parts, steady), **values, **pictures
+    )
     written: dict[str, bytes | str] = {
         "report.html": html_page(f"Log: {recording}", body),
         "log.json": json.dumps(plain(facts), indent=1, allow_nan=False) + "\n",
@@ -96,24 +103,43 @@ def report_of(
     }
     written |= files(parts, steady, log_map, found.prior)
     places = [folder / name for name in written]
-    text = render("soil_env.logs:report.txt", commands=commands(parts, steady, folder), places=places, **values)
+    text = render(
+        "soil_env.logs:report.txt",
+        commands=commands(parts, steady, folder),
+        places=places,
+        **values,
+    )
     return Report(written, text)
 
 
 def _channel_table(log: Aligned) -> Table:
     """Source, rate, gaps and range of each reading."""
-    length, rows = max(float(log.time[-1] - log.time[0]), log.period), []
+    length = max(float(log.time[-1] - log.time[0]), log.period)
+    rows = []
     for name, c in log.channels.items():
-        counted = (c.readings, f"{c.readings / length:.1f}", f"{c.interpolated:.0%}", f"{c.missing:.0%}")
-        values, unit = log.readings[name], next(iter(UNITS[name]))
-        span = f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g} {unit}" if np.isfinite(values).any() else "-"
+        counted = (
+            c.readings,
+            f"{c.readings / length:.1f}",
+            f"{c.interpolated:.0%}",
+            f"{c.missing:.0%}",
+        )
+        values = log.readings[name]
+        unit = next(iter(UNITS[name]))
+        span = (
+            f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g} {unit}"
+            if np.isfinite(values).any()
+            else "-"
+        )
         rows.append((name, c.place, *(counted if c.readings else ("",) * 4), span))
-    return Table(("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows)
+    return Table(
+        ("reading", "source", "readings", "a second", "interpolated", "missing", "range"), rows
+    )
 
 
 def _soil_table(found: Replay) -> Table:
     """The estimate at the end and the least standard deviation over that of the prior."""
-    learnt, rows = found.learnt(), []
+    learnt = found.learnt()
+    rows = []
     for name, (words, unit) in _NAMES.items():
         spread = found.values[SD_OF[name]][-1]
         error = f"{spread:.0%}" if "relative" in SD_OF[name] else f"{spread:.3g} {unit}"
@@ -127,7 +153,9 @@ def _ground_table(parts: list[Ground]) -> Table:
     """The grounds: when, how sure that each is not the last, its last current estimate, its steady points."""
     rows = []
     for g in parts:
-        e, cells, slip = g.estimate, ("no current estimate", "", ""), [row["slip"] for row in g.points.rows]
+        e = g.estimate
+        cells = ("no current estimate", "", "")
+        slip = [row["slip"] for row in g.points.rows]
         if e is not None:
             cells = (
                 f"{e['friction_angle_deg']:.1f} +- {e['friction_angle_sd_deg']:.1f} deg",
@@ -135,9 +163,29 @@ def _ground_table(parts: list[Ground]) -> Table:
                 f"{e['sinkage_coefficient']:.3g} +- {e['sinkage_coefficient_relative_sd']:.0%}",
             )
         time = (f"{g.begin:.1f}", f"{g.end:.1f}", cell(g.differs, ".2f"))
-        rows.append((g.number, *time, *cells, len(slip), f"{min(slip):.2f} to {max(slip):.2f}" if slip else ""))
-    header = ("ground", "from [s]", "to [s]", "differs", "friction angle", "K", "S", "steady points", "slip")
-    return Table(header, rows, "differs: the probability that its soil is not that of the ground before")
+        rows.append(
+            (
+                g.number,
+                *time,
+                *cells,
+                len(slip),
+                f"{min(slip):.2f} to {max(slip):.2f}" if slip else "",
+            )
+        )
+    header = (
+        "ground",
+        "from [s]",
+        "to [s]",
+        "differs",
+        "friction angle",
+        "K",
+        "S",
+        "steady points",
+        "slip",
+    )
+    return Table(
+        header, rows, "differs: the probability that its soil is not that of the ground before"
+    )
 
 
 def _figure(rows: int, height: float) -> tuple[Figure, np.ndarray]:
@@ -154,12 +202,16 @@ def _thinned(size: int) -> np.ndarray:
 def _estimates_picture(found: Replay) -> bytes:
     figure, axes = _figure(len(_SHOWN) + 1, 7.5)
     k = _thinned(found.time.size)
-    t, valid = found.time[k], found.status[k] == Status.CONVERGED
+    t = found.time[k]
+    valid = found.status[k] == Status.CONVERGED
     for axis, (name, (scale, label)) in zip(axes, _SHOWN.items(), strict=False):
-        value, half = scale * found.values[name][k], 1.96 * found.values[SD_OF[name]][k]
-        low, high = value - half, value + half
+        value = scale * found.values[name][k]
+        half = 1.96 * found.values[SD_OF[name]][k]
+        low = value - half
+        high = value + half
         if "relative" in SD_OF[name]:
-            low, high = value * np.exp(-np.minimum(half, 10.0)), value * np.exp(np.minimum(half, 10.0))
+            low = value * np.exp(-np.minimum(half, 10.0))
+            high = value * np.exp(np.minimum(half, 10.0))
             axis.set_yscale("log")
         axis.fill_between(t, low, high, color="C0", alpha=0.25, lw=0, where=valid)
         axis.fill_between(t, low, high, color="0.8", lw=0, where=~valid)
@@ -178,7 +230,9 @@ def _readings_picture(log: Aligned, steady: Steady, log_map: LogMap) -> bytes:
     for axis, (name, values) in zip(axes, log.readings.items(), strict=True):
         axis.plot(log.time[k], values[k], lw=0.8)
         for row in steady.rows:
-            axis.axvspan(row["start"], row["start"] + log_map.windows.duration, color="C1", alpha=0.25, lw=0)
+            axis.axvspan(
+                row["start"], row["start"] + log_map.windows.duration, color="C1", alpha=0.25, lw=0
+            )
         unit = next(iter(UNITS[name]))
         axis.set_ylabel(f"{name.replace('_', ' ')}\n[{unit or '-'}]", fontsize=8)
     return picture_of(figure, dpi=110)

@@ -33,7 +33,9 @@ _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9
 _LEAST_SPREAD = 0.01  # of slip, for a table
 
-Point = dict[str, float | str]  # columns of a measurement table, ground and start [s]; NaN = not measured
+Point = dict[
+    str, float | str
+]  # columns of a measurement table, ground and start [s]; NaN = not measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,28 +77,42 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
     `ground` [N] is that of `Replay`, one more from each border on; left out, all is one ground.
     """
-    columns, where = _columns(log, log_map), log.travelled(log_map.wheel.radius)
+    columns = _columns(log, log_map)
+    where = log.travelled(log_map.wheel.radius)
     ground = np.ones(len(log), np.int64) if ground is None else ground
-    runs, n = _drives(log, columns["rim"], log_map), round(log_map.windows.duration / log.period)
+    runs = _drives(log, columns["rim"], log_map)
+    n = round(log_map.windows.duration / log.period)
     borders = where[1:][np.diff(ground) != 0]
     between = np.all(np.abs(where[:, None] - borders) > log_map.belief.border, axis=1)
-    rows, residuals, at = [], {name: [] for name in (*MEASURED, "slip", "load")}, 0
+    rows = []
+    residuals = {name: [] for name in (*MEASURED, "slip", "load")}
+    at = 0
     while at + n <= len(log):
-        here, last = slice(at, at + n), at + n - 1
+        here = slice(at, at + n)
+        last = at + n - 1
         part = {name: values[here] for name, values in columns.items()}
-        one_drive = runs[at] >= 0 and runs[at] == runs[last] and between[here].all() and ground[at] == ground[last]
+        one_drive = (
+            runs[at] >= 0
+            and runs[at] == runs[last]
+            and between[here].all()
+            and ground[at] == ground[last]
+        )
         if not (one_drive and is_steady(part, log.period, log_map)):
             at += max(1, n // 4)
             continue
         row = _row(part, float(log.time[at]), log.period)
         if any(row[name] == row[name] for name in MEASURED) and row["load"] > 0.0:
-            rows.append(row | {"run": f"ground{ground[at]}.drive{runs[at]}", "ground": int(ground[at])})
+            rows.append(
+                row | {"run": f"ground{ground[at]}.drive{runs[at]}", "ground": int(ground[at])}
+            )
             for name, scatter in residuals.items():
                 scatter.append(_scatter(part[name]))
         at += n
     noise = {}
     for name, scatter in residuals.items():
-        pooled = math.sqrt(float(np.nanmean(np.square(scatter)))) if np.isfinite(scatter).any() else 0.0
+        pooled = (
+            math.sqrt(float(np.nanmean(np.square(scatter)))) if np.isfinite(scatter).any() else 0.0
+        )
         if pooled > _LEAST_SD and (name != "load" or "load" in log.readings):
             noise[name] = pooled / math.sqrt(n)
     return Steady(rows, noise)
@@ -105,7 +121,8 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
     """Quantities [N] of steady points; the weight for the load, and the like, where a channel is not measured."""
     rim, speed, slip = log.motion(log_map.wheel.radius)
-    pitch, mass = log.get("pitch"), log_map.wheel.body_mass
+    pitch = log.get("pitch")
+    mass = log_map.wheel.body_mass
     motor = log.get("motor_torque")
     if "motor_torque" in log.readings and len(log) > 1 and log_map.wheel.inertia != UNKNOWN_INERTIA:
         motor = motor - log_map.wheel.inertia * np.gradient(log.get("wheel_speed"), log.time)
@@ -135,13 +152,23 @@ def _drives(log: Aligned, rim: np.ndarray, log_map: LogMap) -> np.ndarray:
 
 def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bool:
     """True if the columns [n] of a stretch are steady."""
-    radius, weight = log_map.wheel.radius, log_map.weight
+    radius = log_map.wheel.radius
+    weight = log_map.weight
     n = part["slip"].size
-    if np.isnan(part["slip"]).any() or np.isnan(part["speed"]).any() or np.mean(part["speed"]) < 0.0:
+    if (
+        np.isnan(part["slip"]).any()
+        or np.isnan(part["speed"]).any()
+        or np.mean(part["speed"]) < 0.0
+    ):
         return False
     rim = float(np.mean(np.abs(part["rim"])))
-    speeds = float(np.mean(np.abs(part["speed"]))), float(np.mean(np.abs(part["rim"] - part["speed"])))
-    rate, _ = excavation_rate(*speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius)
+    speeds = (
+        float(np.mean(np.abs(part["speed"]))),
+        float(np.mean(np.abs(part["rim"] - part["speed"]))),
+    )
+    rate, _ = excavation_rate(
+        *speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
+    )
     come = -math.expm1(-rate * (n / 2) * period)
     limits = {  # of the change of the means from the first to the second half
         "slip": 0.03,
@@ -151,14 +178,17 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
         "load": 0.04 * weight,
         "drawbar_pull": 0.04 * weight,
         "torque": 0.04 * weight * radius,
-        "sinkage": 0.05 * radius * come,  # by the law of slip-sinkage 5 % of the radius are left to go
+        "sinkage": 0.05
+        * radius
+        * come,  # by the law of slip-sinkage 5 % of the radius are left to go
     }
     return all(_change(part[name]) <= limit for name, limit in limits.items())
 
 
 def _change(values: np.ndarray) -> float:
     """Difference of the means of the two halves; 0 where nothing is measured."""
-    first, second = values[: values.size // 2], values[values.size // 2 :]
+    first = values[: values.size // 2]
+    second = values[values.size // 2 :]
     if np.isnan(first).all() or np.isnan(second).all():
         return 0.0
     return abs(float(np.nanmean(second) - np.nanmean(first)))
@@ -175,7 +205,10 @@ def _scatter(values: np.ndarray) -> float:
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
     """The means of a stretch that begins at `start` [s]; NaN where half of the values are missing."""
-    mean = {n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan for n, v in part.items()}
+    mean = {
+        n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan
+        for n, v in part.items()
+    }
     time = start + 0.5 * (part["slip"].size - 1) * period
     row: Point = {name: mean[name] for name in ("slip", "load", "speed", *MEASURED)}
     return row | {"grade_deg": math.degrees(mean["pitch"]), "time": time, "start": start}
@@ -198,8 +231,18 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
     out = []
     for number in sorted({*found.ground.tolist()}):
         time = found.time[found.ground == number]
-        begin, end = float(time[0]), float(time[-1])
-        out.append(Ground(number, begin, end, found.differs[number - 1], steady.on(number), found.last_on(number)))
+        begin = float(time[0])
+        end = float(time[-1])
+        out.append(
+            Ground(
+                number,
+                begin,
+                end,
+                found.differs[number - 1],
+                steady.on(number),
+                found.last_on(number),
+            )
+        )
     return out
 
 
@@ -207,31 +250,46 @@ def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground
     """Names of table and setup, and the ground, of each part of the points that may be fitted as one soil."""
     if len(grounds) == 1:
         return [] if steady.reason else [("steady.csv", "setup.yaml", grounds[0])]
-    return [(f"ground{g.number}.csv", f"ground{g.number}.yaml", g) for g in grounds if not g.points.reason]
+    return [
+        (f"ground{g.number}.csv", f"ground{g.number}.yaml", g)
+        for g in grounds
+        if not g.points.reason
+    ]
 
 
-def files(grounds: list[Ground], steady: Steady, log_map: LogMap, prior: Estimate) -> dict[str, str]:
+def files(
+    grounds: list[Ground], steady: Steady, log_map: LogMap, prior: Estimate
+) -> dict[str, str]:
     """Tables and setups by name: of all points, and, where there are several grounds, of each that has two slips."""
     if steady.reason:
         return {}
     note = f"# points of {len(grounds)} grounds, named in column run: no single soil fits them\n"
-    out = {"steady.csv": note + steady.table(), "setup.yaml": setup_text(log_map, steady, prior, None)}
+    out = {
+        "steady.csv": note + steady.table(),
+        "setup.yaml": setup_text(log_map, steady, prior, None),
+    }
     for table, setup, ground in tables(grounds, steady):
         out[table] = ground.points.table()
         out[setup] = setup_text(log_map, ground.points, prior, ground.estimate)
     return out
 
 
-def setup_text(log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[str, float] | None) -> str:
+def setup_text(
+    log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[str, float] | None
+) -> str:
     """setup.yaml beside a table: wheel, the belief as priors with what the map knows of the soil, scatter as noise."""
-    lines = ["# soil: the belief of the map (the prior of the online identifier), and what the map says is known"]
+    lines = [
+        "# soil: the belief of the map (the prior of the online identifier), and what the map says is known"
+    ]
     if estimate is not None:
         lines.append(
             "# online, of the same drive: friction angle {friction_angle_deg:.1f} +- {friction_angle_sd_deg:.1f} deg, "
             "K {shear_modulus:.3g} m +- {shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
             "{sinkage_coefficient_relative_sd:.0%}".format(**estimate)
         )
-        lines.append("# dig_gain: as identified online; take it out to let soil-env discover look for slip-sinkage")
+        lines.append(
+            "# dig_gain: as identified online; take it out to let soil-env discover look for slip-sinkage"
+        )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
         "soil": _priors(log_map, prior, estimate) | log_map.soil,
@@ -240,9 +298,13 @@ def setup_text(log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[
     return "\n".join(lines) + "\n" + yaml.safe_dump(content, sort_keys=False)
 
 
-def _priors(log_map: LogMap, prior: Estimate, estimate: dict[str, float] | None) -> dict[str, object]:
+def _priors(
+    log_map: LogMap, prior: Estimate, estimate: dict[str, float] | None
+) -> dict[str, object]:
     """Section `soil`; log-normal priors have the sd whose ln(1 + sd/value) is the relative one of the prior."""
-    belief, K, S = log_map.belief, prior.shear_modulus, prior.sinkage_coefficient
+    belief = log_map.belief
+    K = prior.shear_modulus
+    S = prior.sinkage_coefficient
     gain = prior.dig_gain if estimate is None else estimate["dig_gain"]
     priors = {
         "friction_angle_deg": (prior.friction_angle_deg, prior.friction_angle_sd_deg),
@@ -281,18 +343,27 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
         out.append(f"{count}, all on one ground as far as was found, with setup.yaml beside it.")
     else:
         changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
-        out.append(f"{count}, on {len(grounds)} grounds, which change at {changes} s. Fit one ground at a time.")
+        out.append(
+            f"{count}, on {len(grounds)} grounds, which change at {changes} s. Fit one ground at a time."
+        )
     few = ", ".join(str(g.number) for g in grounds if g.points.reason)
     if few and len(grounds) > 1:
-        out.append(f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for a second.")
-    return [*out, "The noise in the setup is the scatter within the stretches; differences between places add to it."]
+        out.append(
+            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for a second."
+        )
+    return [
+        *out,
+        "The noise in the setup is the scatter within the stretches; differences between places add to it.",
+    ]
 
 
 def commands(grounds: list[Ground], steady: Steady, folder: Path = Path()) -> list[str]:  # noqa: B008
     """Commands to run next with the tables in `folder`."""
     out = []
     for table, setup, _ in tables(grounds, steady):
-        data, given, target = (shlex.quote(str(folder / n)) for n in (table, setup, Path(table).stem))
+        data, given, target = (
+            shlex.quote(str(folder / n)) for n in (table, setup, Path(table).stem)
+        )
         out.append(f"soil-env identify {data} --setup {given}")
         out.append(f"soil-env discover {data} --setup {given} --out {target}")
     return out

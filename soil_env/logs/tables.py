@@ -16,7 +16,9 @@ from soil_env.logs.mapping import TIMES
 SUFFIXES = (".csv", ".parquet", ".pq")
 _LATEST = 2**62  # [ns] from 1970, the year 2116
 
-_Cells = tuple[int, str | int, list[str]]  # number of the row, time stamp (int: [ns]), cells as text
+_Cells = tuple[
+    int, str | int, list[str]
+]  # number of the row, time stamp (int: [ns]), cells as text
 
 
 class Row(NamedTuple):
@@ -43,9 +45,16 @@ def rows(
     read = _csv if path.suffix.lower() == ".csv" else _parquet
     for number, time, texts in read(path, stamps, columns, notes, progress):
         if isinstance(time, str):
-            time = converted(lambda text: _nanoseconds(text, unit), time, number, stamps, f"a time in {unit}")
-        values = [converted(_number, t, number, c, "a number") for c, t in zip(columns, texts, strict=True)]
-        nans.update(c for c, t, x in zip(columns, texts, values, strict=True) if x != x and t.strip())
+            time = converted(
+                lambda text: _nanoseconds(text, unit), time, number, stamps, f"a time in {unit}"
+            )
+        values = [
+            converted(_number, t, number, c, "a number")
+            for c, t in zip(columns, texts, strict=True)
+        ]
+        nans.update(
+            c for c, t, x in zip(columns, texts, values, strict=True) if x != x and t.strip()
+        )
         yield Row(number, time, values)
     for column, count in nans.items():
         notes.add(f"column {column}: {count} cell{'s' * (count > 1)} nan: taken as empty")
@@ -62,7 +71,9 @@ def _nanoseconds(text: str, unit: str) -> int:
         delta = (at if at.tzinfo else at.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
         stamp = (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
     else:
-        stamp = int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))  # a float has too few digits for a time of today
+        stamp = int(
+            Decimal(text.strip()) * round(TIMES[unit] * 1e9)
+        )  # a float has too few digits for a time of today
     if abs(stamp) > _LATEST:
         raise ValueError(text)
     return stamp
@@ -71,28 +82,49 @@ def _nanoseconds(text: str, unit: str) -> int:
 def _check_columns(path: Path, header: list[str], stamps: str, columns: dict[str, str]) -> None:
     for name, what in {stamps: "time", **columns}.items():
         if name not in header:
-            raise ParameterError(str(unknown_key(name, header, f"{path}: {what}")).replace("unknown key", "no column"))
+            raise ParameterError(
+                str(unknown_key(name, header, f"{path}: {what}")).replace(
+                    "unknown key", "no column"
+                )
+            )
 
 
-def _csv(path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress) -> Iterator[_Cells]:
+def _csv(
+    path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress
+) -> Iterator[_Cells]:
     """Rows of a CSV file; one that is cut off in its last row gives the others."""
-    size, short, count = path.stat().st_size, "", 0
+    size = path.stat().st_size
+    short = ""
+    count = 0
     try:
         with path.open("rb") as raw:
             reader = csv.reader((line.decode("utf-8") for line in raw), strict=True)
-            lines = (cells for cells in reader if any(map(str.strip, cells)) and not cells[0].startswith("#"))
+            lines = (
+                cells
+                for cells in reader
+                if any(map(str.strip, cells)) and not cells[0].startswith("#")
+            )
             header = [cell.strip().lstrip("\ufeff") for cell in next(lines, [])]
             if not header:
-                raise ParameterError(f"{path}: has no line: expected a header with column names, and rows below it")
-            in_header = raw.tell() == size and not path.read_bytes().endswith(b"\n")  # the file ends there
+                raise ParameterError(
+                    f"{path}: has no line: expected a header with column names, and rows below it"
+                )
+            in_header = raw.tell() == size and not path.read_bytes().endswith(
+                b"\n"
+            )  # the file ends there
             if in_header and stamps in header and not set(columns) <= set(header):
-                raise ParameterError(f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to read")
+                raise ParameterError(
+                    f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to read"
+                )
             _check_columns(path, header, stamps, columns)
-            at, places = header.index(stamps), [header.index(c) for c in columns]
+            at = header.index(stamps)
+            places = [header.index(c) for c in columns]
             for cells in lines:
                 if short:
                     raise ParameterError(f"{path}: {short}")
-                if len(cells) != len(header):  # allowed in the last row, where a recording was cut off
+                if len(cells) != len(
+                    header
+                ):  # allowed in the last row, where a recording was cut off
                     short = f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
                     continue
                 count += 1
@@ -100,23 +132,31 @@ def _csv(path: Path, stamps: str, columns: dict[str, str], notes: Notes, progres
                 if count % 4096 == 0:
                     progress(raw.tell(), size)
     except UnicodeDecodeError as error:
-        raise ParameterError(f"{path}: not UTF-8 text (byte {error.start} of a line): expected a CSV file") from None
+        raise ParameterError(
+            f"{path}: not UTF-8 text (byte {error.start} of a line): expected a CSV file"
+        ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
     if not count:
-        raise ParameterError(f"{path}: no whole row below the header{': it is cut off' if short else ''}")
+        raise ParameterError(
+            f"{path}: no whole row below the header{': it is cut off' if short else ''}"
+        )
     if short:
         notes.add(f"{path.name} is cut off in its last row: that row is left out")
     progress(size, size)
 
 
-def _parquet(path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress) -> Iterator[_Cells]:
+def _parquet(
+    path: Path, stamps: str, columns: dict[str, str], notes: Notes, progress: Progress
+) -> Iterator[_Cells]:
     """Rows of a Parquet file as text; stamps of a column of type timestamp in nanoseconds."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise ParameterError(f"{path}: Parquet needs the extra logs: pip install 'soil_env[logs]'") from None
+        raise ParameterError(
+            f"{path}: Parquet needs the extra logs: pip install 'soil_env[logs]'"
+        ) from None
     number = 0
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
@@ -125,7 +165,10 @@ def _parquet(path: Path, stamps: str, columns: dict[str, str], notes: Notes, pro
                 times = batch.column(stamps)
                 if is_stamp := pyarrow.types.is_timestamp(times.type):
                     times = times.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
-                cells = (["" if x is None else str(x) for x in batch.column(c).to_pylist()] for c in columns)
+                cells = (
+                    ["" if x is None else str(x) for x in batch.column(c).to_pylist()]
+                    for c in columns
+                )
                 for time, *texts in zip(times.to_pylist(), *cells, strict=True):
                     number += 1
                     stamp = "" if time is None else time if is_stamp else str(time)
@@ -133,6 +176,8 @@ def _parquet(path: Path, stamps: str, columns: dict[str, str], notes: Notes, pro
                 progress(number, file.metadata.num_rows)
     except (OSError, pyarrow.ArrowException) as error:
         said = str(error).splitlines()[0]
-        raise ParameterError(f"{path}: cannot be read as Parquet, whose index is at its end ({said})") from None
+        raise ParameterError(
+            f"{path}: cannot be read as Parquet, whose index is at its end ({said})"
+        ) from None
     if number == 0:
         raise ParameterError(f"{path}: has no rows")

@@ -25,13 +25,19 @@ def load_doubt(table: Table, setup: Setup) -> str:
     A wheel can transmit at most tan(phi) W and c times its contact area. The second is small beside W where the wheel
     sinks, so that the sum hardly exceeds the load unless the setup's cohesion says so.
     """
-    radius, driven = table.radius(setup.wheel), table.rim_slip(setup) > DRIVEN
-    depth = np.where(np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius))
+    radius = table.radius(setup.wheel)
+    driven = table.rim_slip(setup) > DRIVEN
+    depth = np.where(
+        np.isnan(table.sinkage), USUAL_SINKAGE * radius, np.clip(table.sinkage, 0.0, radius)
+    )
     area = contact_area(depth, radius, table.width(setup.wheel))
     prior = setup.soil.cohesion
     cohesion = 0.0 if prior is None else max(prior.value - 2.0 * prior.sd, 0.0)
     most = np.maximum(MOST_GRIP, cohesion * area / table.load + FRICTION)
-    for name, force in (("torque/radius", table.torque / radius), ("drawbar_pull", table.drawbar_pull)):
+    for name, force in (
+        ("torque/radius", table.torque / radius),
+        ("drawbar_pull", table.drawbar_pull),
+    ):
         share = (force / table.load)[driven & np.isfinite(force)]
         if share.size and np.median(share) > np.median(most[driven]):
             return (

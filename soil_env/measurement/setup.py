@@ -9,11 +9,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from soil_env._io.loading import Checked, ParameterError, load, number, quantity, read_yaml, unknown_key
+from soil_env._io.loading import (
+    Checked,
+    ParameterError,
+    load,
+    number,
+    quantity,
+    read_yaml,
+    unknown_key,
+)
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
-COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")  # of a run and of what is changed for it
+COSTS = (
+    "run",
+    "slip",
+    "load",
+    "speed",
+    "grade_deg",
+    "wheel",
+    "pass",
+)  # of a run and of what is changed for it
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
@@ -41,7 +57,9 @@ class SetupWheel(Checked):
         super().__post_init__()
         check_lugs(self.grouser_height or 0.0, self.radius)
         if self.grouser_count is not None and self.grouser_height == 0.0:
-            raise ParameterError(f"grouser_count = {self.grouser_count}: expected with a grouser_height > 0 m only")
+            raise ParameterError(
+                f"grouser_count = {self.grouser_count}: expected with a grouser_height > 0 m only"
+            )
 
 
 @dataclass(frozen=True)
@@ -79,18 +97,25 @@ class SoilPriors(Checked):
     def __post_init__(self) -> None:
         limits = {f.name: f.metadata for f in dataclasses.fields(Soil)}
         for f in dataclasses.fields(self):
-            prior, limit = getattr(self, f.name), limits[f.name]
+            prior = getattr(self, f.name)
+            limit = limits[f.name]
             if prior is not None and not limit["low"] <= prior.value <= limit["high"]:
-                expected = f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
+                expected = (
+                    f"a number in [{limit['low']:g}, {limit['high']:g}] {limit['unit']}".rstrip()
+                )
                 raise ParameterError(f"{f.name} = {prior.value:g}: expected {expected}")
         for name in ("dig_gain", "dig_recovery"):
             if getattr(self, name) is not None and not getattr(self, name).known:
-                raise ParameterError(f"{name}: expected a plain number; digging that is not known is an effect to find")
+                raise ParameterError(
+                    f"{name}: expected a plain number; digging that is not known is an effect to find"
+                )
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
         pair = (self.k_c is not None) + (self.k_phi is not None)
         if pair == 1 or (pair == 2 and self.sinkage_coefficient is not None):
-            raise ParameterError("expected either sinkage_coefficient, or both k_c and k_phi, or none of them")
+            raise ParameterError(
+                "expected either sinkage_coefficient, or both k_c and k_phi, or none of them"
+            )
         if pair == 2 and self.k_phi is not None and self.k_phi.value <= 0.0:
             raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
 
@@ -120,7 +145,9 @@ class NoiseLevels(Checked):
             value = getattr(self, f.name)
             if value is not None and not 0.0 < value < math.inf:
                 unit = f" {f.metadata['unit']}".rstrip()
-                raise ParameterError(f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out")
+                raise ParameterError(
+                    f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out"
+                )
 
 
 @dataclass(frozen=True)
@@ -144,7 +171,9 @@ class Rig(Checked):
             if name not in COSTS:
                 raise unknown_key(name, COSTS, "cost")
             if not 0.0 <= value < math.inf or (name == "run" and value == 0.0):
-                raise ParameterError(f"cost.{name} = {value:g}: expected a number {'> 0' if name == 'run' else '>= 0'}")
+                raise ParameterError(
+                    f"cost.{name} = {value:g}: expected a number {'> 0' if name == 'run' else '>= 0'}"
+                )
 
 
 @dataclass(frozen=True)
@@ -183,7 +212,9 @@ class Setup(Checked):
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
     calibration: Calibration = Calibration()
-    checked: tuple[str, ...] = ()  # effects that a check has ruled out, or that the columns were corrected for
+    checked: tuple[
+        str, ...
+    ] = ()  # effects that a check has ruled out, or that the columns were corrected for
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
@@ -194,10 +225,14 @@ class Setup(Checked):
     def __post_init__(self) -> None:
         if self.tilt_deg is not None and not abs(self.tilt_deg.value) <= STEEPEST_TILT:
             limits = f"[-{STEEPEST_TILT:g}, {STEEPEST_TILT:g}]"
-            raise ParameterError(f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}")
+            raise ParameterError(
+                f"tilt_deg = {self.tilt_deg.value:g}: expected degrees in {limits}"
+            )
         for name in self.ignore_columns:
             if name in REQUIRED:
-                raise ParameterError(f"ignore_columns: {name!r}: expected other columns, every table needs this one")
+                raise ParameterError(
+                    f"ignore_columns: {name!r}: expected other columns, every table needs this one"
+                )
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(
@@ -230,15 +265,21 @@ def setup_of(mapping: dict[str, Any], where: str) -> Setup:
         if section in mapping and mapping[section] is None:
             del mapping[section]  # a heading with nothing below it
     if isinstance(mapping.get("soil"), dict):
-        mapping["soil"] = {key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()}
+        mapping["soil"] = {
+            key: _prior(v, f"{where}: soil.{key}") for key, v in mapping["soil"].items()
+        }
     if "tilt_deg" in mapping:
         mapping["tilt_deg"] = _prior(mapping["tilt_deg"], f"{where}: tilt_deg")
     if isinstance(rig := mapping.get("rig"), dict):
         for key, value in rig.items():
             if isinstance(value, list) and not value:
-                raise ParameterError(f"{where}: rig.{key} = []: expected at least one value, or leave it out")
+                raise ParameterError(
+                    f"{where}: rig.{key} = []: expected at least one value, or leave it out"
+                )
     if "wheel" not in mapping and mapping.keys() <= {f.name for f in dataclasses.fields(Setup)}:
-        raise ParameterError(f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres")
+        raise ParameterError(
+            f"{where}: missing wheel: expected wheel: {{radius: ..., width: ...}} in metres"
+        )
     setup: Setup = load(Setup, mapping, where)
     object.__setattr__(setup, "source", where)
     return setup
@@ -256,5 +297,7 @@ def _prior(value: Any, where: str) -> Prior:
     least = LEAST_SD * abs(prior.value)
     if not prior.sd > 0.0 or prior.sd < least:
         expected = f"at least {least:.2g}, a millionth of the value" if prior.sd > 0.0 else "> 0"
-        raise ParameterError(f"{where}: sd = {prior.sd:g}: expected {expected} (write a known value as a plain number)")
+        raise ParameterError(
+            f"{where}: sd = {prior.sd:g}: expected {expected} (write a known value as a plain number)"
+        )
     return prior

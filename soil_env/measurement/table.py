@@ -23,21 +23,44 @@ from soil_env.slip import slips_of_radius
 
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 MEASURED: tuple[Channel, ...] = ("sinkage", "drawbar_pull", "torque")
-OPTIONAL = ("speed", "pass", "grade_deg", "run", "time", "wheel_radius", "wheel_width", "grouser_height")
+OPTIONAL = (
+    "speed",
+    "pass",
+    "grade_deg",
+    "run",
+    "time",
+    "wheel_radius",
+    "wheel_width",
+    "grouser_height",
+)
 NOISE = tuple(f"{name}_sd" for name in MEASURED)  # 1-sigma of the value in the same row
 COLUMNS = REQUIRED + OPTIONAL + MEASURED + NOISE
 UNITS = {
-    "slip": "", "load": "N", "speed": "m/s", "pass": "", "grade_deg": "deg", "time": "s", "wheel_radius": "m",
-    "wheel_width": "m", "grouser_height": "m", "sinkage": "m", "drawbar_pull": "N", "torque": "N m", "sinkage_sd": "m",
-    "drawbar_pull_sd": "N", "torque_sd": "N m",
-}  # fmt: skip
+    "slip": "",
+    "load": "N",
+    "speed": "m/s",
+    "pass": "",
+    "grade_deg": "deg",
+    "time": "s",
+    "wheel_radius": "m",
+    "wheel_width": "m",
+    "grouser_height": "m",
+    "sinkage": "m",
+    "drawbar_pull": "N",
+    "torque": "N m",
+    "sinkage_sd": "m",
+    "drawbar_pull_sd": "N",
+    "torque_sd": "N m",
+}
 
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
-LIGHTEST, STRONGEST = 1e-3, 1e6  # [N] of a load; the latter of a pull, and in N m of a torque, either way, too
+LIGHTEST = 1e-3  # [N] of a load; the latter of a pull, and in N m of a torque, either way, too
+STRONGEST = 1e6
 MOST_PASSES = 10**6
-EXACTEST, COARSEST = 1e-9, 1e6  # standard deviation, in the unit of its column
+EXACTEST = 1e-9  # standard deviation, in the unit of its column
+COARSEST = 1e6
 
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
@@ -80,7 +103,9 @@ class Table:
     def only(self, rows: np.ndarray) -> "Table":
         """The table with these rows only: indices, or [N] bool."""
         columns = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return dataclasses.replace(self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)})
+        return dataclasses.replace(
+            self, **{k: v[rows] for k, v in columns.items() if isinstance(v, np.ndarray)}
+        )
 
     def radius(self, wheel: SetupWheel) -> np.ndarray:
         """Wheel radius [m] of each row: the override where there is one."""
@@ -97,7 +122,8 @@ class Table:
 
     def channel_sd(self, setup: Setup, name: str) -> float | None:
         """1-sigma of a channel as the setup gives it, else the median of those of the rows; None where none is said."""
-        own, known = getattr(self, f"{name}_sd"), getattr(setup.noise, name)
+        own = getattr(self, f"{name}_sd")
+        known = getattr(setup.noise, name)
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def relative_sd(self, setup: Setup) -> np.ndarray:
@@ -123,7 +149,9 @@ class Table:
         return slips_of_radius(self.slip, 1.0 + height / self.radius(setup.wheel))
 
 
-def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()) -> Table:
+def read_table(
+    path: str | Path, wheel: SetupWheel | None = None, ignore: Sequence[str] = ()
+) -> Table:
     """The measurement table in a CSV file; with `wheel`, no sinkage may exceed its radius.
 
     Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish repeats. Raises
@@ -133,18 +161,25 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequen
     header, rows = _csv_cells(path)
     whole = rows
     kept = [k for k, name in enumerate(header) if name not in ignore]
-    header, rows = [header[k] for k in kept], [(line, [cells[k] for k in kept]) for line, cells in rows]
+    header = [header[k] for k in kept]
+    rows = [(line, [cells[k] for k in kept]) for line, cells in rows]
     _check_header(path, header)
     if not rows:
-        raise ParameterError(f"{path}: no rows below the header: expected one row for each steady point")
-    columns = {name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")}
+        raise ParameterError(
+            f"{path}: no rows below the header: expected one row for each steady point"
+        )
+    columns = {
+        name: _column(path, name, header, rows) for name in COLUMNS if name not in ("run", "pass")
+    }
     runs = [cells[header.index("run")] if "run" in header else "" for _, cells in rows]
     passes = _column(path, "pass", header, rows)
     table = Table(
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
-        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),  # checked below
+        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(
+            int
+        ),  # checked below
         run=np.array(runs),
         **columns,
     )
@@ -159,7 +194,9 @@ def read_table(path: str | Path, wheel: SetupWheel | None = None, ignore: Sequen
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:  # with or without a byte order mark
+        with path.open(
+            encoding="utf-8-sig", newline=""
+        ) as stream:  # with or without a byte order mark
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
             _check_separator(path, [line for line in text if line.strip()][:2])
             reader = csv.reader(text, strict=True)
@@ -175,7 +212,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     lines = [(line, cells) for line, cells in lines if any(cells)]
     if not lines:
         raise ParameterError(f"{path}: empty file: expected a header line with column names")
-    header, rows = lines[0][1], lines[1:]
+    header = lines[0][1]
+    rows = lines[1:]
     for line, cells in rows:
         if len(cells) != len(header):
             hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
@@ -209,12 +247,18 @@ def _check_header(path: Path, header: list[str]) -> None:
                 "column to pass over: ignore_columns in the setup)"
             )
         if header.count(name) > 1:
-            raise ParameterError(f"{path}: column {name!r} appears {header.count(name)} times: expected once")
+            raise ParameterError(
+                f"{path}: column {name!r} appears {header.count(name)} times: expected once"
+            )
     for name in REQUIRED:
         if name not in header:
-            raise ParameterError(f"{path}: missing column {name!r}: expected {' and '.join(REQUIRED)} in every table")
+            raise ParameterError(
+                f"{path}: missing column {name!r}: expected {' and '.join(REQUIRED)} in every table"
+            )
     if not set(MEASURED) & set(header):
-        raise ParameterError(f"{path}: missing column: expected at least one of {', '.join(MEASURED)}")
+        raise ParameterError(
+            f"{path}: missing column: expected at least one of {', '.join(MEASURED)}"
+        )
 
 
 def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
@@ -231,8 +275,14 @@ def _column(path: Path, name: str, header: list[str], rows: Rows) -> np.ndarray:
         out[k] = value if isinstance(value, float) else math.nan
         if not math.isfinite(out[k]):
             unit = f" in {UNITS[name]}" if UNITS[name] else ""
-            hint = "with a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", text) else "(empty = not measured)"
-            raise ParameterError(f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}")
+            hint = (
+                "with a decimal point"
+                if re.fullmatch(r"[-+]?\d+,\d+", text)
+                else "(empty = not measured)"
+            )
+            raise ParameterError(
+                f"{path}: row {line}, {name} = {text!r}: expected a finite number{unit} {hint}"
+            )
     return out
 
 
@@ -244,47 +294,82 @@ def _check_rows(table: Table, header: list[str], rows: Rows, wheel: SetupWheel |
             k = int(np.flatnonzero(wrong)[0])
             text = rows[k][1][header.index(name)]
             value = f"= {text}" if text else "is empty"
-            raise ParameterError(f"{table.source}: row {rows[k][0]}, {name} {value}: expected {expected}")
+            raise ParameterError(
+                f"{table.source}: row {rows[k][0]}, {name} {value}: expected {expected}"
+            )
 
     for name in REQUIRED:
         refuse(name, np.isnan(getattr(table, name)), "a number in every row")
     outside = np.abs(table.slip) > 1.0
     percent = 2.0 < np.max(np.abs(table.slip)) <= 100.0
-    refuse("slip", outside, "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""))
-    refuse("load", table.load < LIGHTEST, f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}")
+    refuse(
+        "slip",
+        outside,
+        "slip in [-1, 1]" + (" (if it is percent, divide by 100)" if percent else ""),
+    )
+    refuse(
+        "load", table.load < LIGHTEST, f"a load > 0 N, upward on the wheel, at least {LIGHTEST:g}"
+    )
     refuse("load", table.load > STRONGEST, f"newtons, at most {STRONGEST:g}")
     refuse("speed", table.speed < 0.0, "a travel speed >= 0 m/s")
-    refuse("speed", table.speed > FASTEST, f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)")
+    refuse(
+        "speed",
+        table.speed > FASTEST,
+        f"metres per second, at most {FASTEST:g} (if it is mm/s, divide by 1000)",
+    )
     if "pass" in header:
         numbers = _column(Path(table.source), "pass", header, rows)
         wrong = (numbers != np.floor(numbers)) | (numbers < 1) | (numbers > MOST_PASSES)
-        refuse("pass", wrong & ~np.isnan(numbers), f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}")
-    refuse("grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]")
-    grades = [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
+        refuse(
+            "pass",
+            wrong & ~np.isnan(numbers),
+            f"a whole number from 1 (fresh soil) to {MOST_PASSES:g}",
+        )
+    refuse(
+        "grade_deg", np.abs(table.grade_deg) > STEEPEST, f"degrees in [-{STEEPEST:g}, {STEEPEST:g}]"
+    )
+    grades = (
+        [cells[header.index("grade_deg")] for _, cells in rows] if "grade_deg" in header else []
+    )
     if in_radians(grades) and np.unique(np.abs(table.grade_deg[table.grade_deg != 0.0])).size > 1:
-        refuse("grade_deg", np.abs(table.grade_deg) > 0.0, "degrees (these look like radians: multiply by 57.3)")
+        refuse(
+            "grade_deg",
+            np.abs(table.grade_deg) > 0.0,
+            "degrees (these look like radians: multiply by 57.3)",
+        )
     for name in ("wheel_radius", "wheel_width"):
         size = getattr(table, name)
         refuse(name, (size <= 0.0) | (size > LARGEST_WHEEL), f"metres in (0, {LARGEST_WHEEL:g}]")
     for name in NOISE:
-        sd, unit = getattr(table, name), UNITS[name]
+        sd = getattr(table, name)
+        unit = UNITS[name]
         expected = f"a standard deviation in [{EXACTEST:g}, {COARSEST:g}] {unit}, or an empty cell"
         refuse(name, (sd < EXACTEST) | (sd > COARSEST), expected)
     for name, unit in (("drawbar_pull", "newtons"), ("torque", "newton metres")):
         outside = np.abs(getattr(table, name)) > STRONGEST
         refuse(name, outside, f"{unit} in [-{STRONGEST:g}, {STRONGEST:g}]")
-    refuse("grouser_height", (table.grouser_height < 0.0) | (table.grouser_height > 1.0), "metres in [0, 1]")
+    refuse(
+        "grouser_height",
+        (table.grouser_height < 0.0) | (table.grouser_height > 1.0),
+        "metres in [0, 1]",
+    )
     expected = "metres (this can only be millimetres, divide by 1000, or centimetres)"
     refuse("sinkage", np.abs(table.sinkage) > DEEPEST, expected)
-    radius, height = table.wheel_radius, table.grouser_height
+    radius = table.wheel_radius
+    height = table.grouser_height
     if wheel is not None:
-        radius, height = table.radius(wheel), table.height(wheel)
+        radius = table.radius(wheel)
+        height = table.height(wheel)
     refuse("grouser_height", table.grouser_height >= radius, "metres, less than the wheel radius")
     refuse("wheel_radius", table.wheel_radius <= height, "metres, more than the grouser height")
     deep = np.abs(table.sinkage) > radius
     if np.any(deep):
         r = radius[deep][0]
-        refuse("sinkage", deep, f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)")
+        refuse(
+            "sinkage",
+            deep,
+            f"metres, at most the wheel radius {r:g} m (if it is millimetres, divide by 1000)",
+        )
     _check_whole(table)
 
 
@@ -293,7 +378,9 @@ def _check_whole(table: Table) -> None:
     nothing = np.isnan(table.sinkage) & np.isnan(table.drawbar_pull) & np.isnan(table.torque)
     if np.any(nothing):
         line = table.row[nothing][0]
-        raise ParameterError(f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}")
+        raise ParameterError(
+            f"{table.source}: row {line}: nothing measured: expected one of {', '.join(MEASURED)}"
+        )
     if np.all(table.slip == table.slip[0]):
         said = "one row" if len(table) == 1 else f"slip = {table.slip[0]:g} in every row"
         raise ParameterError(f"{table.source}: {said}: expected at least two, with different slips")
@@ -306,7 +393,9 @@ def _check_repeats(path: Path, rows: Rows) -> None:
         key = tuple(_canonical(c) for c in cells)
         if key in seen:
             expected = "each point once (a true repeat differs in run or time)"
-            raise ParameterError(f"{path}: row {line} repeats row {seen[key]} in every column: expected {expected}")
+            raise ParameterError(
+                f"{path}: row {line} repeats row {seen[key]} in every column: expected {expected}"
+            )
         seen[key] = line
 
 
@@ -325,6 +414,11 @@ def in_radians(cells: list[str]) -> bool:
     numbers = [(float(c), len(c.rpartition(".")[2])) for c in cells if c and float(c) != 0.0]
 
     def whole_degrees(x: float, digits: int) -> bool:
-        return digits >= 3 and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
+        return (
+            digits >= 3
+            and abs(round(math.radians(round(math.degrees(x))), digits) - x) < 10.0**-digits * 1e-3
+        )
 
-    return bool(numbers) and all(abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers)
+    return bool(numbers) and all(
+        abs(x) < math.radians(40.0) and whole_degrees(x, d) for x, d in numbers
+    )

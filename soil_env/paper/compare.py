@@ -12,23 +12,47 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from soil_env.paper.model import AS_PRINTED, MEASURED, WONG_REECE, Equations, P, Points, Sand, forces, newton_raphson
+from soil_env.paper.model import (
+    AS_PRINTED,
+    MEASURED,
+    WONG_REECE,
+    Equations,
+    P,
+    Points,
+    Sand,
+    forces,
+    newton_raphson,
+)
 from soil_env.parameters import Soil, lumped_coefficient, soils
 from soil_env.terramechanics.steady import steady_state
 
-SAND, POINT, WHEEL = P.table2, P.working_point, P.wheel
+SAND = P.table2
+POINT = P.working_point
+WHEEL = P.wheel
 MODELS = (AS_PRINTED, WONG_REECE)
 HELD = tuple(e._replace(cohesion=P.fixed_cohesion) for e in MODELS)
 NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient")
-LABELS = {"friction_angle_deg": "phi [deg]", "shear_modulus": "K [m]", "sinkage_coefficient": "S", "cohesion": "c [Pa]",
-          "k_c": "k_c", "k_phi": "k_phi", "sinkage_exponent": "n"}  # fmt: skip
+LABELS = {
+    "friction_angle_deg": "phi [deg]",
+    "shear_modulus": "K [m]",
+    "sinkage_coefficient": "S",
+    "cohesion": "c [Pa]",
+    "k_c": "k_c",
+    "k_phi": "k_phi",
+    "sinkage_exponent": "n",
+}
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
 WONG_REECE_LOAD = 8923.0  # [N] of the wheel of Wong & Reece (1967), 2006 lb
 WIDE_SLIP = (0.05, 0.6)  # our reading of "a wide range of slip"
 #: Soils of Fig. 9: the name there and the row of Wong's table that stands for it.
-FIELD = {"sandy_loam": "sandy_loam_15", "dry_sand": "dry_sand", "snow": "snow", "clayey_soil": "clayey_soil_38"}
+FIELD = {
+    "sandy_loam": "sandy_loam_15",
+    "dry_sand": "dry_sand",
+    "snow": "snow",
+    "clayey_soil": "clayey_soil_38",
+}
 SLIPS = np.linspace(0.01, 0.95, 48)
 
 
@@ -39,7 +63,10 @@ class Row(NamedTuple):
     printed: float
     ours: tuple[float, float]
     form: str = ".2f"
-    beyond: tuple[str, str] = ("", "")  # "<" or ">" where ours is the end of what was scanned, and no limit was found
+    beyond: tuple[str, str] = (
+        "",
+        "",
+    )  # "<" or ">" where ours is the end of what was scanned, and no limit was found
 
 
 def as_shown(value: float, form: str) -> float:
@@ -49,13 +76,19 @@ def as_shown(value: float, form: str) -> float:
 
 def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     """(phi [deg], K [m], S)."""
-    return sand.friction_angle_deg, sand.shear_modulus, lumped_coefficient(sand.k_c, sand.k_phi, WHEEL.width)
+    return (
+        sand.friction_angle_deg,
+        sand.shear_modulus,
+        lumped_coefficient(sand.k_c, sand.k_phi, WHEEL.width),
+    )
 
 
 def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.ndarray:
     """DP [N] at the entry angle of the working point; an array for an array of slips."""
     e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
-    found = forces(sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 0]
+    found = forces(
+        sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e
+    )[:, 0]
     return found if np.ndim(slip) else float(found[0])
 
 
@@ -63,13 +96,16 @@ def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
     """The value of one parameter of the sand at which the working point's drawbar pull is `target` [N]."""
     value = getattr(sand, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
-    return float(brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high))
+    return float(
+        brentq(lambda v: pull(e, replace(sand, **{name: v})) - target, low, high, xtol=1e-12 * high)
+    )
 
 
 def variation(e: Equations) -> float:
     """Mean change of DP by the held cohesion over `WIDE_SLIP`, relative to the mean DP [%]."""
     slip = np.linspace(*WIDE_SLIP, 200)
-    own, held = pull(e, slip=slip), pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
+    own = pull(e, slip=slip)
+    held = pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
     return 100.0 * float((held - own).mean() / own.mean())
 
 
@@ -78,7 +114,8 @@ def working_point() -> list[Row]:
     at_1150 = tuple(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
     at_1200 = tuple(alone(e, "cohesion", 1200.0) for e in MODELS)
     no_cohesion = tuple(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
-    c, limit = POINT.then_identified_cohesion, POINT.cohesion_may_turn_negative_below
+    c = POINT.then_identified_cohesion
+    limit = POINT.cohesion_may_turn_negative_below
     error = tuple(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
     return [
         Row("DP [N]", POINT.drawbar_pull, tuple(pull(e) for e in MODELS)),
@@ -86,19 +123,33 @@ def working_point() -> list[Row]:
         Row("the same from 1200 N", c, at_1200),
         Row("its error [%]", POINT.then_error_percent, error, ".0f"),
         Row("c is negative below a DP of [N]", limit, no_cohesion, ".0f"),
-        Row("change of DP by c = 3000 Pa, mean [%]", P.variation_percent, tuple(map(variation, MODELS)), ".1f"),
+        Row(
+            "change of DP by c = 3000 Pa, mean [%]",
+            P.variation_percent,
+            tuple(map(variation, MODELS)),
+            ".1f",
+        ),
     ]
 
 
 def table_1() -> list[Row]:
     """Each parameter identified alone from a drawbar pull 5 % off, and its error."""
-    rows, forms = [], {"friction_angle_deg": ".2f", "shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f"}
+    rows = []
+    forms = {"friction_angle_deg": ".2f", "shear_modulus": ".4f", "k_c": ".0f", "k_phi": ".0f"}
     for name in P.table1:
-        line, value = P.table1[name], getattr(SAND, name)
+        line = P.table1[name]
+        value = getattr(SAND, name)
         for k, factor in enumerate((0.95, 1.05)):
             found = tuple(alone(e, name, factor * pull(e)) for e in MODELS)
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
-            rows.append(Row(label, line.identified[k], found, forms.get(name, ".4f" if value < 1.0 else ".2f")))
+            rows.append(
+                Row(
+                    label,
+                    line.identified[k],
+                    found,
+                    forms.get(name, ".4f" if value < 1.0 else ".2f"),
+                )
+            )
             errors = tuple(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
             rows.append(Row("error [%]", line.error_percent[k], errors))
     return rows
@@ -106,8 +157,13 @@ def table_1() -> list[Row]:
 
 def rules() -> list[tuple[str, float, float]]:
     """DP [N] of the working point by other rules of integration, and by Eq. (11)."""
-    cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {"(12), exact": {"simpson": 0}}
-    cases |= {"(11), m = 2": {"compaction": False}, "(11), exact": {"simpson": 0, "compaction": False}}
+    cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {
+        "(12), exact": {"simpson": 0}
+    }
+    cases |= {
+        "(11), m = 2": {"compaction": False},
+        "(11), exact": {"simpson": 0, "compaction": False},
+    }
     return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
 
 
@@ -119,7 +175,8 @@ def root(e: Equations) -> np.ndarray:
 
 def table_3() -> list[Row]:
     """The identified set, its errors, and the measured pulls beside those that the printed set predicts."""
-    found, rows = [root(e) for e in HELD], []
+    found = [root(e) for e in HELD]
+    rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
         errors = tuple(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
@@ -127,14 +184,17 @@ def table_3() -> list[Row]:
         rows.append(Row("error [%]", line.error_percent, errors))
     predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in HELD]
     for p, measured in enumerate(MEASURED.pull):
-        name = f"DP at {100 * MEASURED.slip[p]:.2f} % slip of the printed set, beside the measured [N]"
+        name = (
+            f"DP at {100 * MEASURED.slip[p]:.2f} % slip of the printed set, beside the measured [N]"
+        )
         rows.append(Row(name, measured, tuple(d[p] for d in predicted)))
     return rows
 
 
 def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
     """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of its tangent."""
-    found, solution = newton_raphson(MEASURED, guesses, e), root(e)
+    found = newton_raphson(MEASURED, guesses, e)
+    solution = root(e)
     turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
     return (np.abs(turn) < 0.01) & np.all(np.abs(found[:, 1:] / solution[1:] - 1.0) < 1e-4, axis=1)
 
@@ -142,19 +202,33 @@ def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
 def table_4() -> list[Row]:
     """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson converges."""
     rows = []
-    scans = np.linspace(0.5, 89.5, 1781), np.linspace(1e-4, 0.2, 2000), np.geomspace(1e3, 1e14, 1101)
+    scans = (
+        np.linspace(0.5, 89.5, 1781),
+        np.linspace(1e-4, 0.2, 2000),
+        np.geomspace(1e3, 1e14, 1101),
+    )
     for k, (name, scan, form) in enumerate(zip(NAMES, scans, (".1f", ".4f", ".2g"), strict=True)):
         limits = []
         for e in HELD:
             guesses = np.tile(GUESS, (scan.size, 1))
             guesses[:, k] = scan
             good = reaches(e, guesses)
-            below, above = (np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k]))
+            below, above = (
+                np.flatnonzero(~good & side) for side in (scan < GUESS[k], scan > GUESS[k])
+            )
             lowest = (scan[below[-1] + 1], "") if below.size else (scan[0], "<")
             limits.append((lowest, (scan[above[0] - 1], "") if above.size else (scan[-1], ">")))
         for end, label in enumerate(("lowest", "highest")):
             own, beyond = zip(*(pair[end] for pair in limits), strict=True)
-            rows.append(Row(f"{LABELS[name]}, {label}", P.table4[name][end], tuple(map(float, own)), form, beyond))
+            rows.append(
+                Row(
+                    f"{LABELS[name]}, {label}",
+                    P.table4[name][end],
+                    tuple(map(float, own)),
+                    form,
+                    beyond,
+                )
+            )
     return rows
 
 
@@ -175,7 +249,11 @@ def table_5(e: Equations, seed: int, draws: int) -> Noisy:
     errors = 100.0 * np.abs(found / ACTUAL_SET - 1.0)
     good = np.isfinite(errors).all(axis=1)
     limit = [P.table5[name][1] for name in NAMES]
-    return Noisy(np.percentile(errors[good], [5, 50, 95], axis=0), (errors[good] < limit).mean(axis=0), good.mean())
+    return Noisy(
+        np.percentile(errors[good], [5, 50, 95], axis=0),
+        (errors[good] < limit).mean(axis=0),
+        good.mean(),
+    )
 
 
 def sets(k: int) -> dict[str, tuple[np.ndarray, Equations]]:
@@ -194,7 +272,10 @@ def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
 
 def pull_misfits() -> list[float]:
     """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar pulls."""
-    return [float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2))) for e in HELD]
+    return [
+        float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2)))
+        for e in HELD
+    ]
 
 
 def torque(soil: Soil) -> np.ndarray:
@@ -208,7 +289,9 @@ def torque_at_37_deg(soil: Soil) -> np.ndarray:
     """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working point."""
     e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
     parameters = soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)
-    return forces(parameters, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e)[:, 2]
+    return forces(
+        parameters, SLIPS, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e
+    )[:, 2]
 
 
 @dataclass(frozen=True)
@@ -225,5 +308,7 @@ class Results:
 def compute(seed: int = 0, draws: int = 1000) -> Results:
     """Recompute everything; `draws` of the noise in Table 5."""
     rows = {"point": working_point(), "table1": table_1(), "table3": table_3(), "table4": table_4()}
-    torques = {name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()}
+    torques = {
+        name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()
+    }
     return Results(seed, draws, rows, tuple(table_5(e, seed, draws) for e in HELD), torques)

@@ -64,7 +64,9 @@ class Equations(NamedTuple):
 
 
 AS_PRINTED = Equations(P.wheel.radius, P.wheel.width, P.table2.cohesion, P.table2.sinkage_exponent)
-WONG_REECE = AS_PRINTED._replace(radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1])
+WONG_REECE = AS_PRINTED._replace(
+    radius=WONG_REECE_RADIUS, peak=WONG_REECE_PEAK[0], peak_by_slip=WONG_REECE_PEAK[1]
+)
 
 _ITERATIONS = 100  # of Newton-Raphson at most
 _TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
@@ -75,7 +77,8 @@ def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
     if m == 0:
         return NODE_DEPTHS, NODE_WEIGHTS
     weights = np.full(2 * m + 1, 2.0)
-    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    weights[1::2] = 4.0
+    weights[[0, -1]] = 1.0
     return np.linspace(0.0, 1.0, 2 * m + 1), weights / (6.0 * m)
 
 
@@ -86,7 +89,11 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     """
     phi, K, S = (np.atleast_2d(np.asarray(soil, float)) * (math.pi / 180.0, 1.0, 1.0)).T[:, :, None]
     slip, z = (np.atleast_1d(np.asarray(v, float))[:, None] for v in (slip, sinkage))
-    r, b, c, n, tan_phi = e.radius, e.width, e.cohesion, e.exponent, np.tan(phi)
+    r = e.radius
+    b = e.width
+    c = e.cohesion
+    n = e.exponent
+    tan_phi = np.tan(phi)
     place, weight = _nodes(e.simpson)
     theta1 = 2.0 * np.arcsin(np.sqrt(z / (2.0 * r)))
     rear = (e.peak + e.peak_by_slip * slip) * theta1  # length of the zone, theta2 = 0
@@ -96,15 +103,22 @@ def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -
     p = np.tile(np.maximum(r * (np.cos(ahead) - np.cos(theta1)), 0.0) ** n, (1, 2))
     j = r * (theta1 - theta - travel_speeds(1.0, slip) * (np.sin(theta1) - np.sin(theta)))
     left = np.exp(-np.abs(j) / K)
-    share, strength, cos = np.copysign(1.0 - left, j), c + S * p * tan_phi, np.cos(theta)
+    share = np.copysign(1.0 - left, j)
+    strength = c + S * p * tan_phi
+    cos = np.cos(theta)
     resistance = (w * p * np.sin(theta)).sum(axis=1)  # Eq. (11), for S = 1
     if e.compaction:
         resistance = b * z[:, 0] ** (n + 1.0) / (n + 1.0)  # Eq. (12)
-    shear, by_phi = strength * share, S * p * (1.0 + tan_phi * tan_phi) * share
+    shear = strength * share
+    by_phi = S * p * (1.0 + tan_phi * tan_phi) * share
     columns = (
-        shear * cos, S * p * cos + shear * np.sin(theta), r * shear, by_phi * cos,
-        -strength * j * left / (K * K) * cos, p * tan_phi * share * cos,
-    )  # fmt: skip
+        shear * cos,
+        S * p * cos + shear * np.sin(theta),
+        r * shear,
+        by_phi * cos,
+        -strength * j * left / (K * K) * cos,
+        p * tan_phi * share * cos,
+    )
     out = np.stack([(w * f).sum(axis=1) for f in columns], axis=1)
     out[:, 0] -= S[:, 0] * resistance
     out[:, 5] -= resistance
@@ -131,15 +145,23 @@ def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray
     """
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)
-    out, going, degrees = np.full(x.shape, np.nan), np.arange(len(x)), np.array([math.degrees(1.0), 1.0, 1.0])
+    out = np.full(x.shape, np.nan)
+    going = np.arange(len(x))
+    degrees = np.array([math.degrees(1.0), 1.0, 1.0])
     with np.errstate(all="ignore"):
         for _ in range(_ITERATIONS):
-            y = forces(np.repeat(x[going], 3, axis=0), slip[going].ravel(), sinkage[going].ravel(), e)
-            jacobian, residual = y[:, 3:].reshape(-1, 3, 3), pull[going] - y[:, 0].reshape(-1, 3)
+            y = forces(
+                np.repeat(x[going], 3, axis=0), slip[going].ravel(), sinkage[going].ravel(), e
+            )
+            jacobian = y[:, 3:].reshape(-1, 3, 3)
+            residual = pull[going] - y[:, 0].reshape(-1, 3)
             determinant = np.linalg.det(jacobian)
             solvable = np.isfinite(determinant) & (determinant != 0.0)
             going = going[solvable]
-            step = np.linalg.solve(jacobian[solvable], residual[solvable][:, :, None])[:, :, 0] * degrees
+            step = (
+                np.linalg.solve(jacobian[solvable], residual[solvable][:, :, None])[:, :, 0]
+                * degrees
+            )
             x[going] += step
             valid = np.all(np.isfinite(x[going]), axis=1) & (x[going, 1] > 0.0)
             size = np.abs(x[going])

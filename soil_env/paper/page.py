@@ -36,29 +36,45 @@ def markdown(results: Results, command: str) -> str:
 
     def agree(table: str, reading: int = 1) -> int:
         """Count the printed numbers of a table that agree to the last digit."""
-        return sum(compare.as_shown(row.ours[reading], row.form) == row.printed for row in results.rows[table])
+        return sum(
+            compare.as_shown(row.ours[reading], row.form) == row.printed
+            for row in results.rows[table]
+        )
 
-    values = {"agree": agree, "r": results, "p": P, "c": compare, "command": command, "low": (low.min(), low.max())}
+    values = {
+        "agree": agree,
+        "r": results,
+        "p": P,
+        "c": compare,
+        "command": command,
+        "low": (low.min(), low.max()),
+    }
     return render("soil_env.paper:paper.md", **values, **tables)
 
 
 def _beside(rows: Sequence[Row]) -> Table:
     """A printed number, ours by each reading, and the differences; none where our scan ends before a limit."""
-    header, lines = ["", "printed", *(text for name in READINGS for text in (name, "difference"))], []
+    header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
+    lines = []
     for name, printed, ours, form, beyond in rows:
         line = [name, format(printed, form)]
         for value, side in zip(ours, beyond, strict=True):
             if side:
                 line += [f"{side} {value:{form}} (end of the scan)", "-"]
             else:
-                line += [format(value, form), format(compare.as_shown(value, form) - printed, "+" + form)]
+                line += [
+                    format(value, form),
+                    format(compare.as_shown(value, form) - printed, "+" + form),
+                ]
         lines.append(line)
     return Table(header, lines)
 
 
 def _rules() -> Table:
-    return Table(("resistance, integration", *(f"{name}: DP [N]" for name in READINGS)),
-                 [(name, *(f"{v:.2f}" for v in values)) for name, *values in compare.rules()])  # fmt: skip
+    return Table(
+        ("resistance, integration", *(f"{name}: DP [N]" for name in READINGS)),
+        [(name, *(f"{v:.2f}" for v in values)) for name, *values in compare.rules()],
+    )
 
 
 def _noise(r: Results) -> Table:
@@ -69,15 +85,24 @@ def _noise(r: Results) -> Table:
             low, median, high = n.quantiles[:, k]
             row += [f"{median:.1f} [{low:.1f}, {high:.1f}]", f"{100 * n.below[k]:.0f} %"]
         rows.append(row)
-    columns = (text for name in READINGS for text in (f"{name}: median [5 %, 95 %]", "below the printed"))
+    columns = (
+        text for name in READINGS for text in (f"{name}: median [5 %, 95 %]", "below the printed")
+    )
     return Table(("error with noise [%]", "printed", *columns), rows)
 
 
 def _rms() -> Table:
     """The printed rms errors of Figs. 6 and 7, and ours where three points allow one."""
-    header = ("rms error", "printed, over the curve", *(f"{name}, at the three points" for name in READINGS))
+    header = (
+        "rms error",
+        "printed, over the curve",
+        *(f"{name}, at the three points" for name in READINGS),
+    )
     rows = []
-    for what, values in (("drawbar pull [N]", P.fig6_rms_drawbar_pull), ("torque [N m]", P.fig7_rms_torque)):
+    for what, values in (
+        ("drawbar pull [N]", P.fig6_rms_drawbar_pull),
+        ("torque [N m]", P.fig7_rms_torque),
+    ):
         for points, printed in values.items():
             row = [f"{what}, set from {points.replace('_', ' ')}", f"{printed:.2f}"]
             known = values is P.fig6_rms_drawbar_pull and points == "three_points"
@@ -88,15 +113,21 @@ def _rms() -> Table:
 def _torque_table(r: Results) -> Table:
     rows = []
     for name, found in r.torques.items():
-        below, about = P.fig9_below.get(name), P.fig9_about.get(name)
+        below = P.fig9_below.get(name)
+        about = P.fig9_about.get(name)
         row = [name.replace("_", " "), f"about {about:.0f}" if below is None else f"< {below:.0f}"]
         for T in found:
             carried = np.isfinite(T).any()
-            row.append(f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}" if carried else "buried at every slip")
+            row.append(
+                f"{np.nanmin(T):.0f} to {np.nanmax(T):.0f}" if carried else "buried at every slip"
+            )
             row.append(f"{np.nanmax(T) - (about or below):+.0f}" if carried else "-")
         rows.append(row)
     difference = "highest less printed"
-    return Table(("soil", "printed T [N m]", "ours, balanced", difference, "ours, at 37 deg", difference), rows)
+    return Table(
+        ("soil", "printed T [N m]", "ours, balanced", difference, "ours, at 37 deg", difference),
+        rows,
+    )
 
 
 def _axes(figure: Figure, x: str, y: str, position=111):
@@ -116,7 +147,9 @@ def _predictions(figure: Figure, r: Results) -> None:
         for colour, (name, (soil, e)) in enumerate(compare.sets(k).items()):
             y = compare.forces(soil, slip, sinkage, e)
             for axes, column in ((pull, 0), (torque, 2)):
-                axes.plot(slip, y[:, column], style, color=f"C{colour}", label=f"{name}, {READINGS[k]}")
+                axes.plot(
+                    slip, y[:, column], style, color=f"C{colour}", label=f"{name}, {READINGS[k]}"
+                )
     pull.plot(MEASURED.slip, MEASURED.pull, "ko", label="measured")
     pull.legend(fontsize=7)
 
@@ -128,6 +161,11 @@ def _torques(figure: Figure, r: Results) -> None:
         label = name.replace("_", " ") + ("" if np.isfinite(T).any() else ": buried")
         axes.plot(compare.SLIPS, T, color=f"C{k}", label=label)
     axes.axhline(P.available_torque, color="k", linestyle=":", label="available")
-    axes.axhline(P.fig9_about["clayey_soil"], color=f"C{len(r.torques) - 1}", linestyle="--", label="printed, clayey")
+    axes.axhline(
+        P.fig9_about["clayey_soil"],
+        color=f"C{len(r.torques) - 1}",
+        linestyle="--",
+        label="printed, clayey",
+    )
     axes.set_ylim(0.0)
     axes.legend()

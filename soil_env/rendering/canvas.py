@@ -16,11 +16,26 @@ Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
 # Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with friction.
-WHITE, PAPER, INK, GREY, GRID = (255, 255, 255), (250, 250, 248), (34, 34, 40), (112, 112, 120), (226, 226, 230)
-BLUE, LIGHT_BLUE, ORANGE, LIGHT_ORANGE = (0, 114, 178), (190, 220, 240), (213, 94, 0), (246, 196, 150)
-GREEN, AMBER, SURFACE = (0, 130, 96), (176, 112, 0), (74, 54, 38)
-PURPLE, LIGHT_PURPLE, LIGHT_AMBER, LIGHT_GREEN = (150, 50, 130), (230, 200, 225), (244, 220, 160), (178, 224, 208)
-SKY, RIM, WHEEL, SPOKE = (232, 240, 246), (60, 64, 72), (238, 239, 242), (150, 154, 162)
+WHITE = (255, 255, 255)
+PAPER = (250, 250, 248)
+INK = (34, 34, 40)
+GREY = (112, 112, 120)
+GRID = (226, 226, 230)
+BLUE = (0, 114, 178)
+LIGHT_BLUE = (190, 220, 240)
+ORANGE = (213, 94, 0)
+LIGHT_ORANGE = (246, 196, 150)
+GREEN = (0, 130, 96)
+AMBER = (176, 112, 0)
+SURFACE = (74, 54, 38)
+PURPLE = (150, 50, 130)
+LIGHT_PURPLE = (230, 200, 225)
+LIGHT_AMBER = (244, 220, 160)
+LIGHT_GREEN = (178, 224, 208)
+SKY = (232, 240, 246)
+RIM = (60, 64, 72)
+WHEEL = (238, 239, 242)
+SPOKE = (150, 154, 162)
 _RAMP = np.array([(247, 230, 186), (218, 182, 126), (171, 128, 82), (116, 82, 56)], dtype=float)
 GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, shade
 
@@ -32,12 +47,15 @@ class Canvas:
         import pygame
 
         pygame.font.init()
-        self._pygame, self._draw = pygame, pygame.draw
+        self._pygame = pygame
+        self._draw = pygame.draw
         self._scale = min(size[0] / DESIGN[0], size[1] / DESIGN[1])
         self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
         self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
         self._surface = pygame.Surface(size, 0, 32)
-        self._fonts, self._written, self._texts = {}, {}, []
+        self._fonts = {}
+        self._written = {}
+        self._texts = []
 
     def _at(self, points):
         return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
@@ -78,7 +96,9 @@ class Canvas:
     def circle(self, centre: Point, radius: float, colour: Colour, width: float = 0) -> None:
         """A disc, or a ring `width` wide inside `radius`."""
         thickness = self._width(width) if width else 0
-        self._draw.circle(self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness)
+        self._draw.circle(
+            self._large, colour, self._at(centre), 2.0 * self._scale * radius, thickness
+        )
 
     def arrow(self, tail: Point, head: Point, colour: Colour, width: float = 2.0) -> None:
         """A line with a head 5 units long, or shorter."""
@@ -86,23 +106,32 @@ class Canvas:
         length = math.hypot(*along)
         if length >= 1.0:
             along *= min(5.0, 0.6 * length) / length
-            base, across = head - along, 0.6 * np.array([-along[1], along[0]])
+            base = head - along
+            across = 0.6 * np.array([-along[1], along[0]])
             self.lines([tail, base], colour, width)
             self.polygon([head, base + across, base - across], colour)
 
-    def soil(self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
+    def soil(
+        self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]
+    ) -> np.ndarray:
         """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
-        colours, (x, y) = soil_colour(friction, bounds), np.transpose(points)
+        colours = soil_colour(friction, bounds)
+        (x, y) = np.transpose(points)
         start = 0
         for i in range(1, len(colours) + 1):  # one polygon for each run of one colour
             if i == len(colours) or (colours[i] != colours[start]).any():
                 top = points[start : i + 1]
-                self.polygon([*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)], colours[start])
+                self.polygon(
+                    [*top, (x[i] + 0.6, y[i]), (x[i] + 0.6, bottom), (x[start], bottom)],
+                    colours[start],
+                )
                 start = i
         self.lines(points, SURFACE)
         return colours
 
-    def text(self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0) -> None:
+    def text(
+        self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0
+    ) -> None:
         """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
         key = words, size, colour
         if key not in self._written:
@@ -113,7 +142,11 @@ class Canvas:
                 self._fonts[pixels] = self._pygame.font.Font(None, pixels)
             self._written[key] = self._fonts[pixels].render(words, True, colour)
         image = self._written[key]
-        place = self._offset + self._scale * np.array([x, y]) - np.multiply(image.get_size(), (align, 0.5))
+        place = (
+            self._offset
+            + self._scale * np.array([x, y])
+            - np.multiply(image.get_size(), (align, 0.5))
+        )
         self._texts.append((image, place.round()))
 
     def finish(self) -> "pygame.Surface":
@@ -126,4 +159,6 @@ class Canvas:
 def soil_colour(friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
-    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(int)
+    return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(
+        int
+    )

@@ -15,7 +15,9 @@ _SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient 
 _BROAD = 5.0  # width of a line behind another
 
 
-def draw_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool) -> None:
+def draw_charts(
+    c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, Colour]], identified: bool
+) -> None:
     """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true.
 
     `history` [1 + `QUANTITIES` x wheels, samples]: time, then those of each wheel in turn. Of the (dark, pale) colours
@@ -23,21 +25,51 @@ def draw_charts(c: Canvas, history: np.ndarray, colours: Sequence[tuple[Colour, 
     """
     end = max(SPAN, history[0].max(initial=0.0))
     history = history[:, history[0] >= end - SPAN - 1e-9]
-    time, wheels = history[0], history[1:].reshape(len(colours), QUANTITIES, -1)
-    slip, sinkage = wheels[:, 0], wheels[:, 1]
+    time = history[0]
+    wheels = history[1:].reshape(len(colours), QUANTITIES, -1)
+    slip = wheels[:, 0]
+    sinkage = wheels[:, 1]
     limits = -1.0 if slip.min(initial=0.0) < -0.25 else -0.25, 1.0
-    _draw_chart(c, 0, "slip, sinkage / radius (broad) [-]", end, time, limits, colours, slip, sinkage)
+    _draw_chart(
+        c, 0, "slip, sinkage / radius (broad) [-]", end, time, limits, colours, slip, sinkage
+    )
     for i, name in enumerate(_SOIL):
         estimate, sd, true = (wheels[:, k + i] for k in (2, 5, 8))
-        low, high, estimate, true = (_in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true))
+        low, high, estimate, true = (
+            _in_shown_units(v, i) for v in (estimate - sd, estimate + sd, estimate, true)
+        )
         band = (low[0], high[0]) if identified and len(colours) == 1 else None
         shown = np.concatenate([true, *(band or estimate if identified else ())], axis=None)
         words = "estimate, true (broad)" if identified else "true"
         above = estimate if identified else None
-        _draw_chart(c, i + 1, f"{name}: {words}", end, time, _limits(shown, i > 0), colours, above, true, i > 0, band)
+        _draw_chart(
+            c,
+            i + 1,
+            f"{name}: {words}",
+            end,
+            time,
+            _limits(shown, i > 0),
+            colours,
+            above,
+            true,
+            i > 0,
+            band,
+        )
 
 
-def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, colours, above, behind, log=False, band=None):
+def _draw_chart(
+    c: Canvas,
+    place: int,
+    name: str,
+    end,
+    time,
+    limits,
+    colours,
+    above,
+    behind,
+    log=False,
+    band=None,
+):
     """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the last one.
 
     Two lines a wheel: `behind`, broad and pale, and `above`, if any; `band`: (lower, upper).
@@ -48,7 +80,10 @@ def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, colours, ab
 
     def at(t, values):
         share = (of(values) - low) / (high - low)
-        return np.stack([left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))], axis=-1)
+        return np.stack(
+            [left + width * (1.0 + (t - end) / SPAN), top + height * (1.0 - share.clip(0.0, 1.0))],
+            axis=-1,
+        )
 
     c.box(CHARTS[place], WHITE)
     c.text(left, top - 11, name, 16)
@@ -67,13 +102,17 @@ def _draw_chart(c: Canvas, place: int, name: str, end, time, limits, colours, ab
         c.lines(at(time, values), dark, 1.8)
     if place == len(CHARTS) - 1:
         for t in ticks(end - SPAN, end, 5.0):
-            c.text(left + width * (t - end + SPAN) / SPAN, top + height + 10, f"{t:g}", 14, GREY, 0.5)
+            c.text(
+                left + width * (t - end + SPAN) / SPAN, top + height + 10, f"{t:g}", 14, GREY, 0.5
+            )
         c.text(left + 0.5 * width, top + height + 24, "time [s]", 15, GREY, 0.5)
 
 
 def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
     """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
-    return np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
+    return (
+        np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
+    )
 
 
 def nice(value: float) -> float:
@@ -84,14 +123,18 @@ def nice(value: float) -> float:
 
 def ticks(low: float, high: float, step: float) -> list[float]:
     """Multiples of `step` in [low, high]."""
-    return [i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+    return [
+        i * step for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    ]
 
 
 def _log_ticks(low: float, high: float) -> list[float]:
     """Decades in [low, high], with 2 and 5 between them where there are at most two decades."""
     parts = (1.0, 2.0, 5.0) if high <= 101.0 * low else (1.0,)
     decades = range(math.floor(math.log10(low)) - 1, math.ceil(math.log10(high)) + 1)
-    return [m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high]
+    return [
+        m * 10.0**d for d in decades for m in parts if 0.999 * low <= m * 10.0**d <= 1.001 * high
+    ]
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:

@@ -32,7 +32,9 @@ class Profile(NamedTuple):
 @compiled_root(allocates=True)
 def _along(courses, k, x, border):
     """(grade [rad], phi [deg]) of course k at each x [m]."""
-    grade, friction, patch = np.empty(x.size), np.empty(x.size), 0
+    grade = np.empty(x.size)
+    friction = np.empty(x.size)
+    patch = 0
     for i in range(x.size):
         soil, grade[i], patch = ground_at(courses, k, x[i], patch, border)
         friction[i] = math.degrees(math.atan(soil.tan_phi))
@@ -61,7 +63,8 @@ class Scene(NamedTuple):
 
     def at(self, x: Any, y: Any) -> np.ndarray:
         """Place in the picture of points of the world [m]."""
-        across, up = self.scale * (x - self.centre[0]), self.scale * (y - self.centre[1])
+        across = self.scale * (x - self.centre[0])
+        up = self.scale * (y - self.centre[1])
         return np.stack([self.place[0] + across, self.place[1] - up], axis=-1)
 
 
@@ -71,9 +74,15 @@ def depth_of_ruts(x: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def draw_ground(
-    c: Canvas, scene: Scene, x: np.ndarray, profile: Profile, lowered: np.ndarray, hubs: Any, r: float,
+    c: Canvas,
+    scene: Scene,
+    x: np.ndarray,
+    profile: Profile,
+    lowered: np.ndarray,
+    hubs: Any,
+    r: float,
     bounds: tuple[float, float],
-) -> None:  # fmt: skip
+) -> None:
     """The soil up to its surface at x [m] along the course, with specks; dashed where the surface was before.
 
     It is `lowered` [m] by ruts, and pressed down by wheels of radius r [m] at `hubs`.
@@ -91,8 +100,13 @@ def draw_ground(
     place, depth, shade = GRAINS[cells % len(GRAINS)].T
     gx = (cells // 4 + place) * step
     spots = scene.at(gx, np.interp(gx, across, now) - (0.3 + 12.0 * depth) * step)
-    tints = colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)] * np.where(shade < 0.5, 0.82, 1.1)[:, None]
-    for spot, size, tint in zip(spots, 1.0 + 1.2 * shade, tints.clip(0, 255).astype(int).tolist(), strict=True):
+    tints = (
+        colours[np.searchsorted(middle, gx).clip(0, middle.size - 1)]
+        * np.where(shade < 0.5, 0.82, 1.1)[:, None]
+    )
+    for spot, size, tint in zip(
+        spots, 1.0 + 1.2 * shade, tints.clip(0, 255).astype(int).tolist(), strict=True
+    ):
         c.circle(spot, size, tint)
     untouched = scene.at(across, before)[before - now > 0.03 * r]
     for i in range(0, len(untouched) - 2, 4):
@@ -101,7 +115,9 @@ def draw_ground(
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
     """A chequered flag at the end of the course."""
-    top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])  # above the wheel, in view on a slope
+    top = np.array(
+        [foot[0], max(foot[1] - 156, scene.box[1] + 40)]
+    )  # above the wheel, in view on a slope
     c.lines([foot + (0, 12), top], INK, 2.5)
     for i in range(12):
         c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
@@ -109,9 +125,15 @@ def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
 
 def draw_scale_bar(c: Canvas, scene: Scene) -> None:
     """A bar of a round length, about a quarter of the scene's width, in its upper right corner."""
-    bar, right, y = nice(0.25 * scene.box[2] / scene.scale), scene.box[0] + scene.box[2] - 14, scene.box[1] + 22
+    bar = nice(0.25 * scene.box[2] / scene.scale)
+    right = scene.box[0] + scene.box[2] - 14
+    y = scene.box[1] + 22
     left = right - bar * scene.scale
-    for ends in ([(left, y), (right, y)], [(left, y - 4), (left, y + 4)], [(right, y - 4), (right, y + 4)]):
+    for ends in (
+        [(left, y), (right, y)],
+        [(left, y - 4), (left, y + 4)],
+        [(right, y - 4), (right, y + 4)],
+    ):
         c.lines(ends, INK, 2)
     c.text(0.5 * (left + right), y - 12, f"{bar:g} m", 15, align=0.5)
 
@@ -142,5 +164,6 @@ def draw_course(
 
 def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
-    phi, spread = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0])), 2.0 * scenario.spread.friction + 0.02
+    phi = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0]))
+    spread = 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

@@ -14,7 +14,14 @@ from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.rendering import canvas, wheels as drawing
 from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
-from soil_env.rendering.ground import Profile, Scene, depth_of_ruts, draw_flag, draw_ground, draw_scale_bar
+from soil_env.rendering.ground import (
+    Profile,
+    Scene,
+    depth_of_ruts,
+    draw_flag,
+    draw_ground,
+    draw_scale_bar,
+)
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
@@ -25,8 +32,11 @@ from soil_env.vehicle import Vehicle
 #: Box of the side view: left, top, width, height
 SCENE = (14, 52, 548, 302)
 AT = (0.5, 0.66)  # place of the ground below the middle of the vehicle, from left and top
-_WIDTH, _LEAST_WIDTH = 1.55, 8.5  # of the side view: over the length of a rover from rim to rim; at least, of radii
-_BODY, _BEAM, _BOGIE = (206, 198, 184), (86, 90, 100), (120, 124, 134)
+_WIDTH = 1.55  # of the side view: over the length of a rover from rim to rim; at least, of radii
+_LEAST_WIDTH = 8.5
+_BODY = (206, 198, 184)
+_BEAM = (86, 90, 100)
+_BOGIE = (120, 124, 134)
 COLOURS = {  # dark, pale
     "front": (canvas.PURPLE, canvas.LIGHT_PURPLE),
     "middle": (canvas.AMBER, canvas.LIGHT_AMBER),
@@ -43,16 +53,27 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     """
     worlds = simulation.worlds
     if isinstance(simulation, RoverSimulation):
-        rovers, known, rows = worlds.rovers, worlds.known, simulation.wheels[j].tolist()
+        rovers = worlds.rovers
+        known = worlds.known
+        rows = simulation.wheels[j].tolist()
         names = axle_names(len(rows))
-        wheels = [rovers.wheels[k] | rovers.counts[k] | {"rut": rovers.axles.floor[k]} for k in rows]
+        wheels = [
+            rovers.wheels[k] | rovers.counts[k] | {"rut": rovers.axles.floor[k]} for k in rows
+        ]
     else:
-        known, rows, names = worlds.ids, [j], ("wheel",)
+        known = worlds.ids
+        rows = [j]
+        names = ("wheel",)
         wheels = [simulation.wheel(j) | {"rut": 0.0}]
     for w, k, name in zip(wheels, rows, names, strict=True):
-        soil, _, _ = ground_at(worlds.courses, j, w["x"], w["patch"], simulation.numbers.world.border)
+        soil, _, _ = ground_at(
+            worlds.courses, j, w["x"], w["patch"], simulation.numbers.world.border
+        )
         w |= {"name": name, "soil": soil}
-        w |= {key: None if known is None else getattr(known, key)[k] for key in ("estimate", "sd", "status")}
+        w |= {
+            key: None if known is None else getattr(known, key)[k]
+            for key in ("estimate", "sd", "status")
+        }
     return wheels
 
 
@@ -68,7 +89,12 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
 def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
     r = simulation.numbers.world.wheel.radius
-    return np.array([drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"]) for w in wheels])
+    return np.array(
+        [
+            drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"])
+            for w in wheels
+        ]
+    )
 
 
 class Posture(NamedTuple):
@@ -81,7 +107,8 @@ class Posture(NamedTuple):
 
     def on_body(self, behind: float, above: float) -> np.ndarray:
         """Place [m] of a point of the body so far behind the front axle and above the axles."""
-        cos, sin = math.cos(self.pitch), math.sin(self.pitch)
+        cos = math.cos(self.pitch)
+        sin = math.sin(self.pitch)
         return self.origin + np.array([-behind * cos - above * sin, -behind * sin + above * cos])
 
 
@@ -90,7 +117,8 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
     first = v.first_on_bogie
     front, rear, above = (0, 1, 0.0) if first < 0 else (first, first + 1, v.pivot_height)
     behind = v.centre if first < 0 else v.pivot
-    share, along = (behind - v.axles[front]) / (v.axles[rear] - v.axles[front]), hubs[front] - hubs[rear]
+    share = (behind - v.axles[front]) / (v.axles[rear] - v.axles[front])
+    along = hubs[front] - hubs[rear]
     upward = np.array([-along[1], along[0]]) / math.hypot(*along)
     pivot = hubs[front] - share * along + above * upward
     at_front = Posture(hubs, pitch, pivot, np.zeros(2))
@@ -99,13 +127,18 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
 
 def width_of(simulation: Any) -> float:
     """Width of the side view [m]."""
-    r, vehicle = simulation.numbers.world.wheel.radius, getattr(simulation.scenario, "vehicle", None)
+    r = simulation.numbers.world.wheel.radius
+    vehicle = getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
 
 
-def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified) -> None:
+def draw_side_view(
+    c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified
+) -> None:
     """Vehicle j in a camera that moves with it, its readings above and the table of its `shown_wheels` below."""
-    is_rover, worlds, width = isinstance(simulation, RoverSimulation), simulation.worlds, width_of(simulation)
+    is_rover = isinstance(simulation, RoverSimulation)
+    worlds = simulation.worlds
+    width = width_of(simulation)
     body = worlds.rovers.body[j] if is_rover else wheels[0] | {"pitch": wheels[0]["grade"]}
     left = worlds.courses.rut[j]
     if is_rover:
@@ -116,19 +149,26 @@ def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile,
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
     rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
-    hubs, world, task = hubs_of(simulation, wheels, profile), simulation.numbers.world.wheel, simulation.numbers.task
-    r, size = world.radius, world.radius * scene.scale
+    hubs = hubs_of(simulation, wheels, profile)
+    world = simulation.numbers.world.wheel
+    task = simulation.numbers.task
+    r = world.radius
+    size = world.radius * scene.scale
     stresses = [drawing.stresses_under(w, r, world.width) for w in wheels]
     per_pascal = 0.45 * size * 0.5 * r * world.width / task.weight  # drawn length of a stress
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
     draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
     draw_flag(c, scene, scene.at(*profile.at(task.length)))
-    posture = posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
+    posture = (
+        posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
+    )
     if is_rover:
         _draw_body(c, scene, simulation.scenario.vehicle, posture, r)
     for w, hub, angle in zip(wheels, hubs, angles, strict=True):
-        drawing.draw_wheel(c, scene.at(*hub), size, float(angle), COLOURS[w["name"]][0] if is_rover else canvas.RIM)
+        drawing.draw_wheel(
+            c, scene.at(*hub), size, float(angle), COLOURS[w["name"]][0] if is_rover else canvas.RIM
+        )
     for w, hub, own in zip(wheels, hubs, stresses, strict=True):
         side = -1.0 if w["speed"] < -REST_SPEED else 1.0
         drawing.draw_stresses(c, scene.at(*hub), size, float(w["grade"]), side, own, per_pascal)
@@ -144,8 +184,10 @@ def draw_side_view(c: Canvas, simulation: Any, j: int, wheels, profile: Profile,
 
 def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
     """The body, with a slanted front."""
-    low, top = vehicle.centre_height - 0.55 * r, vehicle.centre_height + 0.55 * r
-    front, rear = 0.02 * vehicle.base, 0.98 * vehicle.base
+    low = vehicle.centre_height - 0.55 * r
+    top = vehicle.centre_height + 0.55 * r
+    front = 0.02 * vehicle.base
+    rear = 0.98 * vehicle.base
     corners = (front, low), (front + 0.3 * r, top), (rear, top), (rear, low), (front, low)
     outline = [scene.at(*p.on_body(behind, above)) for behind, above in corners]
     c.polygon(outline, _BODY)
@@ -154,11 +196,13 @@ def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) 
 
 def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
     """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all else."""
-    hubs, width = [scene.at(*hub) for hub in p.hubs], max(0.12 * r * scene.scale, 3.0)
+    hubs = [scene.at(*hub) for hub in p.hubs]
+    width = max(0.12 * r * scene.scale, 3.0)
     if vehicle.bogie == "none":
         c.lines(hubs, _BEAM, width)
     else:
-        first, alone = vehicle.first_on_bogie, 2 if vehicle.bogie == "front" else 0
+        first = vehicle.first_on_bogie
+        alone = 2 if vehicle.bogie == "front" else 0
         pivot = scene.at(*p.pivot)
         knee = scene.at(*p.on_body(vehicle.axles[alone], vehicle.pivot_height))
         c.lines([hubs[first], pivot, hubs[first + 1]], _BOGIE, width)
@@ -186,18 +230,35 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
 def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
     """State of each wheel, with the rut that it runs in, the true soil under it and the status of its estimate."""
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
-    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)  # right ends but of the first and the last two
+    places = (
+        28,
+        106,
+        162,
+        216,
+        270,
+        324,
+        392,
+        402,
+        500,
+    )  # right ends but of the first and the last two
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
     for row, w in enumerate(wheels):
-        y, soil, known = 380 + 16 * row, w["soil"], identified and w["status"] is not None
+        y = 380 + 16 * row
+        soil = w["soil"]
+        known = identified and w["status"] is not None
         phi = math.degrees(math.atan(soil.tan_phi))
         values = (
-            w["name"], f"{w['slip']:.2f}", f"{1e3 * w['sinkage']:.1f} mm", f"{1e3 * w['rut']:.1f} mm",
-            f"{w['load']:.1f} N", f"{w['drawbar_pull']:.1f} N", f"{w['motor_torque']:.2f} N m",
+            w["name"],
+            f"{w['slip']:.2f}",
+            f"{1e3 * w['sinkage']:.1f} mm",
+            f"{1e3 * w['rut']:.1f} mm",
+            f"{w['load']:.1f} N",
+            f"{w['drawbar_pull']:.1f} N",
+            f"{w['motor_torque']:.2f} N m",
             f"φ {phi:.0f}°  K {1e3 * soil.shear_modulus:.0f} mm",
             Status(int(w["status"])).name.lower().replace("_", " ") if known else "none",
-        )  # fmt: skip
+        )
         c.circle((20, y), 5, COLOURS[w["name"]][0])
         for i, (x, words) in enumerate(zip(places, values, strict=True)):
             c.text(x + 12 * (i == 7), y, words, 14, INK, 1.0 if 0 < i < 7 else 0.0)

@@ -39,24 +39,32 @@ class CourseView:
 
     def record(self, simulation: Any, k: int) -> None:
         """Add the present state of number k to the history; at its reset the history starts anew."""
-        steps, wheels = int(simulation.steps[k]), shown_wheels(simulation, k)
+        steps = int(simulation.steps[k])
+        wheels = shown_wheels(simulation, k)
         if steps == 0:
             self.clear()
         self._angles = self._angles + np.array([w["wheel_speed"] for w in wheels]) * self._step
         if steps % (self._every * self.scenario.control.held) == 0:
-            samples = (sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels)
-            self._history.append((steps * simulation.numbers.world.period, *(x for own in samples for x in own)))
+            samples = (
+                sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels
+            )
+            self._history.append(
+                (steps * simulation.numbers.world.period, *(x for own in samples for x in own))
+            )
 
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
         """Draw number k as it is now on a cleared canvas; its course is complete."""
-        wheels, width, length = shown_wheels(simulation, k), width_of(simulation), simulation.numbers.task.length
+        wheels = shown_wheels(simulation, k)
+        width = width_of(simulation)
+        length = simulation.numbers.task.length
         border = simulation.numbers.world.border
         profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
         bounds = friction_range(self.scenario, simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record
         draw_side_view(canvas, simulation, k, wheels, profile, bounds, angles, self._identified)
         draw_course(canvas, profile, length, [w["x"] for w in wheels], bounds)
-        colours, history = [COLOURS[w["name"]] for w in wheels], np.array(self._history)
+        colours = [COLOURS[w["name"]] for w in wheels]
+        history = np.array(self._history)
         history = history.reshape(-1, 1 + QUANTITIES * len(wheels)).T
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
@@ -72,7 +80,11 @@ class CourseView:
             return None
         import pygame
 
-        return np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8).reshape(*self.size[::-1], 3).copy()
+        return (
+            np.frombuffer(pygame.image.tobytes(surface, "RGB"), np.uint8)
+            .reshape(*self.size[::-1], 3)
+            .copy()
+        )
 
     def close(self) -> None:
         """Close the window, if there is one, and free the surfaces."""
@@ -86,7 +98,8 @@ class CourseView:
 
         if self._window is None:
             pygame.display.init()
-            self._window, self._clock = pygame.Window(f"soil_env: {self.scenario.name}", self.size), pygame.time.Clock()
+            self._window = pygame.Window(f"soil_env: {self.scenario.name}", self.size)
+            self._clock = pygame.time.Clock()
         pygame.event.pump()
         self._window.get_surface().blit(surface, (0, 0))
         self._window.flip()

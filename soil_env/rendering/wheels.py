@@ -28,15 +28,21 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     They are those at the sinkage coefficient that the load mobilises. The soil's own one does not matter: so the same
     holds in a rut.
     """
-    soil, speed, rim_speed, sinkage = w["soil"], w["speed"], w["wheel_speed"] * r, w["sinkage"]
+    soil = w["soil"]
+    speed = w["speed"]
+    rim_speed = w["wheel_speed"] * r
+    sinkage = w["sinkage"]
     coefficient = reaction(speed, rim_speed, sinkage, w["load"], soil, r, b).sinkage_coefficient
     rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
     theta1 = contact.entry_angle(sinkage, r)
     angle = np.linspace(0.0, theta1, ARC_POINTS)
-    normal, shear = np.empty(ARC_POINTS), np.empty(ARC_POINTS)
+    normal = np.empty(ARC_POINTS)
+    shear = np.empty(ARC_POINTS)
     for i, theta in enumerate(angle):
         front = contact.mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
-        normal[i] = coefficient * contact.relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
+        normal[i] = coefficient * contact.relative_stress(
+            front, math.cos(theta1), soil.sinkage_exponent, r
+        )
         j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
         share, _ = contact.mobilised(j, soil.shear_modulus, contact.JANOSI)
         shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
@@ -48,18 +54,32 @@ def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
     return np.asarray(ground) + height * np.array([-math.sin(grade), math.cos(grade)])
 
 
-def draw_wheel(c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = canvas.RIM) -> None:
+def draw_wheel(
+    c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = canvas.RIM
+) -> None:
     """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
     c.circle(centre, size, canvas.WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
-        c.lines([centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], canvas.SPOKE, 3.0)
+        c.lines(
+            [centre, centre + 0.95 * size * np.array([math.cos(a), math.sin(a)])], canvas.SPOKE, 3.0
+        )
     c.circle(centre, size, canvas.RIM, 0.07 * size)
-    c.circle(centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]), 0.06 * size, canvas.ORANGE)
+    c.circle(
+        centre + 0.8 * size * np.array([math.sin(angle), -math.cos(angle)]),
+        0.06 * size,
+        canvas.ORANGE,
+    )
     c.circle(centre, 0.14 * size if hub == canvas.RIM else 0.22 * size, hub)
 
 
 def draw_stresses(
-    c: Canvas, hub: np.ndarray, size: float, grade: float, side: float, stresses: Stresses, scale: float
+    c: Canvas,
+    hub: np.ndarray,
+    size: float,
+    grade: float,
+    side: float,
+    stresses: Stresses,
+    scale: float,
 ) -> None:
     """Normal stress as arrows from the soil onto the rim, shear stress as a band inside it.
 
@@ -68,24 +88,35 @@ def draw_stresses(
     a = grade + side * stresses.angle
     outward = np.stack([np.sin(a), np.cos(a)], axis=1)
     normal, shear = (np.minimum(np.abs(s) * scale, 0.85 * size)[:, None] for s in stresses[1:])
-    rim, outer = hub + outward * size, hub + outward * (size + normal)
+    rim = hub + outward * size
+    outer = hub + outward * (size + normal)
     c.polygon([*rim, *outer[::-1]], canvas.LIGHT_BLUE)
     c.lines(outer, canvas.BLUE)
-    for i in np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1].round().astype(int):
+    for i in (
+        np.linspace(0, ARC_POINTS - 1, 2 + int(size * stresses.angle[-1] / 9.0))[1:-1]
+        .round()
+        .astype(int)
+    ):
         c.arrow(outer[i], rim[i], canvas.BLUE, 1.6)
-    inside, inner = hub + outward * 0.93 * size, hub + outward * (0.93 * size - shear)
+    inside = hub + outward * 0.93 * size
+    inner = hub + outward * (0.93 * size - shear)
     c.polygon([*inside, *inner[::-1]], canvas.LIGHT_ORANGE)
     c.lines(inner, canvas.ORANGE)
     i = int(np.argmax(shear))
     if shear[i] > 4.0:
-        forward = 0.16 * size * np.array([outward[i, 1], -outward[i, 0]]) * np.sign(stresses.shear[i])
+        forward = (
+            0.16 * size * np.array([outward[i, 1], -outward[i, 0]]) * np.sign(stresses.shear[i])
+        )
         middle = 0.5 * (inside[i] + inner[i])
         c.arrow(middle - forward, middle + forward, canvas.ORANGE, 2.2)
 
 
 def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
     """Colours of the stresses, and the peak under each of the wheels, in the upper left corner of a box."""
-    keys = ("normal stress σ", canvas.BLUE, canvas.LIGHT_BLUE), ("shear stress τ", canvas.ORANGE, canvas.LIGHT_ORANGE)
+    keys = (
+        ("normal stress σ", canvas.BLUE, canvas.LIGHT_BLUE),
+        ("shear stress τ", canvas.ORANGE, canvas.LIGHT_ORANGE),
+    )
     for row, (name, edge, fill) in enumerate(keys):
         peaks = (1e-3 * s[row + 1][np.argmax(np.abs(s[row + 1]))] for s in wheels)
         y = box[1] + 16 + 18 * row
@@ -97,7 +128,11 @@ def draw_cause(c: Canvas, cause: Cause, halted: bool) -> None:
     """The state of the episode, in a coloured field."""
     halted = halted and cause == Cause.RUNNING
     colour = (
-        canvas.AMBER if halted else {Cause.RUNNING: canvas.GREY, Cause.FINISHED: canvas.GREEN}.get(cause, canvas.ORANGE)
+        canvas.AMBER
+        if halted
+        else {Cause.RUNNING: canvas.GREY, Cause.FINISHED: canvas.GREEN}.get(cause, canvas.ORANGE)
     )
     c.box((474, 8, 88, 22), colour)
-    c.text(518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, canvas.WHITE, 0.5)
+    c.text(
+        518, 19, "halted" if halted else cause.name.lower().replace("_", " "), 17, canvas.WHITE, 0.5
+    )

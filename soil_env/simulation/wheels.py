@@ -13,7 +13,14 @@ from soil_env._numba.rows import Rows
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
-from soil_env.simulation.task.rules import REWARD_TERMS, Cause, TaskNumbers, judge, reward_terms, total_of
+from soil_env.simulation.task.rules import (
+    REWARD_TERMS,
+    Cause,
+    TaskNumbers,
+    judge,
+    reward_terms,
+    total_of,
+)
 from soil_env.simulation.world.camera import Image, Sight, image_of, look
 from soil_env.simulation.world.courses import (
     CourseDistribution,
@@ -30,10 +37,14 @@ from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumber
 _RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
 LEAST = 32  # wheels that a thread takes at a time, at least
 #: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
-STEP, RESTART, IDLE = np.int8(0), np.int8(1), np.int8(2)
+STEP = np.int8(0)
+RESTART = np.int8(1)
+IDLE = np.int8(2)
 #: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
 #: was found), the rest of it drawn, the ground ahead drawn.
-TRY, COMPLETE, AHEAD = np.int8(3), np.int8(4), np.int8(5)
+TRY = np.int8(3)
+COMPLETE = np.int8(4)
+AHEAD = np.int8(5)
 RUNNING = Cause.RUNNING.value
 load_reading, store_reading = row_record(SensorReading)
 load_image, _store_image = row_record(Image)
@@ -87,7 +98,9 @@ class WheelNumbers(NamedTuple):
     task: TaskNumbers
 
 
-def new_wheel_worlds(wheels: int, scenario: Scenario, task: TaskNumbers, recorded: bool) -> WheelWorlds:
+def new_wheel_worlds(
+    wheels: int, scenario: Scenario, task: TaskNumbers, recorded: bool
+) -> WheelWorlds:
     """Worlds for so many wheels, to be restarted; `recorded`: keep the sensor record of each step."""
     return WheelWorlds(
         WheelState(wheels),
@@ -114,7 +127,8 @@ def clear_reward(worlds, k):
 @compiled_inline
 def start_passable(k, courses, streams, numbers):
     """Start a new course k; the mass [kg] on the wheel with payload, or -1 if no passable course was found."""
-    mass, attempts = -1.0, 0
+    mass = -1.0
+    attempts = 0
     while mass < 0.0 and attempts < _RESTARTS:
         mass = start_course(k, courses, streams, numbers)
         attempts += 1
@@ -127,7 +141,8 @@ def lay_wheels(worlds, numbers, orders, first, end):
 
     RESTART starts a new course and puts the wheel at rest at its start.
     """
-    courses, streams = worlds.courses, worlds.streams
+    courses = worlds.courses
+    streams = worlds.streams
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
     failed = 0
     for k in range(first, end):
@@ -174,7 +189,8 @@ def _record(worlds, numbers, k, period, reading, sight):
         return
     record.periods[k] = period + 1
     store_reading(reading, record.readings[k, period])
-    record.halted[k, period], record.places[k, period] = worlds.state.halt_left[k] > 0.0, worlds.state.odometer[k]
+    record.halted[k, period] = worlds.state.halt_left[k] > 0.0
+    record.places[k, period] = worlds.state.odometer[k]
     if numbers.task.camera.classes > 0:
         image = image_of(worlds.state, k, worlds.courses, sight, numbers.task.camera)
         _store_image(image, record.images[k, period])
@@ -183,7 +199,14 @@ def _record(worlds, numbers, k, period, reading, sight):
 @compiled_part
 def _observation(worlds, numbers, k, reading, sight):
     write_observation(
-        worlds.observation[k], worlds.state, worlds.counts, k, reading, worlds.courses, sight, numbers.task
+        worlds.observation[k],
+        worlds.state,
+        worlds.counts,
+        k,
+        reading,
+        worlds.courses,
+        sight,
+        numbers.task,
     )
 
 
@@ -210,9 +233,16 @@ def _step(worlds, numbers, commands, start, count, steps):
         if steps == 0:
             return
         advance(
-            worlds.state, worlds.counts, start, count, worlds.going, commands, worlds.courses, worlds.streams,
+            worlds.state,
+            worlds.counts,
+            start,
+            count,
+            worlds.going,
+            commands,
+            worlds.courses,
+            worlds.streams,
             numbers.world,
-        )  # fmt: skip
+        )
         for k in range(start, start + count):
             if worlds.going[k] == STEP:
                 _after_period(worlds, numbers, k, period)
@@ -228,7 +258,8 @@ def step_wheels(worlds, numbers, commands, what, first, end):
     Their courses are laid (`lay_wheels`); `first` is a multiple of `COUNT`.
     """
     for start in range(first, end, MANY):
-        count, steps = min(MANY, end - start), 0
+        count = min(MANY, end - start)
+        steps = 0
         for k in range(start, start + count):
             worlds.going[k] = STEP if what[k] == STEP else IDLE
             if what[k] == STEP:

@@ -132,7 +132,8 @@ def mirror_angle(theta, theta1, theta2, thetam):
 @compiled_inline
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
-    distance, rate = abs(j), 1.0 / K
+    distance = abs(j)
+    rate = 1.0 / K
     decay = exp(-1.0 * (rate * distance))
     free = 1.0 - decay
     if law.a == 1.0 and law.b == 0.0 and law.c == 0.0:
@@ -150,7 +151,8 @@ def mobilised(j, K, law):
 @compiled_part
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
-    by_rim, by_travel = r * (theta1 - theta), -r * (sin1 - math.sin(theta))
+    by_rim = r * (theta1 - theta)
+    by_travel = -r * (sin1 - math.sin(theta))
     return rim * by_rim + travel * by_travel, by_rim, by_travel
 
 
@@ -175,7 +177,9 @@ def forces(integrals, S, tan_phi, c, r, b, direction):
     shear = shear_forces(integrals, S * tan_phi, c, r, b, direction)
     normal = r * b * S
     return Forces(
-        normal * integrals.p_cos + shear.load, shear.drawbar_pull - direction * normal * integrals.p_sin, shear.torque
+        normal * integrals.p_cos + shear.load,
+        shear.drawbar_pull - direction * normal * integrals.p_sin,
+        shear.torque,
     )
 
 

@@ -16,10 +16,14 @@ def blend(a, b, w):
     """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
     v = 1.0 - w
     return SoilState(
-        v * a.tan_phi + w * b.tan_phi, v * a.cohesion + w * b.cohesion, a.shear_modulus**v * b.shear_modulus**w,
-        a.sinkage_coefficient**v * b.sinkage_coefficient**w, v * a.sinkage_exponent + w * b.sinkage_exponent,
-        v * a.dig_gain + w * b.dig_gain, v * a.dig_recovery + w * b.dig_recovery,
-    )  # fmt: skip
+        v * a.tan_phi + w * b.tan_phi,
+        v * a.cohesion + w * b.cohesion,
+        a.shear_modulus**v * b.shear_modulus**w,
+        a.sinkage_coefficient**v * b.sinkage_coefficient**w,
+        v * a.sinkage_exponent + w * b.sinkage_exponent,
+        v * a.dig_gain + w * b.dig_gain,
+        v * a.dig_recovery + w * b.dig_recovery,
+    )
 
 
 @compiled_inline

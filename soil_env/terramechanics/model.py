@@ -12,11 +12,25 @@ import yaml
 from numpy.typing import ArrayLike
 
 from soil_env._io.files import replace_file
-from soil_env._io.loading import Checked, FieldError, ParameterError, load, quantity, read_yaml, to_dict, unknown_key
+from soil_env._io.loading import (
+    Checked,
+    FieldError,
+    ParameterError,
+    load,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+)
 from soil_env._numba.compiling import compiled_part
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
-from soil_env.terramechanics.residual import ResidualTerm, dimensionless_groups, residual_at, residual_law
+from soil_env.terramechanics.residual import (
+    ResidualTerm,
+    dimensionless_groups,
+    residual_at,
+    residual_law,
+)
 from soil_env.terramechanics.steady import predict_rows
 from soil_env.terramechanics.validity import OutsideValidity, checked, outside
 
@@ -37,7 +51,11 @@ class ModelWheel(Checked):
         check_lugs(self.grouser_height, self.radius)
 
 
-_EXPECTED = {"wheel": "a ModelWheel", "soil": "a Soil or None", "residual": "a sequence of ResidualTerm"}
+_EXPECTED = {
+    "wheel": "a ModelWheel",
+    "soil": "a Soil or None",
+    "residual": "a sequence of ResidualTerm",
+}
 
 
 class Prediction(NamedTuple):
@@ -69,9 +87,15 @@ class WheelSoilModel(Checked):
     validity: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, kind in (("wheel", ModelWheel), ("soil", (Soil, type(None))), ("residual", (tuple, list))):
+        for name, kind in (
+            ("wheel", ModelWheel),
+            ("soil", (Soil, type(None))),
+            ("residual", (tuple, list)),
+        ):
             if not isinstance(getattr(self, name), kind):
-                raise FieldError(self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}")
+                raise FieldError(
+                    self, name, f" = {getattr(self, name)!r}: expected {_EXPECTED[name]}"
+                )
         super().__post_init__()
         pack_effects(self.effects)  # refuses what is unknown or out of range
         object.__setattr__(self, "validity", checked(self.validity))
@@ -100,14 +124,22 @@ class WheelSoilModel(Checked):
         beyond = outside(self.validity, c.slip, c.load, c.conditions)
         if beyond and not getattr(self, "_warned", False):
             object.__setattr__(self, "_warned", True)
-            warnings.warn(f"predicting outside what the model was fitted to: {beyond}", OutsideValidity, stacklevel=2)
-        out, carried = np.empty((c.slip.size, 3)), 0
+            warnings.warn(
+                f"predicting outside what the model was fitted to: {beyond}",
+                OutsideValidity,
+                stacklevel=2,
+            )
+        out = np.empty((c.slip.size, 3))
+        carried = 0
         for width in np.unique(c.wheels[:, 1]):  # S = k_c/b + k_phi
             here = c.wheels[:, 1] == width
-            rows, values = Rows(*(column[here] for column in c)), np.empty((np.count_nonzero(here), 3))
+            rows = Rows(*(column[here] for column in c))
+            values = np.empty((np.count_nonzero(here), 3))
             soil = self.soil.state(float(width))
             weight = self.soil.density * self.gravity
-            carried += predict_rows(*rows, soil, weight, self.numbers, np.zeros(len(values)), values)
+            carried += predict_rows(
+                *rows, soil, weight, self.numbers, np.zeros(len(values)), values
+            )
             if self.residual:
                 add_residual(residual_law(self.residual), *rows, soil, self.gravity, values)
             out[here] = values
@@ -118,11 +150,16 @@ class WheelSoilModel(Checked):
         content = {
             "format": FORMAT,
             "wheel": to_dict(self.wheel),
-            "effects": {name: {k: float(v) for k, v in values.items()} for name, values in self.effects.items()},
+            "effects": {
+                name: {k: float(v) for k, v in values.items()}
+                for name, values in self.effects.items()
+            },
             "gravity": float(self.gravity),
         }
         if self.soil is not None:
-            content["soil"] = {k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""}
+            content["soil"] = {
+                k: v for k, v in to_dict(self.soil).items() if v is not None and v != ""
+            }
         if self.residual:
             content["residual"] = [to_dict(term) for term in self.residual]
         if self.validity:
@@ -157,7 +194,9 @@ def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | No
     if model is None or isinstance(model, WheelSoilModel):
         return model
     if not isinstance(model, (str, Path)) or not str(model):
-        raise ParameterError(f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None")
+        raise ParameterError(
+            f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None"
+        )
     return WheelSoilModel.load(model)
 
 
@@ -189,7 +228,9 @@ def _numbers(name: str, value) -> np.ndarray:
     except (TypeError, ValueError):
         raise ParameterError(f"conditions: {name}: expected numbers") from None
     if a.ndim > 1:
-        raise ParameterError(f"conditions: {name}: expected one number a row, got an array of shape {a.shape}")
+        raise ParameterError(
+            f"conditions: {name}: expected one number a row, got an array of shape {a.shape}"
+        )
     if np.any(np.isinf(a)) or (name in ("slip", "load") and np.any(np.isnan(a))):
         raise ParameterError(f"conditions: {name}: expected finite numbers")
     return a
@@ -199,7 +240,9 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
     if not isinstance(conditions, Mapping):
         if not hasattr(conditions, "conditions"):
-            raise ParameterError(f"conditions = {conditions!r}: expected a Table or a mapping of arrays")
+            raise ParameterError(
+                f"conditions = {conditions!r}: expected a Table or a mapping of arrays"
+            )
         conditions = conditions.conditions()
     known = ("slip", "load", *_OPTIONAL, *_SIZES)
     for name in conditions:
@@ -213,23 +256,36 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     if len(set(sizes.values())) > 1:
         text = ", ".join(f"{name} has {size}" for name, size in sizes.items())
         raise ParameterError(f"conditions: expected columns of the same length, or scalars: {text}")
-    usual = {**_OPTIONAL, "wheel_radius": wheel.radius, "wheel_width": wheel.width,
-             "grouser_height": wheel.grouser_height}  # fmt: skip
+    usual = {
+        **_OPTIONAL,
+        "wheel_radius": wheel.radius,
+        "wheel_width": wheel.width,
+        "grouser_height": wheel.grouser_height,
+    }
     names = ("slip", "load", *usual)
-    arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given.get(n, usual.get(n)), dtype=float)) for n in names))
-    column = {n: np.where(np.isnan(a), usual.get(n, math.nan), a) for n, a in zip(names, arrays, strict=True)}
+    arrays = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(given.get(n, usual.get(n)), dtype=float)) for n in names)
+    )
+    column = {
+        n: np.where(np.isnan(a), usual.get(n, math.nan), a)
+        for n, a in zip(names, arrays, strict=True)
+    }
     if np.any(np.abs(column["slip"]) > 1.0) or np.any(column["load"] <= 0.0):
         raise ParameterError("conditions: expected slip in [-1, 1] and load > 0 N")
     for name, low, high, expected in _RANGES:
         if np.any((column[name] < low) | (column[name] > high)):
             raise ParameterError(f"conditions: {name}: expected {expected}")
     if np.any(column["grouser_height"] >= column["wheel_radius"]):
-        raise ParameterError("conditions: grouser_height: expected metres, less than the wheel radius")
+        raise ParameterError(
+            "conditions: grouser_height: expected metres, less than the wheel radius"
+        )
     return Rows(
         column["slip"].copy(),
         column["load"].copy(),
         np.stack([column[n] for n in _SIZES], axis=1),
-        np.stack([column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1),
+        np.stack(
+            [column["speed"], column["pass"], np.sin(np.radians(column["grade_deg"]))], axis=1
+        ),
     )
 
 
@@ -237,9 +293,20 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
 def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
     for k in range(slip.size):
-        r, b, w = wheels[k, 0], wheels[k, 1], load[k]
+        r = wheels[k, 0]
+        b = wheels[k, 1]
+        w = load[k]
         groups = dimensionless_groups(
-            slip[k], out[k, 0], w, conditions[k, 0], conditions[k, 1], conditions[k, 2], soil, r, b, gravity
+            slip[k],
+            out[k, 0],
+            w,
+            conditions[k, 0],
+            conditions[k, 1],
+            conditions[k, 2],
+            soil,
+            r,
+            b,
+            gravity,
         )
         z, pull, torque = residual_at(law, groups)
         out[k, 0] += z * r

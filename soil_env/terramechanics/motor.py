@@ -19,7 +19,8 @@ def motor(command, by_speed, wheel_speed, size):
     faster than the no-load speed the motor brakes. `available` is the line on the side of the torque that is asked for.
     `size` has `stall_torque` [N m] and `no_load_speed` [rad/s]. Of floats or in lanes; `by_speed` is 1 or 0.
     """
-    stall, line = size.stall_torque, size.stall_torque / size.no_load_speed
+    stall = size.stall_torque
+    line = size.stall_torque / size.no_load_speed
     high = smaller(larger(full_voltage(stall, wheel_speed, size), -stall), stall)
     low = smaller(larger(full_voltage(-stall, wheel_speed, size), -stall), stall)
     gain = 10.0 * line

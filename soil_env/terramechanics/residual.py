@@ -46,17 +46,23 @@ class ResidualTerm(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()})
+        object.__setattr__(
+            self, "ranges", {group: tuple(pair) for group, pair in self.ranges.items()}
+        )
         for name in ("powers", "ranges"):
             for group in getattr(self, name):
                 if group not in GROUPS:
                     raise unknown_key(group, GROUPS, f"residual: {name}")
         for group, p in self.powers.items():
             if not abs(p) <= 6.0:
-                raise ParameterError(f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]")
+                raise ParameterError(
+                    f"residual: powers: {group} = {p!r}: expected a number in [-6, 6]"
+                )
         for group, (low, high) in self.ranges.items():
             if not low <= high:
-                raise ParameterError(f"residual: ranges: {group} = {[low, high]}: expected [low, high]")
+                raise ParameterError(
+                    f"residual: ranges: {group} = {[low, high]}: expected [low, high]"
+                )
 
     def __str__(self) -> str:
         product = "".join(f" {g}" if p == 1 else f" {g}^{p:g}" for g, p in self.powers.items())
@@ -87,7 +93,8 @@ def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
         for group, p in term.powers.items():
             law.powers[k, GROUPS.index(group)] = p
         for group, (low, high) in term.ranges.items():
-            law.low[k, GROUPS.index(group)], law.high[k, GROUPS.index(group)] = low, high
+            law.low[k, GROUPS.index(group)] = low
+            law.high[k, GROUPS.index(group)] = high
     return law
 
 
@@ -95,7 +102,9 @@ def product(powers: Mapping[str, float]) -> str:
     """Groups of a term with their powers, each behind a space."""
     parts = ""
     for group, p in powers.items():
-        parts += f" {LEGEND[group][0]}" + ("" if p == 1.0 else f"^{p:g}" if p > 0.0 else f"^({p:g})")
+        parts += f" {LEGEND[group][0]}" + (
+            "" if p == 1.0 else f"^{p:g}" if p > 0.0 else f"^({p:g})"
+        )
     return parts
 
 
@@ -116,12 +125,21 @@ def formulas(terms: Sequence[ResidualTerm], digits: int = 3) -> dict[str, str]:
 def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
     """The seven `GROUPS` at one working point."""
     i = smaller(abs(slip), 1.0)
-    bearing = soil.sinkage_coefficient * b * power(alike(r, soil.sinkage_exponent), soil.sinkage_exponent + 1.0)
+    bearing = (
+        soil.sinkage_coefficient
+        * b
+        * power(alike(r, soil.sinkage_exponent), soil.sinkage_exponent + 1.0)
+    )
     pattern = 0.0 * i  # floats or lanes alike
     return (
-        i, 1.0 - i, sinkage / r + pattern, load / bearing + pattern, abs(speed) / math.sqrt(gravity * r) + pattern,
-        passes + pattern, sin_grade + pattern,
-    )  # fmt: skip
+        i,
+        1.0 - i,
+        sinkage / r + pattern,
+        load / bearing + pattern,
+        abs(speed) / math.sqrt(gravity * r) + pattern,
+        passes + pattern,
+        sin_grade + pattern,
+    )
 
 
 @compiled_part

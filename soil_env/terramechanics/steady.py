@@ -9,16 +9,36 @@ from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.arc_integrals import integrals_alone
-from soil_env.terramechanics.contact import Arc, Forces, ShearLaw, bearing_share, entry_angle, forces
-from soil_env.terramechanics.effects import NO_EFFECTS, arc_ends, drive_torque, soil_in_contact, soil_resistance
+from soil_env.terramechanics.contact import (
+    Arc,
+    Forces,
+    ShearLaw,
+    bearing_share,
+    entry_angle,
+    forces,
+)
+from soil_env.terramechanics.effects import (
+    NO_EFFECTS,
+    arc_ends,
+    drive_torque,
+    soil_in_contact,
+    soil_resistance,
+)
 from soil_env.terramechanics.effects.grade import weight_on_slope
-from soil_env.terramechanics.effects.grousers import at_shear_radius, blade_force, contact_radius, shear_radius_ratio
+from soil_env.terramechanics.effects.grousers import (
+    at_shear_radius,
+    blade_force,
+    contact_radius,
+    shear_radius_ratio,
+)
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
 from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 
-_SECANT = 1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
+_SECANT = (
+    1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
+)
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 
 
@@ -106,7 +126,13 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
     sine = conditions.sin_grade
     ground = soil_in_contact(
-        soil, fx, slip, conditions.speed, sliding_speed(slip, conditions.speed), conditions.passes, sine
+        soil,
+        fx,
+        slip,
+        conditions.speed,
+        sliding_speed(slip, conditions.speed),
+        conditions.passes,
+        sine,
     )
     normal, _ = weight_on_slope(load, sine, fx)
     rim, travel = motion_from_slip(slip)
@@ -116,21 +142,34 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), 1e-3)
     apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
     lift = min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius)
-    strength = math.log(ground.sinkage_coefficient) - ground.sinkage_exponent * math.log(ratio / apparent)
-    return _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)), ground, apparent
+    strength = math.log(ground.sinkage_coefficient) - ground.sinkage_exponent * math.log(
+        ratio / apparent
+    )
+    return (
+        _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)),
+        ground,
+        apparent,
+    )
 
 
 @compiled_inline
 def _misfit(x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
-    z, soil, b = math.exp(x), p.soil, wheel.width
+    z = math.exp(x)
+    soil = p.soil
+    b = wheel.width
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
     q = integrals_alone(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
-    s = contact.mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
+    s = contact.mobilised_sinkage_coefficient(
+        q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0
+    )
     available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
-    if bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos and p.load / (arc.radius * b) > soil.cohesion * q.e_sin:
+    if (
+        bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos
+        and p.load / (arc.radius * b) > soil.cohesion * q.e_sin
+    ):
         f = 2.0  # friction takes more than the normal stress gives: no S carries the load here
     return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
 
@@ -149,10 +188,14 @@ def _first_guess(p, wheel, guess):
 def _solve_balance(p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
     deepest = math.log(DEEPEST * wheel.radius)
-    low, high = math.log(max(1e-6 * wheel.radius, 1.0001 * p.lift)), deepest
+    low = math.log(max(1e-6 * wheel.radius, 1.0001 * p.lift))
+    high = deepest
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
-    x_old, f_old, w_old, supported = 0.0, 0.0, Forces(0.0, 0.0, 0.0), False
+    x_old = 0.0
+    f_old = 0.0
+    w_old = Forces(0.0, 0.0, 0.0)
+    supported = False
     for k in range(60):
         f, w = _misfit(x, p, wheel, fx)
         if f > 0.0:
@@ -166,7 +209,9 @@ def _solve_balance(p, wheel, fx, guess):
         if k > 0 and abs(step * moved) < _SECANT and low < x + step < high:
             share = step / moved  # along the secant that gave the step
             return x + step, _along(w_old, w, share), True
-        x_old, f_old, w_old = x, f, w
+        x_old = x
+        f_old = f
+        w_old = w
         supported = x < deepest
         if abs(step) < 1e-6 or low >= high:
             break
@@ -195,10 +240,14 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     ln z, in which it is nearly straight, from `guess` [m] where one is given. `unit_weight` [N/m3] of the soil is
     needed by bulldozing and blades only.
     """
-    i, r, b = true_slip(slip, fx), wheel.radius, wheel.width
+    i = true_slip(slip, fx)
+    r = wheel.radius
+    b = wheel.width
     p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)
     x, w, supported = _solve_balance(p, wheel, fx, guess)
-    z, outer, blade = math.exp(x), contact_radius(fx, wheel), 0.0
+    z = math.exp(x)
+    outer = contact_radius(fx, wheel)
+    blade = 0.0
     if fx.grousers_blades != 0.0:
         theta1 = entry_angle(z, outer)
         blade = blade_force(theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
@@ -209,7 +258,9 @@ def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
     speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
     wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
     torque = drive_torque(torque, wheel_speed, 1e-15, fx)
-    return Steady(min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported)
+    return Steady(
+        min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported
+    )
 
 
 @compiled_part
@@ -220,11 +271,21 @@ def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, o
     """
     carried = 0
     for k in range(slip.size):
-        w, c = wheels[k], conditions[k]
+        w = wheels[k]
+        c = conditions[k]
         s = steady_with(
-            slip[k], load[k], soil, Rim(w[0], w[1], w[2]), Conditions(c[0], c[1], c[2]), unit_weight, fx, guess[k]
+            slip[k],
+            load[k],
+            soil,
+            Rim(w[0], w[1], w[2]),
+            Conditions(c[0], c[1], c[2]),
+            unit_weight,
+            fx,
+            guess[k],
         )
-        out[k, 0], out[k, 1], out[k, 2] = s.sinkage, s.drawbar_pull, s.torque
+        out[k, 0] = s.sinkage
+        out[k, 1] = s.drawbar_pull
+        out[k, 2] = s.torque
         carried += s.supported
         guess[k] = s.sinkage - fx.sinkage_offset_offset if s.supported else 0.0
     return carried

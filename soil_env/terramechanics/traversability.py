@@ -30,7 +30,9 @@ class Best(NamedTuple):
 @compiled_part
 def best_working_point(load, soil, r, b, torque_available):
     """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
-    return best_working_point_with(load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available)
+    return best_working_point_with(
+        load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available
+    )
 
 
 @compiled_part
@@ -47,15 +49,28 @@ def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torq
     middle = 0.0
     for direction in (1, -1):
         i = _MIDDLE if direction > 0 else _MIDDLE - 1
-        guess, last = middle, SLIPS[_MIDDLE]
+        guess = middle
+        last = SLIPS[_MIDDLE]
         while 0 <= i < SLIPS.size:
             slip = SLIPS[i]
-            if guess > 0.0:  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
+            if (
+                guess > 0.0
+            ):  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
                 deeper = slip_sinkage_ratio(slip, gain, recovery)
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess *= deeper**power
-            s = steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, min(guess, DEEPEST * wheel.radius))
-            guess, last = (s.sinkage if s.supported else 0.0), slip
+            s = steady_with(
+                slip,
+                load,
+                soil,
+                wheel,
+                conditions,
+                unit_weight,
+                fx,
+                min(guess, DEEPEST * wheel.radius),
+            )
+            guess = s.sinkage if s.supported else 0.0
+            last = slip
             if i == _MIDDLE:
                 middle = guess
             if s.torque <= torque_available and s.supported:
@@ -77,4 +92,5 @@ def best_points(rows, soils, load, r, b, torque, slip, pull):
     """
     for k in rows:
         best = best_working_point(load[k], row_soil(soils[k]), r, b, torque)
-        slip[k], pull[k] = best.slip, best.drawbar_pull
+        slip[k] = best.slip
+        pull[k] = best.drawbar_pull

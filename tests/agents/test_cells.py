@@ -69,7 +69,9 @@ def test_options_that_fit_no_engine_are_refused(given, said):
 
 def test_ray_that_is_not_installed_and_a_cluster_that_is_not_there_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ParameterError, match=r"^--engine ray: Ray is not installed; .* 'soil_env\[ray\]'$"):
+    with pytest.raises(
+        ParameterError, match=r"^--engine ray: Ray is not installed; .* 'soil_env\[ray\]'$"
+    ):
         cells.choose("ray")
     monkeypatch.setitem(sys.modules, "ray", ModuleType("ray"))
     with pytest.raises(ParameterError, match="no cluster at localhost:1 .*; expected HOST:PORT"):

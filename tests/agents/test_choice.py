@@ -22,8 +22,11 @@ class _Forks(NativeVecEnv):
         self.step_count = 0
 
     def seen(self):
-        choosing, k = float(self.step_count % 3 == 0), self.step_count
-        return np.array([[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]], dtype=np.float32)
+        choosing = float(self.step_count % 3 == 0)
+        k = self.step_count
+        return np.array(
+            [[choosing, k + 0.1, k + 0.2], [choosing, k + 0.3, k + 0.4]], dtype=np.float32
+        )
 
     def reset(self):
         return self.seen()
@@ -33,9 +36,11 @@ class _Forks(NativeVecEnv):
 
     def step_wait(self):
         ends = {4: (0, "FINISHED"), 8: (1, "BOGGED")}.get(self.step_count)
-        dones, infos = np.zeros(2, dtype=bool), [{}, {}]
+        dones = np.zeros(2, dtype=bool)
+        infos = [{}, {}]
         if ends:
-            dones[ends[0]], infos[ends[0]] = True, {"cause": ends[1]}
+            dones[ends[0]] = True
+            infos[ends[0]] = {"cause": ends[1]}
         return self.seen(), np.zeros(2), dones, infos
 
 
@@ -43,9 +48,19 @@ def test_lines_taken_are_kept_with_what_became_of_them():
     """A line is passed at the next choice or the end of the course, and not where the wheel is immobilised before."""
     env = choice.ChoiceVecEnv(_Forks(), 0, [[1], [2]])
     env.reset()
-    for action in ([0.5, -0.5], [0.3, 0.3], [-0.3, 0.3], [-0.1, 0.1], [0.0, 0.0], [0.0, 0.0], [0.2, -0.2], [0, 0]):
+    for action in (
+        [0.5, -0.5],
+        [0.3, 0.3],
+        [-0.3, 0.3],
+        [-0.1, 0.1],
+        [0.0, 0.0],
+        [0.0, 0.0],
+        [0.2, -0.2],
+        [0, 0],
+    ):
         env.step(np.array(action, dtype=np.float32)[:, None])
-    taken, passed = env.taken[: env.count, 0], env.passed[: env.count]
+    taken = env.taken[: env.count, 0]
+    passed = env.passed[: env.count]
     # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of wheel 0 is open.
     kept = [(0.1, 1.0), (0.4, 1.0), (3.2, 1.0), (3.3, 1.0), (6.4, 0.0)]
     assert [(pytest.approx(float(x)), y) for x, y in zip(taken, passed, strict=True)] == kept
@@ -53,12 +68,14 @@ def test_lines_taken_are_kept_with_what_became_of_them():
 
 def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
-    chooser, rng = choice.Chooser(model, np.random.default_rng(0)), np.random.default_rng(1)
+    chooser = choice.Chooser(model, np.random.default_rng(0))
+    rng = np.random.default_rng(1)
     env = chooser.env
     env.reset()
     size = len(env.lines[0])
     rows = rng.normal(size=(4000, size)).astype(np.float32)
-    env.taken[:4000], env.count = rows, 4000
+    env.taken[:4000] = rows
+    env.count = 4000
     env.passed[:4000] = rng.random(4000) < 1.0 / (1.0 + np.exp(-3.0 * rows[:, 2]))
     before = {name: x.clone() for name, x in model.policy.state_dict().items()}
     chooser.learn(1.0, passes=60)
@@ -72,8 +89,11 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     assert np.mean((action > 0.0)[apart] == (ahead > beside)[apart]) > 0.9
     model.policy.zero_grad()
     model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
-    of_lines, noise = model.policy.mlp_extractor.line_net, model.policy.log_std
-    assert noise.grad is not None and all(x.grad is None for x in of_lines.parameters())  # PPO leaves the choice
+    of_lines = model.policy.mlp_extractor.line_net
+    noise = model.policy.log_std
+    assert noise.grad is not None and all(
+        x.grad is None for x in of_lines.parameters()
+    )  # PPO leaves the choice
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():

@@ -27,7 +27,9 @@ from tests.simulation.wheels import EVEN, started
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
-QUIET = dict.fromkeys(("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch"), 0.0)
+QUIET = dict.fromkeys(
+    ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch"), 0.0
+)
 SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
 BLIND = [entry.name for entry in layout("blind")]
@@ -35,25 +37,45 @@ BLIND = [entry.name for entry in layout("blind")]
 
 def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12.0, payload=0.0):
     """One soil everywhere, one grade [deg], no halts."""
-    course = {"length": length, "halt_time": 0.0, "margin": [0, 0], "grade_deg": [grade] * 2, "payload": [payload] * 2}
-    changes = {"soils": {soil: 1.0}, "spread": EVEN, "noise": noise, "control": {"action": action}, "course": course}
+    course = {
+        "length": length,
+        "halt_time": 0.0,
+        "margin": [0, 0],
+        "grade_deg": [grade] * 2,
+        "payload": [payload] * 2,
+    }
+    changes = {
+        "soils": {soil: 1.0},
+        "spread": EVEN,
+        "noise": noise,
+        "control": {"action": action},
+        "course": course,
+    }
     return load_scenario("mixed", changes)
 
 
 def drive(controller, scenario, steps, seed=0):
     """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the last state."""
     sim = started(scenario, controller.variant, [seed])
-    rows, state, fresh = [], None, np.array([True])
+    rows = []
+    state = None
+    fresh = np.array([True])
     for _ in range(steps):
         action, state = controller.predict(sim.worlds.observation, state, fresh)
         fresh = np.array([False])
         sim.step(0, float(action[0, 0]))
         w = sim.worlds.state[0]
-        rows.append((w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], w["halt_left"] > 0.0))
+        rows.append(
+            (w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], w["halt_left"] > 0.0)
+        )
         if sim.worlds.cause[0] != Cause.RUNNING.value:
             break
     rim, slip, x, halted = np.array(rows).T
-    return {"rim": rim, "slip": slip, "x": x, "halted": halted > 0.0}, Cause(sim.worlds.cause[0]), state
+    return (
+        {"rim": rim, "slip": slip, "x": x, "halted": halted > 0.0},
+        Cause(sim.worlds.cause[0]),
+        state,
+    )
 
 
 def blind(**values):
@@ -66,20 +88,30 @@ def test_extreme_observations_give_finite_actions_in_range(name):
     controller = make_controller(name, load_scenario("mixed", TORQUE))
     entries = layout(controller.variant)
     low, high = (np.array([getattr(e, side) for e in entries]) for side in ("low", "high"))
-    corners = np.random.default_rng(0).uniform(0.0, 1.0, (200, len(entries))).round() * (high - low) + low
+    corners = (
+        np.random.default_rng(0).uniform(0.0, 1.0, (200, len(entries))).round() * (high - low) + low
+    )
     state = None
     for _ in range(3):
-        actions, state = controller.predict(corners.astype(np.float32), state, np.zeros(200, dtype=bool))
+        actions, state = controller.predict(
+            corners.astype(np.float32), state, np.zeros(200, dtype=bool)
+        )
         assert np.isfinite(actions).all() and np.abs(actions).max() <= 1.0
     single, _ = controller.predict(corners[2])
-    assert actions.shape == (200, 1) and single.shape == (1,) and actions.dtype == single.dtype == np.float32
+    assert (
+        actions.shape == (200, 1)
+        and single.shape == (1,)
+        and actions.dtype == single.dtype == np.float32
+    )
 
 
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_episode_start_resets_only_its_row(name):
     """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
     controller = make_controller(name, load_scenario("mixed", TORQUE))
-    early, late = (observations(load_scenario("mixed"), controller.variant, 3, seed) for seed in (0, 50))
+    early, late = (
+        observations(load_scenario("mixed"), controller.variant, 3, seed) for seed in (0, 50)
+    )
 
     def after(starts):
         state = None
@@ -87,7 +119,8 @@ def test_episode_start_resets_only_its_row(name):
             _, state = controller.predict(early, state, np.full(3, t == 0))
         return controller.predict(late, state, np.array(starts))[0]
 
-    kept, reset = after([False, False, False]), after([False, True, False])
+    kept = after([False, False, False])
+    reset = after([False, True, False])
     fresh, _ = controller.predict(late, None, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(reset[[0, 2]], kept[[0, 2]])
     assert reset[1, 0] == fresh[1, 0]
@@ -97,10 +130,8 @@ def test_episode_start_resets_only_its_row(name):
 def test_best_slip_identified_does_not_see_the_true_soil():
     """Its belief fills what the identifier does not estimate."""
     scenario = load_scenario("mixed", {"belief": {"sinkage_exponent": 0.9, "dig_recovery": 0.4}})
-    controller, seen = (
-        make_controller("best_slip_identified", scenario),
-        observations(scenario, "identified").astype(float),
-    )
+    controller = make_controller("best_slip_identified", scenario)
+    seen = observations(scenario, "identified").astype(float)
     soil = controller.soils(seen)
     assert (soil[:, 4] == 0.9).all() and (soil[:, 6] == 0.4).all()
     np.testing.assert_allclose(soil[:, 1], 1000.0 * seen[:, controller.column["cohesion"]])
@@ -112,10 +143,16 @@ def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the slip to hold, until
     it is as fast as the motor lets it be."""
     easy = uniform(noise={})
-    wheel, soil = easy.wheel, soils()["lete_sand"].state(easy.wheel.width)
-    pull = steady_state(slip - 0.05, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull / easy.weight
+    wheel = easy.wheel
+    soil = soils()["lete_sand"].state(easy.wheel.width)
+    pull = (
+        steady_state(slip - 0.05, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull
+        / easy.weight
+    )
     scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0, noise={})
-    out, cause, _ = drive(make_controller("fixed_slip", scenario, slip=slip), scenario, scenario.steps)
+    out, cause, _ = drive(
+        make_controller("fixed_slip", scenario, slip=slip), scenario, scenario.steps
+    )
     between = (np.arange(len(out["rim"])) > 8) & (out["rim"] < 0.6)
     assert cause == Cause.FINISHED and between.sum() >= 5
     assert np.abs(out["slip"][between] - slip).mean() < 0.02
@@ -125,8 +162,12 @@ def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
 @pytest.mark.parametrize("action", ACTIONS)
 def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
     scenario = load_scenario("mixed", {"control": {"action": action}, "noise": QUIET})
-    out, _, _ = drive(make_controller("soft_start", scenario, acceleration=0.1, speed=0.3), scenario, 300, seed=3)
-    off, left, starts = [], 0, 0
+    out, _, _ = drive(
+        make_controller("soft_start", scenario, acceleration=0.1, speed=0.3), scenario, 300, seed=3
+    )
+    off = []
+    left = 0
+    starts = 0
     for rim, halted, rest in zip(out["rim"], out["halted"], [False, *out["halted"]], strict=False):
         starts += rest and left > 0
         left = 0 if rest else left + 1  # actions since rest
@@ -155,7 +196,9 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
     """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with their noise."""
     scenario = load_scenario("mixed", TORQUE)
     controller = make_controller("extremum_seeking", scenario, gain=0.5, swing=0.06)
-    rng, state, slip = np.random.default_rng(0), None, 0.3
+    rng = np.random.default_rng(0)
+    state = None
+    slip = 0.3
     for step in range(600):
         found = slip + 0.01 * rng.standard_normal()
         pull = 0.3 - 1.5 * (slip - best) ** 2 + 0.01 * rng.standard_normal()
@@ -168,10 +211,13 @@ def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
 def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     """With the true soil hardly a dead end is taken: only where the grade is seen too flat."""
     scenario = load_scenario("two_lines")
-    controller, forks, right = make_controller("best_slip_true", scenario), 0, 0
+    controller = make_controller("best_slip_true", scenario)
+    forks = 0
+    right = 0
     *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
     worlds = sim.worlds
-    lines, edges = worlds.courses.lines, worlds.courses.edges
+    lines = worlds.courses.lines
+    edges = worlds.courses.edges
     for k in range(40):
         for p in range(worlds.courses.patches[k]):
             margins = lines.capacities[k, p] - np.tan(lines.grades[k, p])
@@ -185,7 +231,11 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
 def test_settings_are_kept_and_wrong_ones_refused(name):
     scenario = load_scenario("mixed", TORQUE)
     for key, setting in CONTROLLERS[name].bounds.items():
-        high = scenario.wheel.radius * scenario.wheel.no_load_speed if setting.rim_speed else setting.high
+        high = (
+            scenario.wheel.radius * scenario.wheel.no_load_speed
+            if setting.rim_speed
+            else setting.high
+        )
         assert 0.0 < make_controller(name, scenario).settings[key] <= high
         assert make_controller(name, scenario, **{key: 0.5 * high}).settings[key] == 0.5 * high
         for wrong in (-0.1, 1.001 * high, float("nan"), "much"):
@@ -201,7 +251,8 @@ def test_settings_are_kept_and_wrong_ones_refused(name):
 @pytest.mark.parametrize("payload", [0.0, 4.0])
 def test_best_slip_true_picks_the_slip_of_the_best_working_point(name, payload):
     scenario = uniform(name, grade=-2.0, payload=payload)
-    wheel, soil = scenario.wheel, soils()[name].state(scenario.wheel.width)
+    wheel = scenario.wheel
+    soil = soils()[name].state(scenario.wheel.width)
     _, _, state = drive(make_controller("best_slip_true", scenario), scenario, 30)
     load = (wheel.body_mass + payload) * scenario.gravity
     best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque).slip
@@ -234,7 +285,8 @@ def test_the_integral_neither_winds_up_in_a_halt_nor_on_a_wheel_that_does_not_tu
 
 def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     scenario = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})
-    sim, oracle = Simulation(3, scenario, "blind", threads=1), Oracle(scenario, horizon=2.0)
+    sim = Simulation(3, scenario, "blind", threads=1)
+    oracle = Oracle(scenario, horizon=2.0)
     for k in range(3):
         sim.seed(k, driving.course_rng(SEED, k))
     sim.restart_where(np.ones(3, dtype=bool))
@@ -257,7 +309,9 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
 @pytest.mark.parametrize("action", ["torque", "rim_acceleration"])
 def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, monkeypatch):
     scenario = load_scenario("mixed", {"control": {"action": action}})
-    blind = run_courses(make_controller("soft_start", scenario, acceleration=0.08, speed=0.57), scenario, SEED, 120)
+    blind = run_courses(
+        make_controller("soft_start", scenario, acceleration=0.08, speed=0.57), scenario, SEED, 120
+    )
     failed = np.flatnonzero(blind.metric("finished") < 0.5)[:6]
     assert failed.size == 6
     rng = driving.course_rng
@@ -270,20 +324,45 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
     """And an action lasts as long as in the scenario, so that the course ends as in a comparison."""
     out = tmp_path / "both.png"
     drivers = "full_throttle,gentle=soft_start"
-    assert main(["drive", "--scenario", "mixed", "--frame", "15", "--controller", drivers, "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "drive",
+                "--scenario",
+                "mixed",
+                "--frame",
+                "15",
+                "--controller",
+                drivers,
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     said = capsys.readouterr().out
     assert "full_throttle: RUNNING at" in said and "gentle: RUNNING at" in said
-    assert main(["drive", "--frame", "15"]) == 2 and "--frame 15: expected --out" in capsys.readouterr().err
+    assert (
+        main(["drive", "--frame", "15"]) == 2
+        and "--frame 15: expected --out" in capsys.readouterr().err
+    )
     left, right = np.split(matplotlib.image.imread(out), 2, axis=1)
     assert left.shape == right.shape and np.abs(left - right).mean() > 0.003
 
     rover = ["--rover", "mars_rover", "--controller", "equal_speed,torque_by_load"]
     assert main(["drive", *rover, "--frame", "30", "--out", str(out)]) == 0
-    assert re.search(r"equal_speed: RUNNING at 0\.\d+ m.*\ntorque_by_load: RUNNING", capsys.readouterr().out)
+    assert re.search(
+        r"equal_speed: RUNNING at 0\.\d+ m.*\ntorque_by_load: RUNNING", capsys.readouterr().out
+    )
     assert np.std(matplotlib.image.imread(out)[..., :3]) > 0.02  # something is drawn
     assert main(["drive", "--policy", "default", "--controller", "soft_start"]) == 2
-    assert "--policy default: expected none beside --controller soft_start" in capsys.readouterr().err
-    assert main(["drive", *rover, "--scenario", "mixed"]) == 2 and "beside --rover" in capsys.readouterr().err
+    assert (
+        "--policy default: expected none beside --controller soft_start" in capsys.readouterr().err
+    )
+    assert (
+        main(["drive", *rover, "--scenario", "mixed"]) == 2
+        and "beside --rover" in capsys.readouterr().err
+    )
     assert main(["drive", "--rover", "mars_rover", "--controller", "default"]) == 2
     assert "--controller: default_policy: scenario 'mars_rover': a rover" in capsys.readouterr().err
 
@@ -297,7 +376,9 @@ def test_drives_are_shown_side_by_side(tmp_path, capsys):
             asked.append(bool(episode_start[0]))
             return np.full((1, 1), 0.5, dtype=np.float32), state
 
-    env = gymnasium.make("soil_env:SoilWheel-v0", scenario="mixed", observation="blind", repeat=1, scaled=False)
+    env = gymnasium.make(
+        "soil_env:SoilWheel-v0", scenario="mixed", observation="blind", repeat=1, scaled=False
+    )
     _drive(env, "mine", Counting(), held, 3, 3 * held, 0)
     assert asked == [True, False, False]
 

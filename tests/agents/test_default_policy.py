@@ -21,7 +21,10 @@ from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.vehicle import load_rover
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
-TINY = {"grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}}, "hidden": 2}
+TINY = {
+    "grounds": {"two_lines": {"wheels": 8}, "field_vehicle": {"wheels": 4, "hidden": 0.75}},
+    "hidden": 2,
+}
 TINY["effects"] = ["shear_softening", "bulldozing"]
 TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 
@@ -30,7 +33,12 @@ TINY["ppo"] = {"num_envs": 12, "batch_size": 64, "layer": 8, "threads": 1}
 def trained():
     """A model after a few steps on two grounds."""
     with pytest.MonkeyPatch.context() as patch:
-        few = {"ROUNDS": ((2, 1),), "OF_GROUND": ((2, 1),), "ACCELERATIONS": (1.0,), "SHARES": (0.6,)}
+        few = {
+            "ROUNDS": ((2, 1),),
+            "OF_GROUND": ((2, 1),),
+            "ACCELERATIONS": (1.0,),
+            "SHARES": (0.6,),
+        }
         for name, value in few.items():
             patch.setattr(generalist, name, value)
         model = generalist.load(generalist.Generalist, TINY, "").build()
@@ -52,32 +60,50 @@ def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit
         values = env.physical(seen)
         own = dict(zip(COMMON, range(len(values)), strict=False))
         for entry, k in own.items():
-            values[k] = {"slip": 0.275, "drawbar_pull": 0.3, "load": 1.5, "best_pull": 0.25}.get(entry.name, values[k])
+            values[k] = {"slip": 0.275, "drawbar_pull": 0.3, "load": 1.5, "best_pull": 0.25}.get(
+                entry.name, values[k]
+            )
         common = CommonScaling(env.scenario)(values[None])[0]
         np.testing.assert_allclose(common[: seen.size], env.scaling(values[None])[0], atol=1e-5)
         assert not common[seen.size : len(COMMON)].any() and len(common) == len(NAMES)
-        np.testing.assert_allclose(common[len(COMMON) :][: len(ADDED)], [camera, 0.2, 1.5857, 0.15], rtol=1e-3)
-        np.testing.assert_allclose(common[len(COMMON) + len(ADDED) :], [-0.05, 0.5, 0.5, 0.0, 0.0], atol=1e-5)
+        np.testing.assert_allclose(
+            common[len(COMMON) :][: len(ADDED)], [camera, 0.2, 1.5857, 0.15], rtol=1e-3
+        )
+        np.testing.assert_allclose(
+            common[len(COMMON) + len(ADDED) :], [-0.05, 0.5, 0.5, 0.0, 0.0], atol=1e-5
+        )
 
 
 def test_history_keeps_the_misfit_of_each_band_of_slip():
     """The average of a band is the misfit of the steps in it; steps in no band leave it as it is."""
-    history, seen = History(NAMES, 1), np.zeros((1, len(NAMES)), dtype=np.float32)
-    misfit, band = NAMES.index("misfit"), NAMES.index("slip_band_2")
-    kept, fresh = np.zeros((1, history.kept), dtype=np.float32), np.array([True])
+    history = History(NAMES, 1)
+    seen = np.zeros((1, len(NAMES)), dtype=np.float32)
+    misfit = NAMES.index("misfit")
+    band = NAMES.index("slip_band_2")
+    kept = np.zeros((1, history.kept), dtype=np.float32)
+    fresh = np.array([True])
     for step in range(6):
-        seen[0, band], seen[0, misfit] = float(step < 3), -0.2 if step < 3 else 0.4
+        seen[0, band] = float(step < 3)
+        seen[0, misfit] = -0.2 if step < 3 else 0.4
         observed, kept = history.observe(seen, kept, fresh)
         fresh = np.array([False])
     share = 1.0 - (1.0 - BAND_SHARE) ** 3
-    np.testing.assert_allclose(observed[0, -8:], [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(
+        observed[0, -8:], [0.0, 0.0, -0.2, share, 0.0, 0.0, 0.0, 0.0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
     "scenario, said",
     [
-        (load_scenario("mixed", {"control": {"action": "torque"}}), "expected 'rim_acceleration' of 0.5 s"),
-        (load_scenario("two_lines", {"course": {"classes": 2}}), "expected no classes, or 3 with 2 lines"),
+        (
+            load_scenario("mixed", {"control": {"action": "torque"}}),
+            "expected 'rim_acceleration' of 0.5 s",
+        ),
+        (
+            load_scenario("two_lines", {"course": {"classes": 2}}),
+            "expected no classes, or 3 with 2 lines",
+        ),
         (load_rover("mars_rover"), "a rover; expected one of a wheel"),
     ],
 )
@@ -92,11 +118,14 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
         made = json.loads(str(archive["made"]))
     held_out = load_scenario("unseen").soils
     grounds = made["config"]["grounds"]
-    trained_on = [load_scenario(own["scenario"] or name, own["changes"]) for name, own in grounds.items()]
+    trained_on = [
+        load_scenario(own["scenario"] or name, own["changes"]) for name, own in grounds.items()
+    ]
     soils = set().union(*(s.soils for s in trained_on), *(s.belief.soils for s in trained_on))
     assert not {"mars_simulant_dlr", "mars_slope_soil"} & soils and "mars_slope_soil" in held_out
     assert "unseen" not in grounds
-    bad, good = tmp_path / "bad.npz", WEIGHTS.read_bytes()
+    bad = tmp_path / "bad.npz"
+    good = WEIGHTS.read_bytes()
     for content in (b"", b"no zip", good[:9000], good[:5000] + bytes(4000) + good[9000:]):
         bad.write_bytes(content)
         with pytest.raises(ParameterError, match="not the weights of a default policy"):
@@ -108,7 +137,11 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
     wrong = [(f"{name}_weight", arrays[f"{name}_weight"][:-1]) for name in LAYERS]
     for name, value in [*wrong, ("sd", arrays["sd"][:5]), ("sd", 0.0 * arrays["sd"])]:
         np.savez(bad, **arrays | {name: value})
-        said = "not the weights of a default policy" if name == "sd" else "shapes do not fit each other"
+        said = (
+            "not the weights of a default policy"
+            if name == "sd"
+            else "shapes do not fit each other"
+        )
         with pytest.raises(ParameterError, match=rf"{said}.*\.generalist"):
             DefaultPolicy("mixed", bad)
 
@@ -130,14 +163,21 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
     env = trained.get_vec_normalize_env().unwrapped
     effects = [p.model and next(iter(p.model.effects)) for p in env.parts]
     assert [(p.num_envs, p.scenario.name, e) for p, e in zip(env.parts, effects, strict=True)] == [
-        (4, "two_lines", None), (2, "two_lines", "shear_softening"), (2, "two_lines", "bulldozing"),
-        (1, "field_vehicle", None), (1, "field_vehicle", "shear_softening"), (2, "field_vehicle", "bulldozing"),
-    ]  # fmt: skip
+        (4, "two_lines", None),
+        (2, "two_lines", "shear_softening"),
+        (2, "two_lines", "bulldozing"),
+        (1, "field_vehicle", None),
+        (1, "field_vehicle", "shear_softening"),
+        (2, "field_vehicle", "bulldozing"),
+    ]
     teachers = Teachers(env)
     for part, own in teachers.parts:
         top = part.scenario.wheel.radius * part.scenario.wheel.no_load_speed
         assert own.settings["speed"] == pytest.approx(part.teacher["speed"] * top)
-        assert own.settings["acceleration"] == part.teacher["acceleration"] and own.share == part.teacher["share"]
+        assert (
+            own.settings["acceleration"] == part.teacher["acceleration"]
+            and own.share == part.teacher["share"]
+        )
     action, weight = teachers.lesson(np.ones(12, dtype=bool))
     assert action.shape == (12, 1) and weight.shape == (12,)
 
@@ -160,18 +200,30 @@ def test_it_is_a_contestant_and_drives_from_the_command(capsys):
         assert contestant.name == default_policy.NAME
         check(contestant, scenario)
     assert load(contestant, scenario).variant == DefaultPolicy("mixed").variant == "identified"
-    assert soil_env(["drive", "--policy", "default", "--scenario", "loose_slopes", "--seed", "2"]) == 0
+    assert (
+        soil_env(["drive", "--policy", "default", "--scenario", "loose_slopes", "--seed", "2"]) == 0
+    )
     assert capsys.readouterr().out.startswith("default_policy: ")
-    assert load(parse(str(WEIGHTS))["default_policy/0"], scenario).made == DefaultPolicy("mixed").made
+    assert (
+        load(parse(str(WEIGHTS))["default_policy/0"], scenario).made == DefaultPolicy("mixed").made
+    )
 
 
 def test_it_is_exported_to_onnx(tmp_path, capsys):
     pytest.importorskip("onnxruntime", reason="onnx and onnxruntime are in the extra export")
     for name in ("two_lines", "mixed"):
-        assert soil_env(["export", "default", "--scenario", name, f"--out={tmp_path / name}", "--steps=60"]) == 0
+        assert (
+            soil_env(
+                ["export", "default", "--scenario", name, f"--out={tmp_path / name}", "--steps=60"]
+            )
+            == 0
+        )
         scenario = load_scenario(name)
         (exported,) = parse(str(tmp_path / name)).values()
-        both = [run_courses(d, scenario, 5, 4) for d in (DefaultPolicy(scenario), load(exported, scenario))]
+        both = [
+            run_courses(d, scenario, 5, 4)
+            for d in (DefaultPolicy(scenario), load(exported, scenario))
+        ]
         np.testing.assert_allclose(both[0].distance, both[1].distance, atol=1e-3)
     assert not capsys.readouterr().err
     load(exported, load_scenario("unseen"))  # the same wheel

@@ -99,22 +99,39 @@ def runs_of(returns, finished=True):
 
 def test_a_comparison_of_known_runs():
     """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
-    rng, scenario = np.random.default_rng(0), load_scenario("mixed")
-    returns, ends = rng.normal(5.0, 2.0, (2, 40)), np.arange(40) >= 10
-    runs = {"a": [runs_of(row, ends) for row in returns], "b": [runs_of(returns.mean(axis=0) - 1.0)]}
+    rng = np.random.default_rng(0)
+    scenario = load_scenario("mixed")
+    returns = rng.normal(5.0, 2.0, (2, 40))
+    ends = np.arange(40) >= 10
+    runs = {
+        "a": [runs_of(row, ends) for row in returns],
+        "b": [runs_of(returns.mean(axis=0) - 1.0)],
+    }
     found = comparing.comparison(scenario, 3, runs, resamples=400)
-    assert found["members"] == {"a": 2, "b": 1} and found["courses"] == 40 and found["scenario"] == "mixed"
-    a, b = found["controllers"]["a"], found["controllers"]["b"]
-    assert a["finished"]["value"] == pytest.approx(0.75) and a["immobilised"]["value"] == pytest.approx(0.25)
+    assert (
+        found["members"] == {"a": 2, "b": 1}
+        and found["courses"] == 40
+        and found["scenario"] == "mixed"
+    )
+    a = found["controllers"]["a"]
+    b = found["controllers"]["b"]
+    assert a["finished"]["value"] == pytest.approx(0.75) and a["immobilised"][
+        "value"
+    ] == pytest.approx(0.25)
     assert (b["finished"]["low"], b["finished"]["high"]) == pytest.approx(wilson(40, 40))
     assert found["by_seed"]["a"]["return"] == pytest.approx(returns.mean(axis=1))
     assert found["iqm"]["a"]["value"] == pytest.approx(stats.trim_mean(returns, 0.25, axis=None))
     paired = found["paired"]["a"]["b"]
-    assert paired["return"]["value"] == pytest.approx(1.0) and paired["finished"]["value"] == pytest.approx(-0.25)
+    assert paired["return"]["value"] == pytest.approx(1.0) and paired["finished"][
+        "value"
+    ] == pytest.approx(-0.25)
     assert paired["return"]["low"] <= 1.0 <= paired["return"]["high"]
     assert found["paired"]["b"]["a"]["return"]["high"] == pytest.approx(-paired["return"]["low"])
-    p, q = found["improvement"]["a"]["b"], found["improvement"]["b"]["a"]
-    assert p["value"] + q["value"] == pytest.approx(1.0) and p["low"] == pytest.approx(1.0 - q["high"])
+    p = found["improvement"]["a"]["b"]
+    q = found["improvement"]["b"]["a"]
+    assert p["value"] + q["value"] == pytest.approx(1.0) and p["low"] == pytest.approx(
+        1.0 - q["high"]
+    )
     assert found == comparing.comparison(scenario, 3, runs, resamples=400)
 
 
@@ -130,29 +147,40 @@ def test_values_are_means_over_the_courses_that_are_listed(done):
             expected = pytest.approx(np.mean(values), rel=1e-4, abs=1e-9) if values else None
             assert metrics[metric]["value"] == expected
         for cause in ("ENTRAPPED", "STALLED", "BOGGED", "TIME_LIMIT", "FINISHED"):
-            assert metrics[cause.lower()]["value"] == pytest.approx(np.mean([row["cause"] == cause for row in own]))
+            assert metrics[cause.lower()]["value"] == pytest.approx(
+                np.mean([row["cause"] == cause for row in own])
+            )
 
 
 def test_settings_are_tuned_once_and_drive_the_held_out_courses_of_train(tmp_path, capsys):
-    scenario, out = (
-        load_scenario("two_lines", {"course": {"length": 2.0}, "control": {"time_limit": 6.0}}),
-        tmp_path / "out",
+    scenario = load_scenario(
+        "two_lines", {"course": {"length": 2.0}, "control": {"time_limit": 6.0}}
     )
+    out = tmp_path / "out"
     asked = [option for option in SHORT if not option.startswith(("--tuning", "--seed"))] + [
-        "--controllers=fixed_slip,constant_speed,full_throttle", f"--out={out}", "--tuning-courses=2",
+        "--controllers=fixed_slip,constant_speed,full_throttle",
+        f"--out={out}",
+        "--tuning-courses=2",
         "--settings.constant_speed.speed=0.3",
-    ]  # fmt: skip
+    ]
     assert main(*asked) == 0
     assert "Tuning: 2 of 2 courses" in capsys.readouterr().out  # on 2 courses there is one trial
-    kept, result = yaml.safe_load((out / "study.yaml").read_text())["tuned"], result_of(out)
+    kept = yaml.safe_load((out / "study.yaml").read_text())["tuned"]
+    result = result_of(out)
     assert set(kept) == {"fixed_slip"} and set(kept["fixed_slip"]) == {"slip", "start", "speed"}
-    assert result["settings"]["fixed_slip"] == kept["fixed_slip"] and result["chosen"]["fixed_slip"] == "tuned"
+    assert (
+        result["settings"]["fixed_slip"] == kept["fixed_slip"]
+        and result["chosen"]["fixed_slip"] == "tuned"
+    )
     assert result["settings"]["constant_speed"] == {"speed": 0.3}
     for name, row in result["controllers"].items():
         controller = make_controller(name, scenario, **result["settings"].get(name, {}))
         theirs = run_courses(controller, scenario, HELD_OUT_SET, 7)
         for metric in METRICS:
-            assert row[metric]["value"] == pytest.approx(theirs.metric(metric).mean(), rel=1e-12), (name, metric)
+            assert row[metric]["value"] == pytest.approx(theirs.metric(metric).mean(), rel=1e-12), (
+                name,
+                metric,
+            )
     assert main(*asked) == 0 and "Tuning" not in capsys.readouterr().out
 
 
@@ -162,20 +190,40 @@ def test_a_module_in_the_current_folder_is_found(tmp_path, monkeypatch):
         f"from {DRIVERS} import Half\nhalf = Half()\ndef make(scenario):\n    return half\n"
     )
     monkeypatch.chdir(tmp_path)
-    assert evaluate(tmp_path / "out", ",".join(f"{f}=mine_of_test:{f}" for f in ("make", "half", "Half"))) == 0
+    assert (
+        evaluate(
+            tmp_path / "out", ",".join(f"{f}=mine_of_test:{f}" for f in ("make", "half", "Half"))
+        )
+        == 0
+    )
     rows = result_of(tmp_path / "out")["controllers"]
     assert rows["make"] == rows["half"] == rows["Half"]
 
 
 def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
     world = ROOT / "configs/worlds/bulldozing.yaml"
-    assert evaluate(tmp_path / "with", "soft_start", f"--model={world}", "--courses=3", "--oracle-courses=2") == 0
+    assert (
+        evaluate(
+            tmp_path / "with", "soft_start", f"--model={world}", "--courses=3", "--oracle-courses=2"
+        )
+        == 0
+    )
     assert evaluate(tmp_path / "without", "soft_start", "--courses=3") == 0
-    there, plain = result_of(tmp_path / "with"), result_of(tmp_path / "without")
+    there = result_of(tmp_path / "with")
+    plain = result_of(tmp_path / "without")
     assert list(there["model"]["effects"]) == ["bulldozing"] and "model" not in plain
-    assert there["controllers"]["soft_start"]["return"] != plain["controllers"]["soft_start"]["return"]
-    assert there["limit"]["courses"] == 2 and there["limit"]["metrics"]["finished"]["value"] in (0.0, 0.5, 1.0)
-    assert "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text() and "limit" not in plain
+    assert (
+        there["controllers"]["soft_start"]["return"] != plain["controllers"]["soft_start"]["return"]
+    )
+    assert there["limit"]["courses"] == 2 and there["limit"]["metrics"]["finished"]["value"] in (
+        0.0,
+        0.5,
+        1.0,
+    )
+    assert (
+        "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text()
+        and "limit" not in plain
+    )
 
 
 class Killed(BaseException):
@@ -184,14 +232,20 @@ class Killed(BaseException):
 
 def test_a_kill_and_processes_give_the_same_table(tmp_path, monkeypatch, importable):
     """Killed in the middle of a block; then two processes do the rest."""
-    out, calm, predict = tmp_path / "out", tmp_path / "calm", Counting.predict
+    out = tmp_path / "out"
+    calm = tmp_path / "calm"
+    predict = Counting.predict
 
     def killed(self, *given, **more):
         if self.calls == 40:
             raise Killed
         return predict(self, *given, **more)
 
-    asked = [*SHORT, "--changes.control.action=torque", f"--controllers=half={DRIVERS}:Half,{DRIVERS}:Counting"]
+    asked = [
+        *SHORT,
+        "--changes.control.action=torque",
+        f"--controllers=half={DRIVERS}:Half,{DRIVERS}:Counting",
+    ]
     with monkeypatch.context() as patch, pytest.raises(Killed):
         patch.setattr(Counting, "predict", killed)
         main(*asked, f"--out={out}")
@@ -211,7 +265,8 @@ def test_ray_gives_what_one_process_gives(cluster, everyone, done, tmp_path):
 
 
 def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
-    mine, out = tmp_path / "model.zip", tmp_path / "out"
+    mine = tmp_path / "model.zip"
+    out = tmp_path / "out"
     shutil.copy(models / "seed_0" / "model.zip", mine)
     assert evaluate(out, f"ppo={mine}", "--courses=2") == 0
     shutil.copy(models / "seed_1" / "model.zip", mine)
@@ -229,31 +284,49 @@ def test_a_model_or_code_that_has_changed_is_refused(capsys, tmp_path, models):
     [
         (["--controllers=fixd_slip"], ("'fixd_slip'", "did you mean 'fixed_slip'?")),
         (["--controllers=missing.zip"], ("missing.zip", "No such file")),
-        ([f"--controllers={__file__}"], ("test_evaluate.py: no trained agent: expected a run folder", "a controller")),
+        (
+            [f"--controllers={__file__}"],
+            ("test_evaluate.py: no trained agent: expected a run folder", "a controller"),
+        ),
         (["--controllers={models}/seed_*"], ("2 models", "NAME=")),
         (["--controllers={models}/seed_0,{models}/seed_0"], ("'seed_0' twice",)),
         ([f"--controllers={DRIVERS}:Halve"], ("'Halve'", "did you mean 'Half'?")),
         ([f"--controllers={DRIVERS}:NoPredict"], ("no method predict",)),
-        ([f"--controllers={DRIVERS}:WrongShape"], (f"{DRIVERS}:WrongShape", "of shape [3]: expected [3, 1]")),
+        (
+            [f"--controllers={DRIVERS}:WrongShape"],
+            (f"{DRIVERS}:WrongShape", "of shape [3]: expected [3, 1]"),
+        ),
         ([f"--controllers={DRIVERS}:Alone"], ("predict gave one value: expected (action, state)",)),
-        ([f"--controllers={DRIVERS}:OneNaN"], ("predict gave nan for wheel 1: expected finite numbers",)),
+        (
+            [f"--controllers={DRIVERS}:OneNaN"],
+            ("predict gave nan for wheel 1: expected finite numbers",),
+        ),
         ([f"--controllers={DRIVERS}:OtherVariant"], ("'blnd'", "blind, identified, true_soil")),
         ([f"--controllers={DRIVERS}:Raises"], ("OSError: no such device", "drivers.py line")),
         (["--controllers=oracle"], ("--oracle-courses N",)),
         (["--oracle-courses=9"], ("--oracle-courses = 9",)),
-        (["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"], ("full_throttle has no settings",)),
+        (
+            ["--settings.full_throttle.slip=0.1", "--controllers=full_throttle"],
+            ("full_throttle has no settings",),
+        ),
         (["--changes.course.lenght=2"], ("lenght", "did you mean 'length'?")),
         (["--tuning-courses=2", "--seed=1000001"], ("--seed 1000001", "tuned on")),
         (["--resume={models}"], ("takes only the engine",)),
     ],
 )
-def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_path, models, arguments, parts):
+def test_bad_input_is_refused_in_one_line_and_nothing_is_written(
+    capsys, tmp_path, models, arguments, parts
+):
     arguments = [a.format(models=models) for a in arguments]
     given = {a.split("=")[0] for a in arguments}
     usual = (*SHORT, "--controllers=full_throttle", f"--out={tmp_path / 'out'}")
     assert main(*(a for a in usual if a.split("=")[0] not in given), *arguments) == 2
     error = capsys.readouterr().err
-    assert error.startswith("soil-env evaluate: error: ") and error.count("\n") == 1 and len(error) < 700
+    assert (
+        error.startswith("soil-env evaluate: error: ")
+        and error.count("\n") == 1
+        and len(error) < 700
+    )
     for part in parts:
         assert part in error
     assert not list(tmp_path.iterdir())
@@ -262,7 +335,9 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(capsys, tmp_pat
 def test_a_controller_that_fails_on_the_way_is_named(capsys, tmp_path):
     assert evaluate(tmp_path / "out", f"full_throttle,mine={DRIVERS}:LateNaN") == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and "action nan in step 3" in error and f"{DRIVERS}:LateNaN" in error
+    assert (
+        error.count("\n") == 1 and "action nan in step 3" in error and f"{DRIVERS}:LateNaN" in error
+    )
     assert len(list((tmp_path / "out" / "cells").iterdir())) == 1  # what was done before is kept
 
 
@@ -271,37 +346,71 @@ SEED = 12345
 FIELDS = [f for f in Runs.__dataclass_fields__ if f != "more"]
 
 
-@pytest.mark.parametrize("name", ["full_throttle", "fixed_slip", "best_slip_identified", "best_slip_true"])
+@pytest.mark.parametrize(
+    "name", ["full_throttle", "fixed_slip", "best_slip_identified", "best_slip_true"]
+)
 def test_runs_equal_a_loop_over_one_wheel(name):
-    controller = make_controller(name, TASK, **({"slip": 0.45, "start": 0.15} if name == "fixed_slip" else {}))
-    got, pulled = run_courses(controller, TASK, SEED, 6, detailed=True), 0
+    controller = make_controller(
+        name, TASK, **({"slip": 0.45, "start": 0.15} if name == "fixed_slip" else {})
+    )
+    got = run_courses(controller, TASK, SEED, 6, detailed=True)
+    pulled = 0
     for course in range(6):
         sim = Simulation(1, TASK, controller.variant, threads=1)
         sim.seed(0, course_rng(SEED, course))
         sim.restart(0)
-        w, rows, returns, state = sim.worlds, [], 0.0, None
+        w = sim.worlds
+        rows = []
+        returns = 0.0
+        state = None
         while w.cause[0] == Cause.RUNNING.value:
-            action, state = controller.predict(w.observation.copy(), state, np.array([state is None]))
+            action, state = controller.predict(
+                w.observation.copy(), state, np.array([state is None])
+            )
             sim.step(0, float(action[0, 0]))
             returns += float(w.terms[0].sum())
             s = w.state[0]
-            rows.append([s[k] for k in ("motor_work", "sinkage", "x", "slip", "halt_left", "drawbar_pull", "travel")])
+            rows.append(
+                [
+                    s[k]
+                    for k in (
+                        "motor_work",
+                        "sinkage",
+                        "x",
+                        "slip",
+                        "halt_left",
+                        "drawbar_pull",
+                        "travel",
+                    )
+                ]
+            )
         work, sinkage, x, slip, halt, pull, travel = np.array(rows).T
         assert got.cause[course] == w.cause[0]
-        one = {field: getattr(got, field)[course] for field in FIELDS} | {n: got.metric(n)[course] for n in got.names}
-        under_way, pulls = halt == 0.0, (halt == 0.0) & (pull > 0.0) & (work > 0.0)
+        one = {field: getattr(got, field)[course] for field in FIELDS} | {
+            n: got.metric(n)[course] for n in got.names
+        }
+        under_way = halt == 0.0
+        pulls = (halt == 0.0) & (pull > 0.0) & (work > 0.0)
         expected = {
-            "time": 0.1 * len(rows), "distance": max(x.max(), 0.0), "energy": np.maximum(work, 0.0).sum(),
-            "return": returns, "sinkage": 1000.0 * sinkage.mean(), "slip": slip[under_way].mean(),
-        }  # fmt: skip
+            "time": 0.1 * len(rows),
+            "distance": max(x.max(), 0.0),
+            "energy": np.maximum(work, 0.0).sum(),
+            "return": returns,
+            "sinkage": 1000.0 * sinkage.mean(),
+            "slip": slip[under_way].mean(),
+        }
         expected["speed"] = expected["distance"] / expected["time"]
         expected["energy_per_metre"] = expected["energy"] / max(expected["distance"], 0.1)
         for metric, series in (("slip", slip), ("sinkage", 1000.0 * sinkage)):
-            expected |= {f"{metric}_p{q}": np.quantile(series[under_way], q / 100) for q in (50, 95)}
+            expected |= {
+                f"{metric}_p{q}": np.quantile(series[under_way], q / 100) for q in (50, 95)
+            }
         assert {key: one[key] for key in expected} == pytest.approx(expected, rel=1e-9)
         efficiency = one["tractive_efficiency"]  # NaN where the wheel rolls downhill all the way
         if pulls.any():
-            assert efficiency == pytest.approx(np.maximum(pull * travel, 0.0)[pulls].sum() / work[pulls].sum())
+            assert efficiency == pytest.approx(
+                np.maximum(pull * travel, 0.0)[pulls].sum() / work[pulls].sum()
+            )
             assert 0.0 < efficiency < 1.0
         assert np.isfinite(efficiency) == pulls.any()
         pulled += pulls.any()
@@ -310,7 +419,9 @@ def test_runs_equal_a_loop_over_one_wheel(name):
 
 def test_return_is_compared_without_the_information_that_an_agent_was_paid_for():
     paid = load_scenario(TASK, {"reward": {"information": 50.0}})
-    plain, got = (run_courses(make_controller("fixed_slip", task), task, SEED, 4) for task in (TASK, paid))
+    plain, got = (
+        run_courses(make_controller("fixed_slip", task), task, SEED, 4) for task in (TASK, paid)
+    )
     np.testing.assert_array_equal(got.returns, plain.returns)
 
 
@@ -321,7 +432,9 @@ def test_nan_for_a_course_that_has_ended_is_allowed():
 
         def predict(self, obs, state=None, episode_start=None, deterministic=True):
             action = np.ones((len(obs), 1))
-            if state is not None:  # the readings of a wheel that drives are noisy: they never repeat
+            if (
+                state is not None
+            ):  # the readings of a wheel that drives are noisy: they never repeat
                 action[(obs == state).all(axis=1)] = np.nan if self.careless else 1.0
             return action, obs.copy()
 

@@ -61,12 +61,17 @@ ALONE = textwrap.dedent("""
 """)
 
 
-@pytest.mark.parametrize(("name", "observation", "action", "history"), [
-    ("mixed", "identified", "torque", 0),
-    ("mixed", "blind", "rim_acceleration", 4),
-    ("two_lines", "identified", "rim_acceleration", 2),
-])  # fmt: skip
-def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, name, observation, action, history):
+@pytest.mark.parametrize(
+    ("name", "observation", "action", "history"),
+    [
+        ("mixed", "identified", "torque", 0),
+        ("mixed", "blind", "rim_acceleration", 4),
+        ("two_lines", "identified", "rim_acceleration", 2),
+    ],
+)
+def test_the_runner_alone_drives_courses_as_the_agent_would(
+    tmp_path, name, observation, action, history
+):
     """1000 steps in closed loop: what the wheel does follows from the runner's actions."""
     scenario = load_scenario(name, COURSE | {"control": {"action": action, "time_limit": 20.0}})
     folder = saved(tmp_path / "run", scenario, observation, history=history)
@@ -74,14 +79,22 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, name, obse
     agent = load_model(folder / "model.zip", scenario)
     env = SoilWheelEnv(scenario, observation=observation, scaled=False)
     runner = subprocess.Popen(
-        [sys.executable, "-c", ALONE, str(tmp_path / "out" / "run_policy.py"), "--serve"], cwd=tmp_path, text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    memory, over, worst, courses = None, True, 0.0, 0
+        [sys.executable, "-c", ALONE, str(tmp_path / "out" / "run_policy.py"), "--serve"],
+        cwd=tmp_path,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    memory = None
+    over = True
+    worst = 0.0
+    courses = 0
     for step in range(1000):
         if over:
             observation, _ = env.reset(seed=step)
-            memory, courses = None, courses + 1
+            memory = None
+            courses = courses + 1
             runner.stdin.write("\n")
         expected, memory = agent.predict(observation[None], memory, np.array([over]))
         runner.stdin.write(" ".join(map(repr, observation.tolist())) + "\n")
@@ -95,11 +108,9 @@ def test_the_runner_alone_drives_courses_as_the_agent_would(tmp_path, name, obse
 
 
 def test_an_export_describes_itself_and_is_a_contestant_by_its_path(tmp_path, scenario):
-    folder, out, env = (
-        saved(tmp_path / "run", scenario, history=3),
-        tmp_path / "out",
-        SoilWheelEnv(scenario, scaled=False),
-    )
+    folder = saved(tmp_path / "run", scenario, history=3)
+    out = tmp_path / "out"
+    env = SoilWheelEnv(scenario, scaled=False)
     assert export(folder, out) == 0
     content = yaml.safe_load((out / "policy.yaml").read_text(encoding="utf-8"))
     assert [e["name"] for e in content["inputs"]] == list(env.observation_names)
@@ -107,19 +118,28 @@ def test_an_export_describes_itself_and_is_a_contestant_by_its_path(tmp_path, sc
         np.testing.assert_allclose(
             [e[side] for e in content["inputs"]], getattr(env.observation_space, side), rtol=1e-6
         )
-    assert all(e["unit"] for e in content["inputs"]) and content["rate"] == {"period": 0.1, "unit": "s"}
+    assert all(e["unit"] for e in content["inputs"]) and content["rate"] == {
+        "period": 0.1,
+        "unit": "s",
+    }
     assert content["output"]["scale"] == {"value": scenario.wheel.stall_torque, "unit": "N m"}
-    assert content["scenario"]["course"]["length"] == 3.0 and content["proof"]["largest_difference"] <= 1e-5
+    assert (
+        content["scenario"]["course"]["length"] == 3.0
+        and content["proof"]["largest_difference"] <= 1e-5
+    )
 
     (contestant,) = parse(f"mine={out}").values()
     assert contestant.kind == "model" and contestant.source.endswith("policy.onnx")
-    agent, other = load_model(folder / "model.zip", scenario), load_model(contestant.source, scenario)
+    agent = load_model(folder / "model.zip", scenario)
+    other = load_model(contestant.source, scenario)
     assert all(other.content[key] == content[key] for key in ("inputs", "output"))
     expected, found = (run_courses(a, scenario, 3, 12) for a in (agent, other))
     np.testing.assert_array_equal(found.cause, expected.cause)
     np.testing.assert_allclose(found.returns, expected.returns, atol=1e-4)
     with pytest.raises(ParameterError, match="trained with action 'torque'"):
-        load_model(contestant.source, load_scenario(scenario, {"control": {"action": "wheel_speed"}}))
+        load_model(
+            contestant.source, load_scenario(scenario, {"control": {"action": "wheel_speed"}})
+        )
 
     rows = np.zeros((2, len(env.observation_names)))
     _, state = other.predict(rows)
@@ -134,11 +154,18 @@ def test_an_export_describes_itself_and_is_a_contestant_by_its_path(tmp_path, sc
 def test_a_model_trained_with_line_action_drives_and_is_exported(tmp_path, capsys):
     path = tmp_path / "lines.zip"
     env = LineAction(gymnasium.make("soil_env:SoilWheel-v0", info="none"))
-    model = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, buffer_size=200)
+    model = SAC(
+        "MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0, buffer_size=200
+    )
     model.save(path)
-    agent, k = load_model(path, load_scenario()), env.unwrapped.observation_names.index("choice")
+    agent = load_model(path, load_scenario())
+    k = env.unwrapped.observation_names.index("choice")
     space = observation_space("identified", load_scenario().course, scaled=False)
-    x = np.random.default_rng(0).uniform(space.low, space.high, (40, *space.shape)).astype(np.float32)
+    x = (
+        np.random.default_rng(0)
+        .uniform(space.low, space.high, (40, *space.shape))
+        .astype(np.float32)
+    )
     x[:, k] = np.arange(40) % 2
     both = model.predict(agent.scaling(x), deterministic=True)[0]
     expected = np.where(x[:, [k]] > 0.5, both[:, 1:], both[:, :1])
@@ -146,7 +173,12 @@ def test_a_model_trained_with_line_action_drives_and_is_exported(tmp_path, capsy
     assert export(path, tmp_path / "out") == 0
     found, _ = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
     np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert soil_env(["drive", "--controller", str(path), "--frame", "3", "--out", str(tmp_path / "a.png")]) == 0
+    assert (
+        soil_env(
+            ["drive", "--controller", str(path), "--frame", "3", "--out", str(tmp_path / "a.png")]
+        )
+        == 0
+    )
     with pytest.raises(ParameterError, match=r"another observation layout|actions of shape \(2,\)"):
         load_model(path, load_scenario("mixed"))
 
@@ -157,9 +189,14 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
     model = algorithm("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, device="cpu", seed=0)
     model.save(tmp_path / "model.zip")
     assert export(tmp_path / "model.zip", tmp_path / "out") == 0
-    count, scaling = len(env.observation_names), env.scaling
-    x = (scaling.centre + scaling.scale * np.random.default_rng(0).normal(size=(40, count))).astype(np.float32)
-    x = np.clip(x, scaling.physical(env.observation_space.low), scaling.physical(env.observation_space.high))
+    count = len(env.observation_names)
+    scaling = env.scaling
+    x = (scaling.centre + scaling.scale * np.random.default_rng(0).normal(size=(40, count))).astype(
+        np.float32
+    )
+    x = np.clip(
+        x, scaling.physical(env.observation_space.low), scaling.physical(env.observation_space.high)
+    )
     x[::3, env.observation_names.index("ahead_log10_sinkage_coefficient")] = 0.0  # out of sight
     expected, _ = model.predict(scaling(x), deterministic=True)
     found, memory = ExportedAgent(tmp_path / "out" / "policy.onnx").predict(x)
@@ -170,17 +207,23 @@ def test_models_of_plain_sb3(tmp_path, algorithm):
 def test_an_action_that_differs_is_not_exported(tmp_path, scenario, capsys, monkeypatch):
     folder = saved(tmp_path / "run", scenario)
     plain = Agent._normalised
-    monkeypatch.setattr("soil_env_agents.agent.Agent._normalised", lambda self, x: 1.5 * plain(self, x))
+    monkeypatch.setattr(
+        "soil_env_agents.agent.Agent._normalised", lambda self, x: 1.5 * plain(self, x)
+    )
     assert export(folder, tmp_path / "out") == 2
     assert "differs by" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_files_that_are_not_known_are_named(tmp_path, scenario):
     assert export(saved(tmp_path / "run", scenario), tmp_path) == 0
-    model, file = onnx.load(tmp_path / "policy.onnx"), tmp_path / "other.onnx"
+    model = onnx.load(tmp_path / "policy.onnx")
+    file = tmp_path / "other.onnx"
     content = json.loads(model.metadata_props[0].value)
     content["inputs"][0]["high"] = 2.0
-    for description, said in ((content, "another observation layout"), ({}, "not written by `soil-env export`")):
+    for description, said in (
+        (content, "another observation layout"),
+        ({}, "not written by `soil-env export`"),
+    ):
         model.metadata_props[0].value = json.dumps(description)
         onnx.save(model, file)
         with pytest.raises(ParameterError, match=said):

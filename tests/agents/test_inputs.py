@@ -32,7 +32,9 @@ def driven(env, steps, seed=5):
     env.seed(seed)
     rng = np.random.default_rng(seed)
     first = env.reset()
-    return first, [env.step(rng.uniform(0.0, 1.0, (env.num_envs, 1)).astype(np.float32)) for _ in range(steps)]
+    return first, [
+        env.step(rng.uniform(0.0, 1.0, (env.num_envs, 1)).astype(np.float32)) for _ in range(steps)
+    ]
 
 
 def test_the_history_holds_the_readings_of_the_last_steps(scenario):
@@ -50,13 +52,18 @@ def test_the_history_holds_the_readings_of_the_last_steps(scenario):
         return np.concatenate([now, *[one[columns] for one in padded]])
 
     for k in range(4):
-        past, fresh = [], plain_first[k]
+        past = []
+        fresh = plain_first[k]
         np.testing.assert_array_equal(first[k], expected(fresh, []))
-        for (seen, _, done, infos), (own, _, _, own_infos) in zip(results, plain_results, strict=True):
+        for (seen, _, done, infos), (own, _, _, own_infos) in zip(
+            results, plain_results, strict=True
+        ):
             past.append(fresh)
             if done[k]:
                 last = own_infos[k]["terminal_observation"]
-                np.testing.assert_array_equal(infos[k]["terminal_observation"], expected(last, past))
+                np.testing.assert_array_equal(
+                    infos[k]["terminal_observation"], expected(last, past)
+                )
                 past = []
             fresh = own[k]
             np.testing.assert_array_equal(seen[k], expected(fresh, past))
@@ -65,7 +72,12 @@ def test_the_history_holds_the_readings_of_the_last_steps(scenario):
 
 @pytest.mark.parametrize(
     "name, variant, steps",
-    [("mixed", "identified", 0), ("mixed", "true_soil", 0), ("mixed", "blind", 3), ("two_lines", "identified", 3)],
+    [
+        ("mixed", "identified", 0),
+        ("mixed", "true_soil", 0),
+        ("mixed", "blind", 3),
+        ("two_lines", "identified", 3),
+    ],
 )
 def test_a_loaded_agent_drives_as_it_was_trained(tmp_path, name, variant, steps):
     """On raw observations, with the history of its own calls."""
@@ -75,29 +87,41 @@ def test_a_loaded_agent_drives_as_it_was_trained(tmp_path, name, variant, steps)
     ppo.save(model, tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
     assert (agent.variant, agent.timesteps) == (variant, model.num_timesteps)
-    env, plain = model.get_vec_normalize_env(), SoilWheelVecEnv(8, scenario, variant, scaled=False)
+    env = model.get_vec_normalize_env()
+    plain = SoilWheelVecEnv(8, scenario, variant, scaled=False)
     env.training = False  # the normalisation stays as it was saved
     env.seed(7)
     plain.seed(7)
-    seen, raw = env.reset(), plain.reset()
-    memory, fresh = None, np.ones(8, dtype=bool)
+    seen = env.reset()
+    raw = plain.reset()
+    memory = None
+    fresh = np.ones(8, dtype=bool)
     for _ in range(50):
         action, _ = model.predict(seen, deterministic=True)
         own, memory = agent.predict(raw, memory, fresh)
         np.testing.assert_allclose(own, action, atol=1e-5)
         seen = env.step(action)[0]
         raw, _, fresh, _ = plain.step(action)
-    assert seen.shape == (8, len(agent.mean)) and raw.shape[1] + steps * len(READINGS) <= len(agent.mean)
+    assert seen.shape == (8, len(agent.mean)) and raw.shape[1] + steps * len(READINGS) <= len(
+        agent.mean
+    )
     assert agent.predict(raw[0])[0].shape == (1,)
 
 
 def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     """Against sums over all past steps on a class, weighted by (1 - SHARE)^k; nothing of a course before."""
-    names = [*NAMES, *(f"{place}_class_{c}" for place in ("here", "ahead", "beside") for c in (1, 2))]
-    history, rng, n, m = History(names, 2), np.random.default_rng(0), 3, len(READINGS)
+    names = [
+        *NAMES,
+        *(f"{place}_class_{c}" for place in ("here", "ahead", "beside") for c in (1, 2)),
+    ]
+    history = History(names, 2)
+    rng = np.random.default_rng(0)
+    n = 3
+    m = len(READINGS)
     seen = rng.normal(size=(40, n, len(names))).astype(np.float32)
     first_class = rng.random((40, n)) < 0.5
-    seen[:, :, -6], seen[:, :, -5] = first_class, ~first_class
+    seen[:, :, -6] = first_class
+    seen[:, :, -5] = ~first_class
     seen[:, :, -4:] = 0.0
     seen[-1, :, -3] = seen[-1, :, -2] = 1.0  # ahead the second class, beside the first
     halted = rng.random((40, n)) < 0.2
@@ -115,7 +139,8 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
             assert found[m] == pytest.approx(weights.sum(), rel=1e-5)
             expected = (weights[:, None] * seen[rows, k][:, columns]).sum(axis=0) / weights.sum()
             np.testing.assert_allclose(found[:m], expected, rtol=1e-4, atol=1e-5)
-    low, high = history.space(Box(-1.0, 1.0, (len(names),))).low, history.space(Box(-1.0, 1.0, (len(names),))).high
+    low = history.space(Box(-1.0, 1.0, (len(names),))).low
+    high = history.space(Box(-1.0, 1.0, (len(names),))).high
     assert low.shape == high.shape == (len(names) + history.size,)
 
 
@@ -124,14 +149,21 @@ def test_exchanged_lines_give_the_opposite_choice():
     scenario = load_scenario("two_lines")
     model = ppo.build(scenario, "identified", PPOConfig(**TINY, history=2), 0)
     names = model.get_vec_normalize_env().get_attr("observation_names")[0]
-    extractor, choice = model.policy.mlp_extractor, names.index("choice")
+    extractor = model.policy.mlp_extractor
+    choice = names.index("choice")
     ahead, beside = extractor.lines
-    assert [names[k].partition("_")[2] for k in ahead[:14]] == [names[k].partition("_")[2] for k in beside[:14]]
-    x = torch.randn((20, model.observation_space.shape[0]), generator=torch.Generator().manual_seed(0))
+    assert [names[k].partition("_")[2] for k in ahead[:14]] == [
+        names[k].partition("_")[2] for k in beside[:14]
+    ]
+    x = torch.randn(
+        (20, model.observation_space.shape[0]), generator=torch.Generator().manual_seed(0)
+    )
     x[:, choice] = 1.0
-    other, exchanged = x.clone(), x.clone()
+    other = x.clone()
+    exchanged = x.clone()
     other[:, [k for k in range(x.shape[1]) if k not in (*ahead, *beside, choice)]] += 1.0
-    exchanged[:, ahead], exchanged[:, beside] = x[:, beside], x[:, ahead]
+    exchanged[:, ahead] = x[:, beside]
+    exchanged[:, beside] = x[:, ahead]
     action = lambda seen: model.policy.get_distribution(seen).distribution.mean  # noqa: E731
     found = action(x)
     assert torch.equal(action(other), found) and found.abs().max() > 0.0
@@ -159,7 +191,9 @@ def test_several_worlds_are_the_single_ones_side_by_side(scenario):
         parts = [env.step(a[2 * k : 2 * k + 2]) for k, env in enumerate(singles)]
         for found, column in ((seen, 0), (rewards, 1), (done, 2)):
             np.testing.assert_array_equal(found, np.concatenate([part[column] for part in parts]))
-        assert [info.get("cause") for info in infos] == [info.get("cause") for part in parts for info in part[3]]
+        assert [info.get("cause") for info in infos] == [
+            info.get("cause") for part in parts for info in part[3]
+        ]
     assert both.get_attr("model") == [m for m in models for _ in range(2)]
 
 
@@ -170,4 +204,6 @@ def test_hidden_worlds_have_one_effect_each_and_follow_from_the_seed(scenario):
     assert worlds == again and worlds != other
     half = run_courses(Half(), scenario, 3, 6)
     for name, world in zip(HIDDEN, worlds, strict=False):  # each acts on a course driven once
-        assert (run_courses(Half(), scenario, 3, 6, model=world).returns != half.returns).any(), name
+        assert (run_courses(Half(), scenario, 3, 6, model=world).returns != half.returns).any(), (
+            name
+        )

@@ -21,7 +21,9 @@ from soil_env.simulation.task import layout
 from soil_env.vehicle import load_rover
 from tests.agents.drivers import observations
 
-TINY = PPOConfig(num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0)
+TINY = PPOConfig(
+    num_envs=8, n_steps=16, batch_size=32, n_epochs=2, layer=8, learning_rate=1e-3, history=0
+)
 ROLLOUT = TINY.num_envs * TINY.n_steps
 
 
@@ -48,27 +50,37 @@ def refused(action, *parts):
     with pytest.raises(ParameterError) as error:
         action()
     message = str(error.value)
-    assert "\n" not in message and len(message) < 600 and all(part in message for part in parts), message
+    assert "\n" not in message and len(message) < 600 and all(part in message for part in parts), (
+        message
+    )
 
 
 def test_the_zip_is_one_of_sb3_too(saved, model, scenario):
     raw = observations(scenario, "identified").astype(np.float32)
     plain = PPO.load(saved, device="cpu")
-    np.testing.assert_array_equal(plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0])
+    np.testing.assert_array_equal(
+        plain.predict(raw, deterministic=True)[0], model.predict(raw, deterministic=True)[0]
+    )
 
 
-def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(saved, model, scenario):
+def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(
+    saved, model, scenario
+):
     again = resume(saved, scenario, "identified", TINY, 0, None)
-    env, old = again.get_vec_normalize_env(), model.get_vec_normalize_env()
+    env = again.get_vec_normalize_env()
+    old = model.get_vec_normalize_env()
     assert again.num_timesteps == 3 * ROLLOUT
     for mine, theirs in ((env.obs_rms, old.obs_rms), (env.ret_rms, old.ret_rms)):
         for name in ("mean", "var", "count"):
             np.testing.assert_allclose(getattr(mine, name), getattr(theirs, name))
-    torch.testing.assert_close(again.policy.state_dict(), model.policy.state_dict(), rtol=0.0, atol=0.0)
+    torch.testing.assert_close(
+        again.policy.state_dict(), model.policy.state_dict(), rtol=0.0, atol=0.0
+    )
     mine, theirs = (m.policy.optimizer.state_dict()["state"] for m in (again, model))
     assert mine
     torch.testing.assert_close(mine, theirs, rtol=0.0, atol=0.0)
-    rates, update = [], again.train
+    rates = []
+    update = again.train
 
     def train():
         update()
@@ -82,12 +94,15 @@ def test_resume_goes_on_with_weights_optimizer_normalisation_and_learning_rate(s
 
 @pytest.mark.parametrize("final, falls", [(-3.0, 2.0), (None, 0.0)])
 def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, falls):
-    config, seen = replace(TINY, log_std_init=-1.0, log_std_final=final), []
+    config = replace(TINY, log_std_init=-1.0, log_std_final=final)
+    seen = []
     model = build(scenario, "identified", config, 0)
     model.num_timesteps = ROLLOUT  # as after a student
     watch = ConvertCallback(lambda *_: seen.append(model.policy.log_std.item()) or True)
     model.learn(3 * ROLLOUT, callback=[Schedules(config), watch], reset_num_timesteps=False)
-    assert seen[:: TINY.n_steps] == pytest.approx([-1.0 - falls * k / 4 for k in (1, 2, 3)], abs=0.0 if falls else 0.1)
+    assert seen[:: TINY.n_steps] == pytest.approx(
+        [-1.0 - falls * k / 4 for k in (1, 2, 3)], abs=0.0 if falls else 0.1
+    )
     assert len(set(seen)) == 3 and model.policy.log_std.requires_grad == (final is None)
 
 
@@ -111,9 +126,15 @@ def test_resume_starts_new_courses_with_new_noise(saved, scenario):
 
 @pytest.mark.parametrize("key, asked", [("layer", 16), ("history", 2), ("activation", "tanh")])
 def test_resume_refuses_another_network_or_observation(saved, scenario, key, asked):
-    refused(lambda: resume(saved, scenario, "blind", TINY, 0, None), "observation 'identified', not 'blind'")
+    refused(
+        lambda: resume(saved, scenario, "blind", TINY, 0, None),
+        "observation 'identified', not 'blind'",
+    )
     config = replace(TINY, **{key: asked})
-    refused(lambda: resume(saved, scenario, "identified", config, 0, None), f"{key} {getattr(TINY, key)!r}, not")
+    refused(
+        lambda: resume(saved, scenario, "identified", config, 0, None),
+        f"{key} {getattr(TINY, key)!r}, not",
+    )
 
 
 def edit(path, **changes):
@@ -135,9 +156,17 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
 
 @pytest.mark.parametrize(
     "key, value",
-    [("mean", [0.0] * 5), ("var", [-1.0] * 22), ("clip", "ten"), ("observation", "identifed"), ("timesteps", 1.5),
-     ("scenario", {"course": {"lenght": 3}}), ("ppo", {"layers": 3}), ("new", 3)],
-)  # fmt: skip
+    [
+        ("mean", [0.0] * 5),
+        ("var", [-1.0] * 22),
+        ("clip", "ten"),
+        ("observation", "identifed"),
+        ("timesteps", 1.5),
+        ("scenario", {"course": {"lenght": 3}}),
+        ("ppo", {"layers": 3}),
+        ("new", 3),
+    ],
+)
 def test_a_description_with_a_wrong_entry(saved, key, value):
     edit(saved, **{key: value})
     refused(lambda: read_info(saved), "model.zip", INFO, "lenght" if key == "scenario" else key)
@@ -146,7 +175,9 @@ def test_a_description_with_a_wrong_entry(saved, key, value):
 def test_an_agent_of_a_rover_does_not_drive_a_wheel(tmp_path, scenario):
     path = tmp_path / "model.zip"
     save(build(load_rover("mars_rover"), "blind", TINY, 0), path)
-    refused(lambda: load_model(path, scenario), "an agent of a rover, for scenario 'mixed' of a wheel")
+    refused(
+        lambda: load_model(path, scenario), "an agent of a rover, for scenario 'mixed' of a wheel"
+    )
 
 
 @pytest.mark.parametrize("steps", [0, 3])
@@ -155,8 +186,10 @@ def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps
     save(build(scenario, "blind", replace(TINY, history=steps), 0), tmp_path / "model.zip")
     agent = load_model(tmp_path / "model.zip", scenario)
     rows = np.tile(observations(scenario, "blind", 1), (3, 1))
-    nan, beyond = rows.copy(), rows.copy()
-    nan[1, 3], beyond[2, 10] = np.nan, 1.5
+    nan = rows.copy()
+    beyond = rows.copy()
+    nan[1, 3] = np.nan
+    beyond[2, 10] = 1.5
     for given, said in (
         ((nan,), "observation[1]: load = nan: expected -10 to 10 (of weight)"),
         ((beyond,), "observation[2]: halted = 1.5: expected 0 to 1"),
@@ -168,9 +201,16 @@ def test_an_argument_that_predict_cannot_take_is_named(tmp_path, scenario, steps
     _, state = agent.predict(rows, None, np.ones(3, dtype=bool))
     assert agent.predict(rows, state, [False] * 3)[0].shape == (3, 1)
     if steps:
-        refused(lambda: agent.predict(rows[:2], state), "state: an array of shape", "expected what the last predict")
+        refused(
+            lambda: agent.predict(rows[:2], state),
+            "state: an array of shape",
+            "expected what the last predict",
+        )
         refused(lambda: agent.predict(rows, "x"), "state = 'x': expected")
-        refused(lambda: agent.predict(rows, np.full_like(state, np.nan)), "state: a number that is not finite")
+        refused(
+            lambda: agent.predict(rows, np.full_like(state, np.nan)),
+            "state: a number that is not finite",
+        )
 
 
 def small(algorithm, env):
@@ -181,19 +221,34 @@ def small(algorithm, env):
 @pytest.mark.parametrize("scaled", [True, False])
 @pytest.mark.parametrize(
     "algorithm, variant",
-    [(PPO, "blind"), (PPO, "true_soil"), (A2C, "blind"), (SAC, "blind"), (TD3, "blind"), (DDPG, "blind")],
+    [
+        (PPO, "blind"),
+        (PPO, "true_soil"),
+        (A2C, "blind"),
+        (SAC, "blind"),
+        (TD3, "blind"),
+        (DDPG, "blind"),
+    ],
 )
 def test_a_plain_model_acts_as_before(tmp_path, scenario, algorithm, variant, scaled):
     env = SoilWheelVecEnv(2, scenario, variant, scaled=scaled)
     model = small(algorithm, env)
     model.save(tmp_path / "any.zip")
-    loaded, x = load_model(tmp_path / "any.zip", scenario), observations(scenario, variant)
+    loaded = load_model(tmp_path / "any.zip", scenario)
+    x = observations(scenario, variant)
     assert loaded.variant == variant
-    np.testing.assert_array_equal(loaded.predict(x)[0], model.predict(env.scaling(x), deterministic=True)[0])
+    np.testing.assert_array_equal(
+        loaded.predict(x)[0], model.predict(env.scaling(x), deterministic=True)[0]
+    )
 
 
 def test_a_model_of_another_task_is_refused(tmp_path, scenario):
     small(A2C, "Pendulum-v1").save(tmp_path / "p.zip")
-    refused(lambda: load_model(tmp_path / "p.zip", scenario), "another observation layout: shape (3,)")
+    refused(
+        lambda: load_model(tmp_path / "p.zip", scenario), "another observation layout: shape (3,)"
+    )
     (tmp_path / "vecnormalize.pkl").touch()
-    refused(lambda: load_model(tmp_path / "p.zip", scenario), "trained with VecNormalize: evaluate a module:Class")
+    refused(
+        lambda: load_model(tmp_path / "p.zip", scenario),
+        "trained with VecNormalize: evaluate a module:Class",
+    )

@@ -43,11 +43,18 @@ def test_every_controller_drives_every_rover(name):
 def test_a_wheel_that_slips_is_slowed_down_alone(scenario):
     """The limiter asks less of the rear wheel, whose slip is over its limit, than of the others."""
     controller = make_rover_controller("slip_limiter", scenario, slip=0.3, acceleration=1.0)
-    even = {f"{axle}_{name}": 0.5 for axle in ("front", "middle", "rear") for name in ("rim_speed", "rim_command")}
-    state, fresh = None, np.array([True])
+    even = {
+        f"{axle}_{name}": 0.5
+        for axle in ("front", "middle", "rear")
+        for name in ("rim_speed", "rim_command")
+    }
+    state = None
+    fresh = np.array([True])
     for _ in range(5):
         slips = {"front_slip": 0.1, "middle_slip": 0.1, "rear_slip": 0.7}
-        action, state = controller.predict(observed("blind", 3, **even, **slips)[None], state, fresh)
+        action, state = controller.predict(
+            observed("blind", 3, **even, **slips)[None], state, fresh
+        )
         fresh = np.array([False])
     assert action[0, 2] < action[0, 0] == action[0, 1]
 
@@ -62,14 +69,19 @@ def test_torques_go_by_the_loads(scenario):
 def test_velocity_is_synchronised_with_the_turning_body(scenario):
     """While the body pitches, axles far from its centre go faster; the speeds are those of a rigid body."""
     controller = make_rover_controller("velocity_sync", scenario, acceleration=10.0)
-    state, fresh, pitch = None, np.array([True]), 0.0
+    state = None
+    fresh = np.array([True])
+    pitch = 0.0
     for _ in range(41):
-        before, seen = state, observed("blind", 3, speed=0.3, pitch=pitch)[None]
+        before = state
+        seen = observed("blind", 3, speed=0.3, pitch=pitch)[None]
         _, state = controller.predict(seen, before, fresh)
-        fresh, pitch = np.array([False]), pitch + 0.05
+        fresh = np.array([False])
+        pitch = pitch + 0.05
     wheels = seen[:, controller._columns].reshape(3, -1)
     rims = controller.rim_speeds(seen, wheels, dict(before))
-    rate, speed = 0.05 / controller.own.period, 0.3 * controller.own.top_speed
+    rate = 0.05 / controller.own.period
+    speed = 0.3 * controller.own.top_speed
     going = np.hypot(speed, rate * controller.arms)
     assert rims / rims.max() == pytest.approx(going / going.max(), rel=0.02)
     assert rims.max() / rims.min() > 1.02
@@ -78,8 +90,16 @@ def test_velocity_is_synchronised_with_the_turning_body(scenario):
 def test_best_slip_reads_the_soil_under_each_wheel(scenario):
     """A soft shear modulus needs more slip: on it the limit of the slip is higher."""
     controller = make_rover_controller("best_slip_true", scenario)
-    soil = {"friction_angle": 0.55, "log10_sinkage_coefficient": 6.0, "sinkage_exponent": 1.0, "dig_gain": 2.0,
-            "dig_recovery": 0.5, "cohesion": 0.5, "log10_shear_modulus": -2.3, "load": 1.0}  # fmt: skip
+    soil = {
+        "friction_angle": 0.55,
+        "log10_sinkage_coefficient": 6.0,
+        "sinkage_exponent": 1.0,
+        "dig_gain": 2.0,
+        "dig_recovery": 0.5,
+        "cohesion": 0.5,
+        "log10_shear_modulus": -2.3,
+        "load": 1.0,
+    }
     known = {f"{axle}_{k}": v for axle in ("front", "middle", "rear") for k, v in soil.items()}
     seen = observed("true_soil", 3, **known | {"rear_log10_shear_modulus": -1.5})[None]
     _, state = controller.predict(seen, None, np.array([True]))
@@ -88,20 +108,47 @@ def test_best_slip_reads_the_soil_under_each_wheel(scenario):
 
 def test_energy_is_of_both_sides(scenario):
     """Work of the motors over distance, less slip, is that of the climb and of motion resistance of the whole rover."""
-    easy = load_rover("mars_rover", SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "margin": [0.1, 0.1]}})
+    easy = load_rover(
+        "mars_rover",
+        SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "margin": [0.1, 0.1]}},
+    )
     runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
     climb = 899.0 * 3.71 * np.sin(np.radians(8.0))
     work = runs.metric("energy_per_metre") * (1.0 - runs.slip)
     assert np.all(work > 1.5 * climb) and np.all(work < 3.0 * climb)
 
 
-SMALL = ["--timesteps", "512", "--courses", "6", "--tuning_courses", "2", "--changes.course.length", "2",
-         "--changes.control.time_limit", "10", "--ppo.num_envs", "8", "--ppo.n_steps", "32", "--ppo.batch_size", "64",
-         "--ppo.n_epochs", "1", "--ppo.layer", "8"]  # fmt: skip
+SMALL = [
+    "--timesteps",
+    "512",
+    "--courses",
+    "6",
+    "--tuning_courses",
+    "2",
+    "--changes.course.length",
+    "2",
+    "--changes.control.time_limit",
+    "10",
+    "--ppo.num_envs",
+    "8",
+    "--ppo.n_steps",
+    "32",
+    "--ppo.batch_size",
+    "64",
+    "--ppo.n_epochs",
+    "1",
+    "--ppo.layer",
+    "8",
+]
 
 
 def test_train_writes_the_comparison(tmp_path):
-    assert main(["train", "--config", "rover.yaml", "--name", "small", "--runs", str(tmp_path), *SMALL]) == 0
+    assert (
+        main(
+            ["train", "--config", "rover.yaml", "--name", "small", "--runs", str(tmp_path), *SMALL]
+        )
+        == 0
+    )
     result = json.loads((tmp_path / "small" / comparison.DONE).read_text())
     assert set(result["controllers"]) == {*ROVER_CONTROLLERS, "agent_identified"}
     for metrics in result["controllers"].values():
@@ -120,6 +167,8 @@ def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
 
 def test_a_training_without_identification_is_refused_before_it_begins():
     """A controller that the agent is compared with reads the identified soil."""
-    config = TrainConfig(observation="blind", changes={"belief": {"method": "none"}}, rover="mars_rover")
+    config = TrainConfig(
+        observation="blind", changes={"belief": {"method": "none"}}, rover="mars_rover"
+    )
     with pytest.raises(ParameterError, match="best_slip_identified"):
         training.scenario_of(config)

@@ -15,10 +15,14 @@ KINDS = [(SoilWheelVecEnv, SoilWheelVectorEnv), (SoilRoverVecEnv, SoilRoverVecto
 @pytest.mark.parametrize("own, native", KINDS, ids=["wheel", "rover"])
 def test_every_number_is_that_of_the_vector_environment(own, native):
     changes = {"control": {"time_limit": 6.0}, "limits": {"no_progress_time": 0.5}}
-    env, other = own(4, **changes), native(4, autoreset_mode=AutoresetMode.SAME_STEP, **changes)
+    env = own(4, **changes)
+    other = native(4, autoreset_mode=AutoresetMode.SAME_STEP, **changes)
     env.seed(11)
     np.testing.assert_array_equal(env.reset(), other.reset(seed=11)[0])
-    rng, ends, returns, lengths = np.random.default_rng(3), 0, np.zeros(4), np.zeros(4)
+    rng = np.random.default_rng(3)
+    ends = 0
+    returns = np.zeros(4)
+    lengths = np.zeros(4)
     for _ in range(100):
         actions = rng.uniform(-0.2, 1.0, other.action_space.shape).astype(np.float32)
         seen, rewards, done, infos = env.step(actions)
@@ -26,12 +30,15 @@ def test_every_number_is_that_of_the_vector_environment(own, native):
         np.testing.assert_array_equal(seen, observation)
         np.testing.assert_array_equal(rewards, reward.astype(np.float32))
         np.testing.assert_array_equal(done, terminated | truncated)
-        returns, lengths = returns + reward, lengths + 1
+        returns = returns + reward
+        lengths = lengths + 1
         for k in np.flatnonzero(done):
             np.testing.assert_array_equal(infos[k]["terminal_observation"], info["final_obs"][k])
             assert infos[k]["cause"] == Cause(info["final_info"]["cause"][k]).name
             assert infos[k]["TimeLimit.truncated"] is False
             assert infos[k]["episode"]["r"] == pytest.approx(returns[k], rel=1e-9)
             assert infos[k]["episode"]["l"] == lengths[k]
-            returns[k], lengths[k], ends = 0.0, 0, ends + 1
+            returns[k] = 0.0
+            lengths[k] = 0
+            ends = ends + 1
     assert ends >= 4

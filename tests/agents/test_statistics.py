@@ -9,7 +9,9 @@ from scipy import stats
 from agents.evaluate import statistics as st
 
 SCORES = arrays(
-    float, hs.tuples(hs.integers(1, 5), hs.integers(1, 12)), elements=hs.integers(-3, 3).map(lambda x: x / 2)
+    float,
+    hs.tuples(hs.integers(1, 5), hs.integers(1, 12)),
+    elements=hs.integers(-3, 3).map(lambda x: x / 2),
 )
 
 
@@ -20,8 +22,13 @@ def drawn(scores, resamples=103, seed=3, name="a"):
 
 @given(SCORES, hs.integers(1, 4), hs.randoms(use_true_random=False))
 def test_probability_of_improvement_is_the_mann_whitney_statistic(a, members, random):
-    b = np.array([[random.choice((-1.0, 0.0, 0.5, 2.0)) for _ in range(a.shape[1])] for _ in range(members)])
-    u = [stats.mannwhitneyu(x, y, method="asymptotic").statistic for x, y in zip(a.T, b.T, strict=True)]
+    b = np.array(
+        [[random.choice((-1.0, 0.0, 0.5, 2.0)) for _ in range(a.shape[1])] for _ in range(members)]
+    )
+    u = [
+        stats.mannwhitneyu(x, y, method="asymptotic").statistic
+        for x, y in zip(a.T, b.T, strict=True)
+    ]
     got = st.probability_of_improvement(a, b)
     assert got == pytest.approx(np.mean(u) / (len(a) * len(b)), abs=1e-12)
     assert got + st.probability_of_improvement(b, a) == pytest.approx(1.0)
@@ -31,16 +38,21 @@ def test_probability_of_improvement_is_the_mann_whitney_statistic(a, members, ra
 @given(SCORES)
 def test_statistics_of_draws_are_those_of_the_scores_written_out(a):
     """With every member and every course repeated as often as it was drawn."""
-    b, holes = a[::-1, ::-1] + 0.25, np.where(a > 1.0, np.nan, a)  # not defined on some courses
+    b = a[::-1, ::-1] + 0.25  # not defined on some courses
+    holes = np.where(a > 1.0, np.nan, a)
     (members, courses), (others, _) = drawn(a), drawn(b, name="b")
-    iqms, means = st.iqm_samples(a, members, courses), st.mean_samples(holes, members, courses)
+    iqms = st.iqm_samples(a, members, courses)
+    means = st.mean_samples(holes, members, courses)
     improvements = st.improvement_samples(a, b, members, others, courses)
     for k in range(len(courses)):
         columns = np.repeat(np.arange(a.shape[1]), courses[k].astype(int))
         own, other = (np.repeat(np.arange(len(m)), m.astype(int)) for m in (members[k], others[k]))
-        x, y = a[np.ix_(own, columns)], b[np.ix_(other, columns)]
+        x = a[np.ix_(own, columns)]
+        y = b[np.ix_(other, columns)]
         assert iqms[k] == pytest.approx(stats.trim_mean(x, 0.25, axis=None), abs=1e-12)
-        assert means[k] == pytest.approx(st.mean(holes[np.ix_(own, columns)]), abs=1e-12, nan_ok=True)
+        assert means[k] == pytest.approx(
+            st.mean(holes[np.ix_(own, columns)]), abs=1e-12, nan_ok=True
+        )
         assert improvements[k] == pytest.approx(st.probability_of_improvement(x, y), abs=1e-12)
 
 
@@ -49,7 +61,9 @@ def test_draws_are_whole_and_those_of_the_members_are_of_their_name():
     np.testing.assert_array_equal(draws.courses.sum(axis=1), 40)
     members = draws.members("ppo", 5)
     np.testing.assert_array_equal(members.sum(axis=1), 5)
-    assert (members != draws.members("sac", 5)).any() and (draws.courses != st.draws(6, 40, 100).courses).any()
+    assert (members != draws.members("sac", 5)).any() and (
+        draws.courses != st.draws(6, 40, 100).courses
+    ).any()
 
 
 def test_the_interval_holds_the_middle_95_percent():
@@ -61,9 +75,15 @@ def test_the_interval_holds_the_middle_95_percent():
 
 def test_two_way_draws_cover_the_luck_of_training():
     """10 training seeds, each better or worse on all courses alike; the truth is the mean over seeds and courses."""
-    rng, covered, trials = np.random.default_rng(2), 0, 120
+    rng = np.random.default_rng(2)
+    covered = 0
+    trials = 120
     for t in range(trials):
-        scores = rng.normal(0.0, 1.0, (10, 1)) + rng.normal(0.0, 1.0, (1, 30)) + rng.normal(0.0, 0.5, (10, 30))
+        scores = (
+            rng.normal(0.0, 1.0, (10, 1))
+            + rng.normal(0.0, 1.0, (1, 30))
+            + rng.normal(0.0, 0.5, (10, 30))
+        )
         members, courses = drawn(scores, resamples=200, seed=t)
         low, high = st.interval(st.mean(scores), st.mean_samples(scores, members, courses))
         covered += low <= 0.0 <= high
@@ -72,12 +92,19 @@ def test_two_way_draws_cover_the_luck_of_training():
 
 @pytest.mark.parametrize("alone", [0.0, 0.01, 0.05, 0.2])
 def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone):
-    rng, covered, trials = np.random.default_rng(3), 0, 200
+    rng = np.random.default_rng(3)
+    covered = 0
+    trials = 200
     for t in range(trials):
-        u, both = rng.random((1, 60)), rng.random((1, 60)) < 0.8
-        a, b = (np.where(u < 2.0 * alone, own, both).astype(float) for own in (u < alone, u >= alone))
+        u = rng.random((1, 60))
+        both = rng.random((1, 60)) < 0.8
+        a, b = (
+            np.where(u < 2.0 * alone, own, both).astype(float) for own in (u < alone, u >= alone)
+        )
         (members, courses), (others, _) = drawn(a, 200, t), drawn(b, 200, t, "b")
-        got = st.difference_bounds(a, b, st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses))
+        got = st.difference_bounds(
+            a, b, st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses)
+        )
         assert got["low"] < got["value"] < got["high"]
         covered += got["low"] <= 0.0 <= got["high"]
     assert covered / trials > 0.92

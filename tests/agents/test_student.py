@@ -21,7 +21,10 @@ def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
     worlds = hidden_worlds(scenario, 2, 0)
     envs = normalised(scenario, "identified", CONFIG, 3, worlds).unwrapped
-    plain = [SoilWheelVecEnv(8, scenario, "true_soil", model=world, scaled=False, threads=1) for world in worlds]
+    plain = [
+        SoilWheelVecEnv(8, scenario, "true_soil", model=world, scaled=False, threads=1)
+        for world in worlds
+    ]
     envs.seed(5)
     envs.reset()
     for k, env in enumerate(plain):
@@ -37,7 +40,8 @@ def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
 
 def test_returns_are_those_of_courses_that_have_ended():
     kept = student.Lessons(2, 1, 4)
-    rewards, dones = np.arange(12.0).reshape(6, 2), np.zeros((6, 2), dtype=bool)
+    rewards = np.arange(12.0).reshape(6, 2)
+    dones = np.zeros((6, 2), dtype=bool)
     dones[4, 0] = True
     for reward, done in zip(rewards, dones, strict=True):  # the last four are kept, from place 2 on
         kept.add(reward=reward, done=done)
@@ -54,9 +58,11 @@ def test_a_student_comes_near_its_teacher(monkeypatch):
     model = ppo.build(load_scenario("two_lines"), "true_soil", CONFIG, 0)
     student.teach(model, 20_000, 0)
     assert model.num_timesteps == 20 * student.ROUND * 16
-    env, fresh = model.get_vec_normalize_env(), np.ones(16, bool)
+    env = model.get_vec_normalize_env()
+    fresh = np.ones(16, bool)
     teachers = Teachers(env.unwrapped)
-    seen, errors = env.reset(), []
+    seen = env.reset()
+    errors = []
     for _ in range(150):
         taught, weight = teachers.lesson(fresh)
         action = model.predict(seen, deterministic=True)[0][:, 0]
@@ -69,7 +75,8 @@ def test_a_rover_has_a_student():
     """Its teacher sees what a rover with the true soil observes; the student learns an action for each axle."""
     rover = load_rover("mars_rover", {"course": {"length": 3.0}, "control": {"time_limit": 20.0}})
     model = ppo.build(rover, "blind", CONFIG, 0)
-    env, plain = model.get_env().unwrapped, SoilRoverVecEnv(16, rover, "true_soil", scaled=False, threads=1)
+    env = model.get_env().unwrapped
+    plain = SoilRoverVecEnv(16, rover, "true_soil", scaled=False, threads=1)
     env.seed(5), plain.seed(5)
     env.reset(), plain.reset()
     for _ in range(20):
@@ -92,9 +99,15 @@ def test_the_same_seed_gives_the_same_student():
 
 def test_leaving_the_teacher_costs_the_square_of_the_difference_of_action():
     """Rewards of the same drive, with the penalty and without; courses end on the way, some in hidden worlds."""
-    scenario, rng = load_scenario("two_lines", {"course": {"length": 1.0}}), np.random.default_rng(0)
-    envs = [normalised(scenario, "identified", CONFIG, 3, hidden_worlds(scenario, 2, 0)) for _ in range(2)]
-    teachers, fresh, ends = Teachers(envs[0].unwrapped), np.ones(16, bool), 0
+    scenario = load_scenario("two_lines", {"course": {"length": 1.0}})
+    rng = np.random.default_rng(0)
+    envs = [
+        normalised(scenario, "identified", CONFIG, 3, hidden_worlds(scenario, 2, 0))
+        for _ in range(2)
+    ]
+    teachers = Teachers(envs[0].unwrapped)
+    fresh = np.ones(16, bool)
+    ends = 0
     for env, weight in zip(envs, (0.0, 0.5), strict=True):
         env.reset()
         env.penalise(weight)
@@ -111,7 +124,8 @@ def test_leaving_the_teacher_costs_the_square_of_the_difference_of_action():
 
 def test_the_penalty_fades_until_half_of_the_training():
     model = ppo.build(load_scenario("two_lines"), "identified", CONFIG, 0)
-    env, weights = model.get_vec_normalize_env(), []
+    env = model.get_vec_normalize_env()
+    weights = []
     watch = ConvertCallback(lambda *_: weights.append(env.penalty_weight) or True)
     model.learn(8 * 256, callback=[ppo.Schedules(CONFIG, 0.4), watch])
     assert weights[::16] == pytest.approx([0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0, 0.0])

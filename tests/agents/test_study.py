@@ -27,7 +27,10 @@ WORLDS = config_dir() / "worlds"
 PPO = {"num_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1, "layer": 4, "threads": 1}
 CONFIG = {
     "changes": {"course": {"length": 2.0}, "control": {"time_limit": 6.0}},
-    "scenarios": {"mixed": {}, "elsewhere": {"scenario": "unseen", "trained_on": "mixed", "model": "effect.yaml"}},
+    "scenarios": {
+        "mixed": {},
+        "elsewhere": {"scenario": "unseen", "trained_on": "mixed", "model": "effect.yaml"},
+    },
     "controllers": ["full_throttle", "soft_start"],
     "train": {"timesteps": 192, "checkpoint_every": 64, "ppo": PPO},
     "arms": {
@@ -36,8 +39,11 @@ CONFIG = {
         "given": {"controller": "soft_start", "settings": {"speed": 0.2}},
         "mine": {"controller": "tests.agents.drivers:Half"},
     },
-    "seeds": 2, "courses": 6, "tuning_courses": 1, "resamples": 50,
-}  # fmt: skip
+    "seeds": 2,
+    "courses": 6,
+    "tuning_courses": 1,
+    "resamples": 50,
+}
 
 
 def config(folder, **changes):
@@ -86,32 +92,49 @@ def test_every_arm_is_compared_on_every_scenario(finished):
     for name, entry in result["scenarios"].items():
         assert list(entry["controllers"]) == ["full_throttle", "soft_start", *CONFIG["arms"]]
         assert entry["trained_on"] == "mixed" and bool(entry["model"]) == (name == "elsewhere")
-        assert entry["members"] == {a: 2 if a in ("identified", "true_soil") else 1 for a in entry["controllers"]}
-    assert result["settings"]["mixed-soft_start-0"].keys() == CONTROLLERS["soft_start"].bounds.keys()
+        assert entry["members"] == {
+            a: 2 if a in ("identified", "true_soil") else 1 for a in entry["controllers"]
+        }
+    assert (
+        result["settings"]["mixed-soft_start-0"].keys() == CONTROLLERS["soft_start"].bounds.keys()
+    )
     assert result["settings"]["mixed-given-0"] == {"speed": 0.2}
 
 
 def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
     """The numbers are those of the saved models and settings on the held-out courses, in the world of the scenario."""
-    asked, result = cells.load_study(Study, finished), read(finished)
-    settings, seeds = result["settings"]["mixed-soft_start-0"], []
+    asked = cells.load_study(Study, finished)
+    result = read(finished)
+    settings = result["settings"]["mixed-soft_start-0"]
+    seeds = []
     for name, target in asked.targets.items():
 
         def drive(controller, target=target):
-            return run_courses(controller, target.scenario, asked.held_out, 6, model=target.world).returns.mean()
+            return run_courses(
+                controller, target.scenario, asked.held_out, 6, model=target.world
+            ).returns.mean()
 
         by_seed = {arm: own["return"] for arm, own in result["scenarios"][name]["by_seed"].items()}
         for k in (0, 1):
             folder = finished / "trained" / f"mixed-identified-{k}"
             trained, scenario = open_run(folder)
-            assert trained.hidden_worlds == 1 and trained.ppo.history == 2 and scenario.control.time_limit == 6.0
+            assert (
+                trained.hidden_worlds == 1
+                and trained.ppo.history == 2
+                and scenario.control.time_limit == 6.0
+            )
             seeds.append(trained.seed)
-            assert by_seed["identified"][k] == pytest.approx(drive(load_model(folder / "model.zip", target.scenario)))
+            assert by_seed["identified"][k] == pytest.approx(
+                drive(load_model(folder / "model.zip", target.scenario))
+            )
         soft = make_controller("soft_start", target.scenario, **settings)
         assert by_seed["soft_start"] == [pytest.approx(drive(soft))]
         assert by_seed["true_soil"][0] != by_seed["true_soil"][1]
     assert abs(seeds[0] - seeds[1]) > 65536  # wheel k of a training has seed + k
-    assert asked.targets["elsewhere"].world.effects == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
+    assert (
+        asked.targets["elsewhere"].world.effects
+        == WheelSoilModel.load(WORLDS / "bulldozing.yaml").effects
+    )
 
 
 @pytest.mark.usefixtures("unrendered")
@@ -136,14 +159,24 @@ def test_lost_cells_are_done_again_and_give_the_same(finished, copied, elsewhere
 
 @pytest.mark.usefixtures("unrendered")
 def test_a_study_grows_by_seeds_and_by_nothing_else(finished, copied, tmp_path, capsys):
-    assert "tuning_courses" in refused(capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied)
-    assert "arms" in refused(capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100")
-    assert "option --sedes; did you mean '--seeds'?" in refused(capsys, "--out", copied, "--sedes", "3")
+    assert "tuning_courses" in refused(
+        capsys, "--config", config(tmp_path, tuning_courses=2), "--out", copied
+    )
+    assert "arms" in refused(
+        capsys, "--config", config(tmp_path), "--out", copied, "--train.timesteps", "100"
+    )
+    assert "option --sedes; did you mean '--seeds'?" in refused(
+        capsys, "--out", copied, "--sedes", "3"
+    )
     assert "only with --config" in refused(capsys, "--out", copied, "--train.timesteps", "3")
-    assert "holds no study" in refused(capsys, "--config", config(tmp_path), "--out", copied / "cells")
+    assert "holds no study" in refused(
+        capsys, "--config", config(tmp_path), "--out", copied / "cells"
+    )
     assert "no such folder" in refused(capsys, "--out", tmp_path / "none")
     assert main(["--out", copied, "--seeds", "3"]) == 0
-    old, new = (read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied))
+    old, new = (
+        read(f)["scenarios"]["mixed"]["by_seed"]["true_soil"]["return"] for f in (finished, copied)
+    )
     assert len(new) == 3 and new[:2] == old
 
 
@@ -158,7 +191,9 @@ def test_results_of_an_unfinished_study(copied, capsys):
 def test_an_arm_is_made_in_its_world(tmp_path):
     """Without a world in that of its scenario; of a model that discovery has fitted only the effects count."""
     term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
-    fitted = WheelSoilModel(ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,))
+    fitted = WheelSoilModel(
+        ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,)
+    )
     fitted.save(tmp_path / "found.yaml")
     arms = {"plain": {"world": "none"}, "corrected": {"world": "found"}, "own": {}}
     changes = {
@@ -167,7 +202,9 @@ def test_an_arm_is_made_in_its_world(tmp_path):
     }
     path = config(tmp_path, controllers=[], arms=arms, seeds=1, **changes)
     assert main(["--config", path, "--out", tmp_path / "out"]) == 0
-    worlds = {name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms}
+    worlds = {
+        name: open_run(tmp_path / "out" / "trained" / f"mixed-{name}-0")[0].world for name in arms
+    }
     assert worlds["plain"] is None and list(worlds["own"].effects["bulldozing"]) == ["hegedus"]
     found = worlds["corrected"]
     assert found.effects == fitted.effects and found.soil is None and found.residual == ()
@@ -177,11 +214,20 @@ def test_an_arm_is_made_in_its_world(tmp_path):
 def test_a_study_of_a_rover(tmp_path):
     changes = {"course": {"length": 2.0}, "control": {"time_limit": 8.0}}
     train = {"timesteps": 128, "ppo": {**PPO, "history": 0}}
-    moon, arms = {"moon": {"rover": "lunar_micro_rover"}}, {"blind": {"train": {"observation": "blind"}}}
-    own = {"scenarios": moon, "changes": changes, "train": train, "arms": arms, "controllers": ["torque_by_load"]}
+    moon = {"moon": {"rover": "lunar_micro_rover"}}
+    arms = {"blind": {"train": {"observation": "blind"}}}
+    own = {
+        "scenarios": moon,
+        "changes": changes,
+        "train": train,
+        "arms": arms,
+        "controllers": ["torque_by_load"],
+    }
     assert main(["--config", config(tmp_path, seeds=1, **own), "--out", tmp_path / "out"]) == 0
     entry = read(tmp_path / "out")["scenarios"]["moon"]
-    assert list(entry["controllers"]) == ["torque_by_load", "blind"] and "fighting" in entry["metrics"]
+    assert (
+        list(entry["controllers"]) == ["torque_by_load", "blind"] and "fighting" in entry["metrics"]
+    )
     assert "wheel_force" in entry["paired"]["blind"]["torque_by_load"]
 
 
@@ -192,7 +238,9 @@ def test_the_shipped_configs_can_be_read(name):
     if name == "study.yaml":
         assert set(CONTROLLERS) < set(study.arms) and study.fed_by("mixed") == ["mixed", "unseen"]
         mixed, unseen = (study.targets[name] for name in ("mixed", "unseen"))
-        assert unseen.world is not None and not set(mixed.scenario.soils) & set(unseen.scenario.soils)
+        assert unseen.world is not None and not set(mixed.scenario.soils) & set(
+            unseen.scenario.soils
+        )
     if name == "study_rover.yaml":
         assert set(ROVER_CONTROLLERS) < set(study.arms)
 
@@ -202,12 +250,18 @@ def test_the_shipped_configs_can_be_read(name):
     [
         ({"scenarios": {"mixd": {}}}, "study.yaml: scenarios.mixd: scenario: unknown value"),
         ({"scenarios": {"mixed": {}, "unseen": {"trained_on": "stiky"}}}, "stiky"),
-        ({"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}}, "study.yaml: scenarios.mixed.changes"),
+        (
+            {"scenarios": {"mixed": {"changes": {"course": {"lenght": 1}}}}},
+            "study.yaml: scenarios.mixed.changes",
+        ),
         ({"arms": {}, "controllers": []}, "one arm"),
         ({"arms": {"a-b": {}}}, "a-b"),
         ({"arms": {"a": {"train": {"seed": 1}}}}, "arms.a.train.seed: the study sets it"),
         ({"arms": {"a": {"controller": "soft_start", "train": {"seed": 1}}}}, "not both"),
-        ({"arms": {"a": {"world": "nowhere"}}}, "arms.a: world: unknown value 'nowhere' (expected none)"),
+        (
+            {"arms": {"a": {"world": "nowhere"}}},
+            "arms.a: world: unknown value 'nowhere' (expected none)",
+        ),
         ({"arms": {"a": {"controller": "nomod:Thing"}}}, "nomod:Thing: cannot be imported"),
         ({"sead": 1}, "study.yaml: unknown key 'sead'; did you mean 'seeds'"),
     ],
@@ -220,9 +274,12 @@ def test_a_bad_config_is_refused_in_one_line(tmp_path, capsys, changes, said):
 
 @pytest.mark.parametrize(
     ("changes", "expected"),
-    [({"effects": {}}, "no effects"), ({"wheel": {"radius": 0.3, "width": 0.15}}, "that of scenario"),
-     ({"soil": dataclasses.asdict(soils()["dry_sand"])}, "expected no soil")],
-)  # fmt: skip
+    [
+        ({"effects": {}}, "no effects"),
+        ({"wheel": {"radius": 0.3, "width": 0.15}}, "that of scenario"),
+        ({"soil": dataclasses.asdict(soils()["dry_sand"])}, "expected no soil"),
+    ],
+)
 def test_bad_worlds_are_refused_in_one_line(changes, expected, tmp_path, capsys):
     path = config(tmp_path, scenarios={"mixed": {"model": "world.yaml"}})
     world = yaml.safe_load((tmp_path / "effect.yaml").read_text()) | changes

@@ -18,8 +18,12 @@ from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
 FILES = {
-    "config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison",
-}  # fmt: skip
+    "config.yaml",
+    "scenario.yaml",
+    "model.zip",
+    "tensorboard",
+    "comparison",
+}
 TINY = (
     "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "
     "--courses=4 --tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
@@ -54,24 +58,35 @@ def steps_logged(folder):
 @pytest.mark.usefixtures("unrendered")
 def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     """The command line goes over the file; resumed, a finished run does nothing, and compares again what is missing."""
-    file, folder = tmp_path / "my.yaml", tmp_path / "r" / "n"
+    file = tmp_path / "my.yaml"
+    folder = tmp_path / "r" / "n"
     file.write_text(
         "courses: 9\nseed: 4\nppo: {gamma: 0.9, layer: 6}\nchanges: {course: {length: 3}}\noracle_courses: 2"
     )
     more = ["--ppo.gamma", "0.95", "--changes.course.margin", "[0.02, 0.04]"]
-    code, _, err = run(capsys, "--config", file, *TINY, *more, "--runs", folder.parent, "--name", "n")
+    code, _, err = run(
+        capsys, "--config", file, *TINY, *more, "--runs", folder.parent, "--name", "n"
+    )
     assert code == 0 and "Warning" not in err, err
     assert {p.name for p in folder.iterdir()} == FILES
     mapping = yaml.safe_load((folder / "config.yaml").read_text())
     config = load_config(mapping, "")
-    assert mapping.keys() == to_dict(config).keys() and mapping["ppo"].keys() == to_dict(config.ppo).keys()
+    assert (
+        mapping.keys() == to_dict(config).keys()
+        and mapping["ppo"].keys() == to_dict(config.ppo).keys()
+    )
     assert (config.courses, config.seed, config.ppo.gamma, config.ppo.layer) == (4, 4, 0.95, 8)
-    scenario, agent = load_scenario(folder / "scenario.yaml"), load_agent(folder)
+    scenario = load_scenario(folder / "scenario.yaml")
+    agent = load_agent(folder)
     assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
     assert scenario.control.time_limit == 5.0 and agent.info.task == scenario
     assert agent.timesteps == 256 and agent.name == "agent_identified"
     result = json.loads((folder / comparison.DONE).read_text())
-    assert result["scenario"] == "two_lines" and result["courses"] == 4 and result["limit"]["courses"] == 2
+    assert (
+        result["scenario"] == "two_lines"
+        and result["courses"] == 4
+        and result["limit"]["courses"] == 2
+    )
     assert set(result["controllers"]) == {*CONTROLLERS, "default_policy", "agent_identified"}
     assert all(set(METRICS) <= set(row) for row in result["controllers"].values())
 
@@ -88,14 +103,36 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
 def test_the_verdict_is_against_the_best_that_does_not_know_the_soil():
     rates = {"agent_blind": 0.9, "soft_start": 0.89, "full_throttle": 0.5, "best_slip_true": 0.93}
     rows = {name: {"finished": {"value": x}} for name, x in rates.items()}
-    paired = {"agent_blind": {"soft_start": {"finished": {"value": 0.01, "low": -0.02, "high": 0.04}}}}
+    paired = {
+        "agent_blind": {"soft_start": {"finished": {"value": 0.01, "low": -0.02, "high": 0.04}}}
+    }
     text = comparison.verdict({"controllers": rows, "paired": paired}, "agent_blind")
-    assert "agent_blind against soft_start" in text and "+1.0 [-2.0, +4.0] percentage points" in text
+    assert (
+        "agent_blind against soft_start" in text and "+1.0 [-2.0, +4.0] percentage points" in text
+    )
 
 
 def test_overrides_are_read_as_yaml_and_names_as_text():
-    arguments = ["--a", "1", "--b.c=x=y", "--b.d", "[1, 2]", "--e-f", "1e6", "--g", "-3", "--h", "{"]
-    assert cli.overrides(arguments) == {"a": 1, "b": {"c": "x=y", "d": [1, 2]}, "e_f": "1e6", "g": -3, "h": "{"}
+    arguments = [
+        "--a",
+        "1",
+        "--b.c=x=y",
+        "--b.d",
+        "[1, 2]",
+        "--e-f",
+        "1e6",
+        "--g",
+        "-3",
+        "--h",
+        "{",
+    ]
+    assert cli.overrides(arguments) == {
+        "a": 1,
+        "b": {"c": "x=y", "d": [1, 2]},
+        "e_f": "1e6",
+        "g": -3,
+        "h": "{",
+    }
     for value in ("7", "2026-11-20", "on", "null", "[a", ""):
         assert load_config(cli.overrides(["--name", value]), "command line").name == value
 
@@ -108,13 +145,22 @@ REFUSED = [  # (options, parts of the message)
     (["--courses"], ["courses", "value"]),
     (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
     (["--ppo.gamma", "1", "--ppo.gamma=0.9"], ["--ppo.gamma: given twice: expected one value"]),
-    (["--resum=x.yaml"], ["unknown key 'resum'"]),  # no abbreviations: a misspelt key is no other option
+    (
+        ["--resum=x.yaml"],
+        ["unknown key 'resum'"],
+    ),  # no abbreviations: a misspelt key is no other option
     (["--name", "a/b"], ["a/b", "name"]),
-    (["--config", "smoke.yaml", "--rover", "mars_rover"], ["smoke.yaml, command line: oracle_courses = 2: expected"]),
+    (
+        ["--config", "smoke.yaml", "--rover", "mars_rover"],
+        ["smoke.yaml, command line: oracle_courses = 2: expected"],
+    ),
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
-    (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),  # it would be the default training of hours
+    (
+        ["--config", "d.yaml"],
+        ["d.yaml: is empty: expected keys"],
+    ),  # it would be the default training of hours
 ]
 
 
@@ -145,8 +191,18 @@ class Killed(BaseException):
 @pytest.mark.parametrize("end", [KeyboardInterrupt, Killed])
 def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
     """In the third of four rollouts: Ctrl-C writes a checkpoint there, after a kill the last one counts."""
-    step, calls, folder = SoilWheelVecEnv.step_wait, [], tmp_path / "n"
-    asked = [*TINY[1:], "--timesteps=512", f"--checkpoint_every={ROLLOUT}", "--runs", tmp_path, "--name", "n"]
+    step = SoilWheelVecEnv.step_wait
+    calls = []
+    folder = tmp_path / "n"
+    asked = [
+        *TINY[1:],
+        "--timesteps=512",
+        f"--checkpoint_every={ROLLOUT}",
+        "--runs",
+        tmp_path,
+        "--name",
+        "n",
+    ]
 
     def stopped(self):
         calls.append(1)
@@ -176,7 +232,10 @@ def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, e
 
 def test_a_shipped_config_is_found_by_its_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps == 8192
+    assert (
+        load_config(yaml.safe_load(cli.config_file("smoke.yaml").read_text()), "x").timesteps
+        == 8192
+    )
     (tmp_path / "smoke.yaml").write_text("timesteps: 5\n")
     assert cli.config_file("smoke.yaml") == Path("smoke.yaml")
     assert cli.config_file("no/smoke.yaml") == Path("no/smoke.yaml")

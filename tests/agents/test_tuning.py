@@ -31,26 +31,40 @@ def test_every_range_lies_within_the_bounds_of_its_setting(vehicle):
     top = scenario.wheel.radius * scenario.wheel.no_load_speed
     for name, controller in CONTROLLERS.items():
         for end in (0, 1):
-            ranges = {key: s.tuned[end] * (top if s.rim_speed else 1.0) for key, s in controller.bounds.items()}
+            ranges = {
+                key: s.tuned[end] * (top if s.rim_speed else 1.0)
+                for key, s in controller.bounds.items()
+            }
             make_controller(name, scenario, **ranges)
         assert all(s.tuned[0] <= s.default <= s.tuned[1] for s in controller.bounds.values()), name
 
 
 def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
-    chosen, space = tuned_settings(SHORT, 8, ("constant_torque",)), CONTROLLERS["constant_torque"].bounds
+    chosen = tuned_settings(SHORT, 8, ("constant_torque",))
+    space = CONTROLLERS["constant_torque"].bounds
     trials = tuning.tried("constant_torque", space, 6, SHORT, 8, None, None, lambda count: None)
     best = max(trials, key=lambda t: (t["finished"], t["return"]))
-    assert chosen == {"constant_torque": {"share": best["share"]}} and len({t["finished"] for t in trials}) > 1
-    runs = run_courses(make_controller("constant_torque", SHORT, share=best["share"]), SHORT, TUNING_SET, 8)
-    assert runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
+    assert (
+        chosen == {"constant_torque": {"share": best["share"]}}
+        and len({t["finished"] for t in trials}) > 1
+    )
+    runs = run_courses(
+        make_controller("constant_torque", SHORT, share=best["share"]), SHORT, TUNING_SET, 8
+    )
+    assert (
+        runs.metric("finished").mean() == best["finished"] and runs.returns.mean() == best["return"]
+    )
     defaults = make_controller("constant_torque", SHORT).settings
     assert trials[0]["share"] == defaults["share"]  # tried first
 
 
 def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkeypatch):
     """Interrupted in the middle of a drive, in which a trial is left running, and killed between two trials."""
-    names, log, drive = ("soft_start", "constant_speed"), tmp_path / "tuning.log", tuning.run_courses
-    whole, driven = tuned_settings(SHORT, 6, names, anew=True), []
+    names = ("soft_start", "constant_speed")
+    log = tmp_path / "tuning.log"
+    drive = tuning.run_courses
+    whole = tuned_settings(SHORT, 6, names, anew=True)
+    driven = []
 
     def until_the_ninth(*args, **options):
         if len(driven) in (0, 4, 8):
@@ -69,16 +83,25 @@ def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkey
 
 
 def test_controllers_of_a_rover_are_tuned_in_the_space_of_their_wheels(few):
-    rover = load_rover("lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}})
+    rover = load_rover(
+        "lunar_micro_rover", {"course": {"length": 1.0}, "control": {"time_limit": 6.0}}
+    )
     chosen = tuned_settings(rover, 2, ("velocity_sync", "slip_limiter"))
     own = {name: CONTROLLERS[ROVER_CONTROLLERS[name].of_wheel].bounds for name in chosen}
-    assert {name: set(c) for name, c in chosen.items()} == {name: set(bounds) for name, bounds in own.items()}
+    assert {name: set(c) for name, c in chosen.items()} == {
+        name: set(bounds) for name, bounds in own.items()
+    }
 
 
 def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatch):
     """Two controllers, two trials on two courses; begun again, nothing is driven twice."""
-    drives, drive = [], tuning.run_courses
-    monkeypatch.setattr(tuning, "CONTROLLERS", {name: CONTROLLERS[name] for name in ("constant_torque", "soft_start")})
+    drives = []
+    drive = tuning.run_courses
+    monkeypatch.setattr(
+        tuning,
+        "CONTROLLERS",
+        {name: CONTROLLERS[name] for name in ("constant_torque", "soft_start")},
+    )
     monkeypatch.setattr(tuning, "TRIALS", 2)
     monkeypatch.setattr(tuning, "_COURSES_A_TRIAL", 1)
     monkeypatch.setattr(tuning, "run_courses", lambda *a, **k: drives.append(1) or drive(*a, **k))
@@ -94,7 +117,9 @@ def test_the_command_writes_settings_that_the_package_finds(tmp_path, monkeypatc
         assert shipped_settings(scenario, 2) == content["settings"].get(action, {})
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in (config_dir() / tuning.TUNED).glob("*.yaml")))
+@pytest.mark.parametrize(
+    "name", sorted(path.stem for path in (config_dir() / tuning.TUNED).glob("*.yaml"))
+)
 def test_shipped_settings_serve_an_unchanged_scenario_only(name):
     def of(changes):
         return load_scenario(name, {"control": {"action": "rim_acceleration"}, **changes})

@@ -20,13 +20,25 @@ def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):
 
 END = spell(1.0) + spell(0.9, goes_on=False)
 LEADS = {  # name: (script, distance [m] and time [s] from the alarm to the last mobile moment)
-    "on at the threshold": (spell(0.99, 3) + spell(1.0, 2) + spell(0.9, 4, goes_on=False), (0.19, 1.9)),
-    "on when the wheel is stuck": (spell(seconds=2) + spell(1.0, 4, goes_on=False), (np.nan, np.nan)),
+    "on at the threshold": (
+        spell(0.99, 3) + spell(1.0, 2) + spell(0.9, 4, goes_on=False),
+        (0.19, 1.9),
+    ),
+    "on when the wheel is stuck": (
+        spell(seconds=2) + spell(1.0, 4, goes_on=False),
+        (np.nan, np.nan),
+    ),
     "kept over half of the threshold": (spell(1.0) + spell(0.51, 3) + END, (0.49, 4.9)),
     "kept over 0.9 s": (spell(1.0) + spell(0.4, 0.9) + END, (0.28, 2.8)),
     "off after 1 s": (spell(1.0) + spell(0.4) + END, (0.09, 0.9)),
-    "no sign in a halt": (spell() + spell(1.0, 3, halted=True) + spell(1.0, 0.2) + END[10:], (0.01, 0.1)),
-    "no end in a halt": (spell(1.0) + spell(0.4, 3, halted=True) + spell(1.0) + END[10:], (0.19, 4.9)),
+    "no sign in a halt": (
+        spell() + spell(1.0, 3, halted=True) + spell(1.0, 0.2) + END[10:],
+        (0.01, 0.1),
+    ),
+    "no end in a halt": (
+        spell(1.0) + spell(0.4, 3, halted=True) + spell(1.0) + END[10:],
+        (0.19, 4.9),
+    ),
 }
 
 
@@ -34,8 +46,11 @@ LEADS = {  # name: (script, distance [m] and time [s] from the alarm to the last
 def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypatch):
     scenario = load_scenario("mixed", {"control": {"action": "torque"}})
     assert (KEPT, RELEASE, scenario.control.period) == (0.5, 1.0, 0.1)
-    foresight, (script, lead) = Foresight(scenario, 1), LEADS[name]
-    worlds = SimpleNamespace(state=WheelState(1), recent=None, ids=SimpleNamespace(estimate=None, sd=None))
+    foresight = Foresight(scenario, 1)
+    (script, lead) = LEADS[name]
+    worlds = SimpleNamespace(
+        state=WheelState(1), recent=None, ids=SimpleNamespace(estimate=None, sd=None)
+    )
     for share, halted, goes_on in script:
         found = np.array([[0.0, share * foresight.threshold]])
         monkeypatch.setattr(foresight.warning, "probabilities", lambda *_, found=found: found)
@@ -45,12 +60,15 @@ def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypat
     assert foresight.lead(worlds, np.array([False]))[0] == pytest.approx(lead, nan_ok=True)
     if name == "on when the wheel is stuck":  # a bogged wheel was mobile to the end
         assert foresight.lead(worlds, np.array([True]))[0] == pytest.approx([0.0, 3.9])
-        assert foresight.under[0] == pytest.approx(4.0) and foresight.driven[0] == pytest.approx(6.0)
+        assert foresight.under[0] == pytest.approx(4.0) and foresight.driven[0] == pytest.approx(
+            6.0
+        )
 
 
 def test_the_shipped_weights_warn_in_time_and_seldom_for_nothing():
     """On courses that neither weights nor threshold were set on; on the card 98 % are foreseen, 5 % false."""
-    card, scenario = shipped()["card"], load_scenario("two_lines", {"control": {"action": "torque"}})
+    card = shipped()["card"]
+    scenario = load_scenario("two_lines", {"control": {"action": "torque"}})
     assert "two_lines" in card["scenarios"] and FILE.stat().st_size < 100_000
     found = {"foreseen": [], "foreseen_time": [], "false_foresight": []}
     for speed in (0.2, 0.4, 0.6):

@@ -42,6 +42,10 @@ def test_without_the_extra_train():
     assert ended.returncode == 0, ended.stderr
     said = json.loads(ended.stdout)
     for (name, *_), found in zip(REFUSED, said, strict=False):
-        assert found == [2, "", f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n"]
+        assert found == [
+            2,
+            "",
+            f"soil-env {name}: error: needs Stable-Baselines3: pip install 'soil_env[train]'\n",
+        ]
     for status, out, err in said[len(REFUSED) :]:
         assert status == 0 and out.startswith("Usage: ") and not err

@@ -19,7 +19,14 @@ from benchmarks.discovery.entrants import Answer, entrant
 from benchmarks.discovery.forms import FORMS, MECHANISMS, forms_of
 from benchmarks.discovery.fresh import FRESH
 from benchmarks.discovery.hidden import CHANNELS, Hidden
-from benchmarks.discovery.laws import LENGTHS, RandomFunction, StressError, covariance, log_slip, regimes
+from benchmarks.discovery.laws import (
+    LENGTHS,
+    RandomFunction,
+    StressError,
+    covariance,
+    log_slip,
+    regimes,
+)
 from benchmarks.discovery.plan import Measure, draw_bench
 from benchmarks.discovery.score import Record, figures, reliability, targets
 from benchmarks.discovery.unlisted import INSTRUMENT, INSTRUMENTS, UNLISTED
@@ -38,14 +45,18 @@ def bench():
 
 def test_covariance_of_law_errors_is_that_of_drawn_ones():
     """Tables of 300 drawn errors of 2 % against the first-order covariance: sd of every channel, and correlations."""
-    b, some = bench(), np.linspace(0, len(bench().rows) - 1, 12).astype(int)
+    b = bench()
+    some = np.linspace(0, len(bench().rows) - 1, 12).astype(int)
     b = replace(b, rows=Rows(*(getattr(b.rows, f.name)[some] for f in fields(b.rows))))
     contact = b.contact()
     entry = np.arccos(1.0 - b.base[:1].T / contact.radius)
     wanted = 0.02**2 * covariance(contact, entry, b.pressure, b.load)
-    rng, drawn = np.random.default_rng(1), []
+    rng = np.random.default_rng(1)
+    drawn = []
     for _ in range(300):
-        error = StressError(0.02, b.pressure, b.load, *(RandomFunction.draw(rng, LENGTHS) for _ in range(2)))
+        error = StressError(
+            0.02, b.pressure, b.load, *(RandomFunction.draw(rng, LENGTHS) for _ in range(2))
+        )
         drawn.append((replace(b, error=error).base - b.base).ravel())
     seen = np.cov(np.array(drawn).T)
     ratio = np.sqrt(np.diag(seen) / np.diag(wanted))
@@ -55,12 +66,17 @@ def test_covariance_of_law_errors_is_that_of_drawn_ones():
 
 def log_factors(kind, slip, count=300):
     """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one place of the arc."""
-    rng, n, out = np.random.default_rng(0), len(slip), []
+    rng = np.random.default_rng(0)
+    n = len(slip)
+    out = []
     for _ in range(count):
         rows = Rows(np.array(slip), *(np.full(n, x) for x in (bench().load, 0.05, 1.0, 0.0, 0.0)))
         contact = Contact(rows, Wheel(0.15, 0.15), bench().ground)
         StressError.draw(rng, 1.0, bench().pressure, bench().load, kind)(contact)
-        arc = Arc(*(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)), sigma=np.full((n, 1), bench().pressure))
+        arc = Arc(
+            *(np.full((n, 1), x) for x in (0.5, 0.25, 0.0, 0.2)),
+            sigma=np.full((n, 1), bench().pressure),
+        )
         out.append(np.log(contact.normal[0](1.0, arc)).ravel())
     return np.array(out)
 
@@ -75,27 +91,34 @@ def test_kinds_of_law_errors_differ_in_slip():
     assert np.mean((border > 0.05) & (border < 0.55)) > 0.95
     assert np.median(np.max(change, axis=1) / np.median(change, axis=1)) > 4.0
     left, right = log_factors(regimes, [0.02, 0.62]).T
-    assert np.std(left) == pytest.approx(1.0, abs=0.15) and abs(np.corrcoef(left, right)[0, 1]) < 0.25
+    assert (
+        np.std(left) == pytest.approx(1.0, abs=0.15) and abs(np.corrcoef(left, right)[0, 1]) < 0.25
+    )
 
 
 def test_limits_rise_with_the_law_error_and_with_a_partner():
     one, two = forms_of("bulldozing")
     effect = Hidden(one, 0.1, {})
     error = StressError.draw(np.random.default_rng(0), 0.1, bench().pressure, bench().load)
-    exact, wrong = Measure(bench()), Measure(replace(bench(), error=error))
+    exact = Measure(bench())
+    wrong = Measure(replace(bench(), error=error))
     assert exact.size(effect) > 1.5 * wrong.size(effect) > 0.0
     strength, size = wrong.strength(effect, 3.0)
-    assert size == pytest.approx(3.0, rel=0.05) and wrong.size(effect.at(strength)) == pytest.approx(size)
+    assert size == pytest.approx(3.0, rel=0.05) and wrong.size(
+        effect.at(strength)
+    ) == pytest.approx(size)
     partner = Hidden(two, 0.5 * two.cap(bench()), two.side(np.random.default_rng(0), bench()))
     assert exact.size(effect, [partner]) < 0.5 * exact.size(effect)  # nearly the same force
 
 
 def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
-    group, known = GROUPS["one-rich-10"], [g for g in ALL if g.sort != "held"]
+    group = GROUPS["one-rich-10"]
+    known = [g for g in ALL if g.sort != "held"]
     names = [group.hidden(k)[0].effect for k in range(group.count)]
     assert {names.count(m) for m in MECHANISMS} == {group.count // 13}
     assert {group.hidden(k)[0].name for k in range(6 * group.count)} == {f.name for f in FORMS}
-    first, count = [t.group for t in tasks(90)], sum(g.count for g in known)
+    first = [t.group for t in tasks(90)]
+    count = sum(g.count for g in known)
     assert all(abs(first.count(g.name) - 90 * g.count / count) <= 1.0 for g in known)
     assert set(MECHANISMS) <= set(CATALOGUE) <= {*MECHANISMS, *INSTRUMENTS}
     assert not {f.effect for f in UNLISTED} & set(CATALOGUE)
@@ -105,20 +128,38 @@ def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
 
 
 def test_kinds_that_are_held_back_come_only_when_they_are_asked_for(tmp_path, capsys):
-    known, held = {f.name for f in UNLISTED}, {f.name for f in FRESH}
+    known = {f.name for f in UNLISTED}
+    held = {f.name for f in FRESH}
     assert len(held) >= 8 and not held & {*known, *MECHANISMS, *INSTRUMENTS}
     for held_out, expected in ((False, known), (True, known | held)):
         cases = [t for t in tasks(held_out=held_out) if GROUPS[t.group].kind == "unlisted"]
         assert {GROUPS[t.group].hidden(t.index)[0].name for t in cases} == expected
-    options = ["run", "--entrant", "workflow", "--group", "unlisted-rich-held-10", "--out", str(tmp_path)]
+    options = [
+        "run",
+        "--entrant",
+        "workflow",
+        "--group",
+        "unlisted-rich-held-10",
+        "--out",
+        str(tmp_path),
+    ]
     assert command.main(options) == 2 and "--held-out" in capsys.readouterr().err
 
 
 def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
-    ranges = {"tilt": (0.5, 3.0), "force_gain": (0.05, 0.12), "torque_gain": (0.05, 0.12), "arm_load": (0.1, 0.5),
-              "force_crosstalk": (0.05, 0.2), "torque_crosstalk": (0.1, 0.3), "spring_load": (0.05, 0.3)}  # fmt: skip
+    ranges = {
+        "tilt": (0.5, 3.0),
+        "force_gain": (0.05, 0.12),
+        "torque_gain": (0.05, 0.12),
+        "arm_load": (0.1, 0.5),
+        "force_crosstalk": (0.05, 0.2),
+        "torque_crosstalk": (0.1, 0.3),
+        "spring_load": (0.05, 0.3),
+    }
     group = GROUPS["instrument-rich-10"]
-    assert [sum(group.hidden(k)[0] is form for k in range(group.count)) for form in INSTRUMENT] == [3] * 10
+    assert [sum(group.hidden(k)[0] is form for k in range(group.count)) for form in INSTRUMENT] == [
+        3
+    ] * 10
     for k in range(10):
         (effect,) = draw_case(100031, Task(group.name, k)).truth["effects"]
         low, high = ranges.get(effect["name"], (0.02, 0.1))
@@ -131,45 +172,102 @@ def test_errors_of_the_instrument_are_within_their_ranges_and_all_come():
 def test_cases_are_read_by_the_workflows_reader_and_hold_no_truth(tmp_path, name):
     case = draw_case(100007, task_of(name))
     write_case(case, tmp_path / "case", tmp_path / "truth" / "x.json")
-    table = read_table(tmp_path / "case" / "data.csv", read_setup(tmp_path / "case" / "setup.yaml").wheel)
+    table = read_table(
+        tmp_path / "case" / "data.csv", read_setup(tmp_path / "case" / "setup.yaml").wheel
+    )
     assert len(table) == case.truth["rows"] == case.clean.shape[1]
     assert sorted(p.name for p in (tmp_path / "case").iterdir()) == ["data.csv", "setup.yaml"]
     text = "".join(p.read_text() for p in (tmp_path / "case").iterdir())
     truth = json.loads((tmp_path / "truth" / "x.json").read_text())
     assert not any(e["form"] in text for e in truth["effects"])
     for e in truth["effects"]:
-        assert e["size"] > 0.0 and (truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9)
+        assert e["size"] > 0.0 and (
+            truth["kind"] != "one" or not truth["counts"] or e["size"] >= 1.9
+        )
 
 
 def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
     a, b, c = (draw_case(seed, Task("one-rich-10", 4)) for seed in (100008, 100008, 100009))
-    assert a.columns == b.columns and a.setup == b.setup and a.truth == b.truth and a.columns != c.columns
+    assert (
+        a.columns == b.columns
+        and a.setup == b.setup
+        and a.truth == b.truth
+        and a.columns != c.columns
+    )
     exact = replace(a.bench, error=None).truth(a.effects)
     assert np.max(np.abs(a.clean - exact) / np.array(a.bench.noise)[:, None]) > 1.0
-    noise = (np.array([a.columns[n] for n in CHANNELS]) - a.clean) / np.array(a.bench.noise)[:, None]
+    noise = (np.array([a.columns[n] for n in CHANNELS]) - a.clean) / np.array(a.bench.noise)[
+        :, None
+    ]
     assert noise.std() == pytest.approx(1.0, abs=0.12)
 
 
-@pytest.mark.parametrize(("kind", "names", "answer", "expected"), [
-    ("one", ["grade"], Answer("named", ("grade",), (), {"grade": 0.9}), {"first": 1, "wrong": 0, "second": 0}),
-    ("one", ["grade"], Answer("named", ("grousers",)), {"first": 0, "included": 0, "wrong": 1}),
-    ("one", ["grade"], Answer("ambiguous", ("grousers",), ("grade",), {"grousers": 0.45, "grade": 0.4}),
-     {"first": 0, "included": 1, "wrong": 0}),
-    ("one", ["grade"], Answer("named", ("grade", "tilt"), (), {"grade": 0.9, "tilt": 0.6}),
-     {"first": 1, "second": 1, "wrong": 1}),
-    ("two", ["grade", "grousers"], Answer("named", ("grousers", "grade")), {"both": 1}),
-    ("two", ["grade", "grousers"], Answer("named", ("grousers", "grade", "multipass")), {"both": 0}),
-    ("none", [], Answer("none", (), (), {"grade": 0.3}), {"none": 1}),
-    ("none", [], Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"none": 0}),
-    ("unlisted", ["swing"], Answer("partly", ("grade",), (), {"grade": 0.7}), {"unlisted": 0, "misled": 1}),
-    ("unlisted", ["swing"], Answer("unlisted", (), ("grade",), {"grade": 0.3}), {"unlisted": 1, "misled": 0}),
-    ("instrument", ["tilt"], Answer("named", ("bulldozing",), ("tilt",), {"bulldozing": 0.7}),
-     {"instrument": 1, "soil": 1}),
-    ("instrument", ["wheel_radius"], Answer("named", ("slip_bias",)), {"instrument": 0, "soil": 0}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "names", "answer", "expected"),
+    [
+        (
+            "one",
+            ["grade"],
+            Answer("named", ("grade",), (), {"grade": 0.9}),
+            {"first": 1, "wrong": 0, "second": 0},
+        ),
+        ("one", ["grade"], Answer("named", ("grousers",)), {"first": 0, "included": 0, "wrong": 1}),
+        (
+            "one",
+            ["grade"],
+            Answer("ambiguous", ("grousers",), ("grade",), {"grousers": 0.45, "grade": 0.4}),
+            {"first": 0, "included": 1, "wrong": 0},
+        ),
+        (
+            "one",
+            ["grade"],
+            Answer("named", ("grade", "tilt"), (), {"grade": 0.9, "tilt": 0.6}),
+            {"first": 1, "second": 1, "wrong": 1},
+        ),
+        ("two", ["grade", "grousers"], Answer("named", ("grousers", "grade")), {"both": 1}),
+        (
+            "two",
+            ["grade", "grousers"],
+            Answer("named", ("grousers", "grade", "multipass")),
+            {"both": 0},
+        ),
+        ("none", [], Answer("none", (), (), {"grade": 0.3}), {"none": 1}),
+        ("none", [], Answer("ambiguous", ("grade",), (), {"grade": 0.4}), {"none": 0}),
+        (
+            "unlisted",
+            ["swing"],
+            Answer("partly", ("grade",), (), {"grade": 0.7}),
+            {"unlisted": 0, "misled": 1},
+        ),
+        (
+            "unlisted",
+            ["swing"],
+            Answer("unlisted", (), ("grade",), {"grade": 0.3}),
+            {"unlisted": 1, "misled": 0},
+        ),
+        (
+            "instrument",
+            ["tilt"],
+            Answer("named", ("bulldozing",), ("tilt",), {"bulldozing": 0.7}),
+            {"instrument": 1, "soil": 1},
+        ),
+        (
+            "instrument",
+            ["wheel_radius"],
+            Answer("named", ("slip_bias",)),
+            {"instrument": 0, "soil": 0},
+        ),
+    ],
+)
 def test_judgement_of_an_answer(kind, names, answer, expected):
-    truth = {"case": f"{kind}-rich-10-000", "kind": kind, "sort": "", "law_error": 0.1,
-             "effects": [{"name": n} for n in names], "counts": True}  # fmt: skip
+    truth = {
+        "case": f"{kind}-rich-10-000",
+        "kind": kind,
+        "sort": "",
+        "law_error": 0.1,
+        "effects": [{"name": n} for n in names],
+        "counts": True,
+    }
     record = Record(truth, answer, 1.0)
     assert {key: targets([record])[key]["count"] for key in expected} == expected
     assert figures([record])["groups"][f"{kind}-rich-10"].keys() >= expected.keys()
@@ -193,11 +291,17 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     options += ["--group", "none-rich-10", "--group", "one-rich-10", "--out", str(tmp_path)]
     assert command.main([*options, "--limit", "40"]) == 0
     before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
-    asked, original = [], command.ask
+    asked = []
+    original = command.ask
     monkeypatch.setattr(command, "ask", lambda *a: asked.append(a[-1]) or original(*a))
     assert command.main([*options, "--limit", "100"]) == 0
     after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "answers" / "grade").iterdir()}
-    assert before and asked and before.items() <= after.items() and len(after) == len(before) + len(asked)
+    assert (
+        before
+        and asked
+        and before.items() <= after.items()
+        and len(after) == len(before) + len(asked)
+    )
     found = json.loads((tmp_path / "discovery.json").read_text())
     assert found["entrants"]["grade"]["cases"] == len(after)
     capsys.readouterr()
@@ -205,7 +309,10 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
     error = capsys.readouterr().err
     assert "100010" in error and "100011" in error and error.count("\n") == 1
     (tmp_path / "answers" / "grade" / next(iter(after))).write_text("{")
-    assert command.main(["score", "--out", str(tmp_path)]) == 2 and "delete the file" in capsys.readouterr().err
+    assert (
+        command.main(["score", "--out", str(tmp_path)]) == 2
+        and "delete the file" in capsys.readouterr().err
+    )
 
 
 def test_processes_of_the_command_find_their_work(tmp_path):

@@ -19,7 +19,8 @@ from tests.terramechanics import reference
 FORMS_OF_ALL = [*FORMS, *UNLISTED, *FRESH, *INSTRUMENT]
 GROUND = Ground(30.0, 1500.0, 0.018, 770000.0, 0.85, 1600.0)
 WHEEL = Wheel(0.15, 0.12)
-S, TAN = GROUND.sinkage_coefficient, math.tan(math.pi / 6)
+S = GROUND.sinkage_coefficient
+TAN = math.tan(math.pi / 6)
 
 
 def grid() -> Rows:
@@ -27,17 +28,26 @@ def grid() -> Rows:
     k = np.arange(45)
     block = k // 5
     return Rows(
-        np.tile([0.06, 0.2, 0.33, 0.47, 0.6], 9), np.array([45.0, 70.0, 105.0])[block % 3],
-        np.array([0.02, 0.06, 0.15])[block // 3], 1.0 + (block // 3 + 2 * block) % 3,
-        np.array([-1.0, 0.0, 1.0])[(block // 3 + block) % 3], 100.0 * k,
-    )  # fmt: skip
+        np.tile([0.06, 0.2, 0.33, 0.47, 0.6], 9),
+        np.array([45.0, 70.0, 105.0])[block % 3],
+        np.array([0.02, 0.06, 0.15])[block // 3],
+        1.0 + (block // 3 + 2 * block) % 3,
+        np.array([-1.0, 0.0, 1.0])[(block // 3 + block) % 3],
+        100.0 * k,
+    )
 
 
 ROWS = grid()
 BENCH = Bench(
-    WHEEL, GROUND, ROWS, ("run",) * 45, 6.0, (0.0009, 0.68, 0.097),
-    {name: rule(getattr(GROUND, name)) for name, rule in PRIOR_SD.items()}, "mine",
-)  # fmt: skip
+    WHEEL,
+    GROUND,
+    ROWS,
+    ("run",) * 45,
+    6.0,
+    (0.0009, 0.68, 0.097),
+    {name: rule(getattr(GROUND, name)) for name, rule in PRIOR_SD.items()},
+    "mine",
+)
 
 
 def hidden(name: str, strength: float, **side) -> Hidden:
@@ -64,7 +74,9 @@ def entry_of(out: np.ndarray, k: int) -> float:
     return math.acos(1.0 - out[0, k] / 0.15)
 
 
-@pytest.mark.parametrize("soil", [GROUND, Ground(36.0, 300.0, 0.01, 3.2e5, 0.6), Ground(24.0, 4500.0, 0.03, 5e6, 1.25)])
+@pytest.mark.parametrize(
+    "soil", [GROUND, Ground(36.0, 300.0, 0.01, 3.2e5, 0.6), Ground(24.0, 4500.0, 0.03, 5e6, 1.25)]
+)
 def test_base_world_agrees_with_adaptive_quadrature(soil):
     """Eqs. (1)-(3) at the sinkage found: the load comes back, pull and torque agree."""
     out = predict(soil, WHEEL, ROWS).stack()
@@ -104,8 +116,12 @@ def agrees(out, k, tau_of, arm=0.15, force=0.0, scale=3e-4):
         halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
         return 0.12 * sum(quad(f, a, b, epsabs=0.0, epsrel=1e-10, limit=300)[0] for a, b in halves)
 
-    load = total(lambda t: 0.15 * sigma(t) * math.cos(t) + arm * tau(t) * math.sin(t)) + force * math.sin(entry / 2)
-    pull = total(lambda t: arm * tau(t) * math.cos(t) - 0.15 * sigma(t) * math.sin(t)) + force * math.cos(entry / 2)
+    load = total(
+        lambda t: 0.15 * sigma(t) * math.cos(t) + arm * tau(t) * math.sin(t)
+    ) + force * math.sin(entry / 2)
+    pull = total(
+        lambda t: arm * tau(t) * math.cos(t) - 0.15 * sigma(t) * math.sin(t)
+    ) + force * math.cos(entry / 2)
     assert load == pytest.approx(ROWS.load[k], rel=scale)
     assert abs(pull - out[1, k]) < scale * ROWS.load[k]
     assert arm * arm * total(tau) + force * 0.155 == pytest.approx(out[2, k], rel=scale)
@@ -120,7 +136,11 @@ def janosi(sigma, ratio):
     [
         (hidden("constant_exit", 0.15), lambda a: -0.15, lambda a, i: 0.0),
         (hidden("shift_in_degrees", 0.2), lambda a: 0.0, lambda a, i: 0.2 * i),
-        (hidden("shift_saturating", 0.3, slip=0.1), lambda a: 0.0, lambda a, i: 0.3 * (1.0 - math.exp(-i / 0.1)) * a),
+        (
+            hidden("shift_saturating", 0.3, slip=0.1),
+            lambda a: 0.0,
+            lambda a, i: 0.3 * (1.0 - math.exp(-i / 0.1)) * a,
+        ),
     ],
 )
 def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_of, shift):
@@ -130,13 +150,18 @@ def test_contact_geometry_agrees_with_adaptive_quadrature(effect, exit_of, shift
         entry = entry_of(out, k)
         exit_ = exit_of(entry)
         middle = 0.5 * (entry + exit_) + shift(entry, ROWS.slip[k])
-        judged(reference.forces(ground, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle), out, k, 1e-4)
+        judged(
+            reference.forces(ground, ROWS.slip[k], entry, 0.15, 0.12, exit_, middle), out, k, 1e-4
+        )
 
 
 def test_deeper_sinkage_with_stresses_scaled_to_the_load():
-    before, out = table()[0], table(hidden("slid_distance", 0.2))
+    before = table()[0]
+    out = table(hidden("slid_distance", 0.2))
     entry = np.arccos(1.0 - before / 0.15)
-    np.testing.assert_allclose(out[0], before + 0.03 * (entry - (1.0 - ROWS.slip) * np.sin(entry)), rtol=1e-9)
+    np.testing.assert_allclose(
+        out[0], before + 0.03 * (entry - (1.0 - ROWS.slip) * np.sin(entry)), rtol=1e-9
+    )
     for k in (2, 43):
 
         def forces(log_factor, k=k):
@@ -151,13 +176,20 @@ ROOT = brentq(lambda e: e**3 - e**2 + 5.0 * e - 1.0, 0.0, 1.0)
 PEAK = (1.0 - ROOT**2) * (1.0 + ROOT) / (1.0 + ROOT**2)
 
 
-@pytest.mark.parametrize(("effect", "law"), [
-    # Peak of (1 - exp(-x)) (1 + 1/cosh(x)), with e = exp(-x) the root of e^3 - e^2 + 5 e - 1, 0.2087, by hand.
-    (hidden("hyperbolic_cosine", 1.0),
-     lambda q: (1 - math.exp(-q)) * (1 + 1 / math.cosh(q)) / PEAK),
-    (hidden("linear_fall", 0.4, begin=1.0, over=1.5),
-     lambda q: (1 - math.exp(-q)) * (1 - 0.4 * min(max((q - 1.0) / 1.5, 0.0), 1.0))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("effect", "law"),
+    [
+        # Peak of (1 - exp(-x)) (1 + 1/cosh(x)), with e = exp(-x) the root of e^3 - e^2 + 5 e - 1, 0.2087, by hand.
+        (
+            hidden("hyperbolic_cosine", 1.0),
+            lambda q: (1 - math.exp(-q)) * (1 + 1 / math.cosh(q)) / PEAK,
+        ),
+        (
+            hidden("linear_fall", 0.4, begin=1.0, over=1.5),
+            lambda q: (1 - math.exp(-q)) * (1 - 0.4 * min(max((q - 1.0) / 1.5, 0.0), 1.0)),
+        ),
+    ],
+)
 def test_softening_follows_its_law(effect, law):
     for k in (3, 44):
         agrees(table(effect), k, lambda sigma, ratio: (1500.0 + sigma * TAN) * law(ratio))
@@ -166,10 +198,20 @@ def test_softening_follows_its_law(effect, law):
 def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
     h = 0.02 / 0.12
     for k in (3, 40):
-        agrees(table(hidden("sheared_sides", 0.02)), k, lambda sigma, ratio: -math.expm1(-ratio) * (
-            1500.0 * (1.0 + 2.0 * h) + sigma * TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))))  # fmt: skip
+        agrees(
+            table(hidden("sheared_sides", 0.02)),
+            k,
+            lambda sigma, ratio: (
+                -math.expm1(-ratio)
+                * (
+                    1500.0 * (1.0 + 2.0 * h)
+                    + sigma * TAN * (1.0 + 0.64 * h * (0.5 * math.pi - math.atan(h)))
+                )
+            ),
+        )
     out = table(hidden("passive_ripple_mean", 0.01, lugs=18))
-    entry, (sigma, ratio) = entry_of(out, 30), stresses(entry_of(out, 30), ROWS.slip[30])
+    entry = entry_of(out, 30)
+    (sigma, ratio) = stresses(entry_of(out, 30), ROWS.slip[30])
 
     def force(t):  # of the lugs in one rad: N = 3
         depth = 0.15 * (math.cos(t) - math.cos(entry)) + 0.005
@@ -177,43 +219,74 @@ def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
         return 18 / (2.0 * math.pi) * 0.12 * 0.01 * pressure * math.tanh(ROWS.slip[30] / 0.03)
 
     def pull(t):
-        return 0.12 * 0.15 * (janosi(sigma(t), ratio(t)) * math.cos(t) - sigma(t) * math.sin(t)) + force(t) * math.cos(
-            t
-        )
+        return 0.12 * 0.15 * (
+            janosi(sigma(t), ratio(t)) * math.cos(t) - sigma(t) * math.sin(t)
+        ) + force(t) * math.cos(t)
 
     halves = ((0.0, 0.5 * entry), (0.5 * entry, entry))
-    assert sum(quad(pull, a, b)[0] for a, b in halves) == pytest.approx(out[1, 30], abs=3e-4 * ROWS.load[30])
+    assert sum(quad(pull, a, b)[0] for a, b in halves) == pytest.approx(
+        out[1, 30], abs=3e-4 * ROWS.load[30]
+    )
 
 
 def test_bulldozing_by_hand():
     """phi = 30 deg: N = 3, cot = sqrt 3; Terzaghi's table: N_c = 37.2, N_gamma about 20 (Bowles 1996, Table 4-2)."""
     z = table()[0]
     entry = np.arccos(1.0 - z / 0.15)
-    k_c, k_gamma = (37.2 - 0.577) * 0.75, (2.0 * 20.1 / 0.577 + 1.0) * 0.75
+    k_c = (37.2 - 0.577) * 0.75
+    k_gamma = (2.0 * 20.1 / 0.577 + 1.0) * 0.75
     wedge = 0.12 * np.sin(entry + math.pi / 6) / (2.0 * np.sin(entry) * math.cos(math.pi / 6))
     for name, force, scale in (
-        ("crescent", (0.12 + z) * (0.5 * 15696.0 * z**2 * 3.0 + 2.0 * 1500.0 * z * math.sqrt(3.0)), 1e-9),
+        (
+            "crescent",
+            (0.12 + z) * (0.5 * 15696.0 * z**2 * 3.0 + 2.0 * 1500.0 * z * math.sqrt(3.0)),
+            1e-9,
+        ),
         ("terzaghi", wedge * (2.0 * z * 1500.0 * k_c + 15696.0 * z**2 * k_gamma), 0.02),
     ):
-        np.testing.assert_allclose(table()[1] - table(hidden(name, 1.0, crescent=1.0))[1], force, rtol=scale)
+        np.testing.assert_allclose(
+            table()[1] - table(hidden(name, 1.0, crescent=1.0))[1], force, rtol=scale
+        )
 
 
 COMPACTED = 1.0 + 0.3 * np.log(ROWS.passes)
 
 
-@pytest.mark.parametrize(("effect", "soil"), [
-    (hidden("softened_bed", 0.5), {"sinkage_coefficient": S * (1 - 0.5 * ROWS.slip)}),
-    (hidden("pass_power_of_all", 0.3, cohesion=0.5, shear_modulus=0.2),
-     {"sinkage_coefficient": S * ROWS.passes**0.3, "cohesion": 1500.0 * ROWS.passes**0.15,
-      "shear_modulus": 0.018 * ROWS.passes**-0.06}),
-    (hidden("pass_logarithm", 0.3, cohesion=0.5, shear_modulus=0.2),
-     {"sinkage_coefficient": S * COMPACTED, "cohesion": 1500.0 * (1 + 0.5 * (COMPACTED - 1)),
-      "shear_modulus": 0.018 / (1 + 0.2 * (COMPACTED - 1))}),
-    (hidden("rate_saturating", 0.4, speed=0.05), {"sinkage_coefficient": S * (1.4 - 0.4 * np.exp(-ROWS.speed / 0.05))}),
-    (hidden("rising_moisture", 1.5, time=4400.0, stiffness=0.1),
-     {"cohesion": 1500.0 * (1 + 1.5 * ROWS.time / 4400), "sinkage_coefficient": S / (1 + 0.15 * ROWS.time / 4400)}),
-    (hidden("toed_wheel", 0.0), {}),
-], ids=lambda x: x.form.name if hasattr(x, "form") else "")  # fmt: skip
+@pytest.mark.parametrize(
+    ("effect", "soil"),
+    [
+        (hidden("softened_bed", 0.5), {"sinkage_coefficient": S * (1 - 0.5 * ROWS.slip)}),
+        (
+            hidden("pass_power_of_all", 0.3, cohesion=0.5, shear_modulus=0.2),
+            {
+                "sinkage_coefficient": S * ROWS.passes**0.3,
+                "cohesion": 1500.0 * ROWS.passes**0.15,
+                "shear_modulus": 0.018 * ROWS.passes**-0.06,
+            },
+        ),
+        (
+            hidden("pass_logarithm", 0.3, cohesion=0.5, shear_modulus=0.2),
+            {
+                "sinkage_coefficient": S * COMPACTED,
+                "cohesion": 1500.0 * (1 + 0.5 * (COMPACTED - 1)),
+                "shear_modulus": 0.018 / (1 + 0.2 * (COMPACTED - 1)),
+            },
+        ),
+        (
+            hidden("rate_saturating", 0.4, speed=0.05),
+            {"sinkage_coefficient": S * (1.4 - 0.4 * np.exp(-ROWS.speed / 0.05))},
+        ),
+        (
+            hidden("rising_moisture", 1.5, time=4400.0, stiffness=0.1),
+            {
+                "cohesion": 1500.0 * (1 + 1.5 * ROWS.time / 4400),
+                "sinkage_coefficient": S / (1 + 0.15 * ROWS.time / 4400),
+            },
+        ),
+        (hidden("toed_wheel", 0.0), {}),
+    ],
+    ids=lambda x: x.form.name if hasattr(x, "form") else "",
+)
 def test_effect_is_another_soil_in_each_row(effect, soil):
     np.testing.assert_allclose(table(effect), world(**soil), rtol=1e-8)
 
@@ -230,19 +303,57 @@ def test_grade_takes_the_weight_component(name):
 
 
 def test_errors_of_sensors_and_drive():
-    base, omega = table(), ROWS.speed / (0.15 * (1.0 - ROWS.slip))
+    base = table()
+    omega = ROWS.speed / (0.15 * (1.0 - ROWS.slip))
     np.testing.assert_allclose(
-        table(hidden("slip_gain", 0.2)), world(replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))), rtol=1e-9
+        table(hidden("slip_gain", 0.2)),
+        world(replace(ROWS, slip=ROWS.slip * (1.2 - 0.2 * ROWS.slip))),
+        rtol=1e-9,
     )
     drive = {"unit": 10.0, "omega": 0.6, "load": 50.0, "share": 0.4}
     for name, s, side, channel, read in (
-        ("bending_frame", -0.002, {"load": 50.0, "power": 0.5}, 0, base[0] - 0.002 * (ROWS.load / 50.0) ** 0.5),
-        ("stribeck", 0.05, drive, 2, base[2] + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4),
-        ("axle_load", 0.05, drive, 2, base[2] + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, base[1]) / 50.0)),
-        ("warming_seal", 0.1, {"load": 50.0, "radius": 0.2, "time": 4400.0, "warm": 0.25}, 2,
-         base[2] + np.exp(-ROWS.time / 1100.0)),
-        ("slack_load_cell", 0.04, {"load": 50.0}, 1, np.sign(base[1]) * np.maximum(np.abs(base[1]) - 2.0, 0.0)),
-        ("saturating_torque", 0.2, {"load": 50.0, "radius": 0.2}, 2, base[2] / (1.0 + 0.04 * np.abs(base[2]))),
+        (
+            "bending_frame",
+            -0.002,
+            {"load": 50.0, "power": 0.5},
+            0,
+            base[0] - 0.002 * (ROWS.load / 50.0) ** 0.5,
+        ),
+        (
+            "stribeck",
+            0.05,
+            drive,
+            2,
+            base[2] + 0.5 * (1.0 + 0.8 * np.exp(-((omega / 0.6) ** 2))) / 1.4,
+        ),
+        (
+            "axle_load",
+            0.05,
+            drive,
+            2,
+            base[2] + 0.5 * (0.6 + 0.4 * np.hypot(ROWS.load, base[1]) / 50.0),
+        ),
+        (
+            "warming_seal",
+            0.1,
+            {"load": 50.0, "radius": 0.2, "time": 4400.0, "warm": 0.25},
+            2,
+            base[2] + np.exp(-ROWS.time / 1100.0),
+        ),
+        (
+            "slack_load_cell",
+            0.04,
+            {"load": 50.0},
+            1,
+            np.sign(base[1]) * np.maximum(np.abs(base[1]) - 2.0, 0.0),
+        ),
+        (
+            "saturating_torque",
+            0.2,
+            {"load": 50.0, "radius": 0.2},
+            2,
+            base[2] / (1.0 + 0.04 * np.abs(base[2])),
+        ),
         ("tilt", 2.0, {}, 1, base[1] - ROWS.load * math.tan(math.radians(2.0))),
         ("force_offset", 0.04, {"load": 50.0}, 1, base[1] + 2.0),
         ("force_gain", -0.1, {}, 1, 0.9 * base[1]),
@@ -250,15 +361,19 @@ def test_errors_of_sensors_and_drive():
         ("torque_gain", 0.05, {}, 2, 1.05 * base[2]),
         ("force_crosstalk", 0.1, {}, 1, base[1] + 0.1 * base[2] / 0.15),
         ("torque_crosstalk", -0.2, {}, 2, base[2] - 0.2 * base[1] * 0.15),
-    ):  # fmt: skip
-        np.testing.assert_allclose(table(hidden(name, s, **side))[channel], read, rtol=1e-10, atol=1e-12)
+    ):
+        np.testing.assert_allclose(
+            table(hidden(name, s, **side))[channel], read, rtol=1e-10, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
 def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
     z, _, torque = out = table(hidden(name, s, load=70.0))
     load = ROWS.load + (s * torque / 0.15 if name == "arm_load" else -70.0 * s * z / 0.015)
-    np.testing.assert_allclose(out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6)
+    np.testing.assert_allclose(
+        out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6
+    )
 
 
 def test_wrong_radius_is_another_wheel_at_another_slip():
@@ -275,6 +390,10 @@ def test_form_is_nothing_at_zero_and_moves_only_its_channels(form):
         np.testing.assert_allclose(b.truth([Hidden(form, 0.0, side)]), b.base, rtol=1e-7)
     for sign in form.signs:
         strength = sign * max(0.5 * form.cap(b), form.floor)
-        moved = np.max(np.abs(b.truth([Hidden(form, strength, side)]) - b.base), axis=1) / np.array(b.noise)
-        assert {c for c, size in zip(CHANNELS, moved, strict=True) if size > 1e-3} == set(form.channels)
+        moved = np.max(np.abs(b.truth([Hidden(form, strength, side)]) - b.base), axis=1) / np.array(
+            b.noise
+        )
+        assert {c for c, size in zip(CHANNELS, moved, strict=True) if size > 1e-3} == set(
+            form.channels
+        )
         assert moved.max() > 0.5

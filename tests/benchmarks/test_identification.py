@@ -9,13 +9,23 @@ from soil_env.cli.running import run
 
 
 def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
-    published, every = read_json(RESULTS / "identification.json")["rows"], study.cases()
+    published = read_json(RESULTS / "identification.json")["rows"]
+    every = study.cases()
     assert every.keys() <= published.keys()
-    two = {name: every[name] for name in ("two_lines/-/swinging_speed/torque", "field_rover/-/swinging slip/-")}
-    made, measure, arguments = [], study.measure, ["--courses", "2", "--out", str(tmp_path)]
+    two = {
+        name: every[name]
+        for name in ("two_lines/-/swinging_speed/torque", "field_rover/-/swinging slip/-")
+    }
+    made = []
+    measure = study.measure
+    arguments = ["--courses", "2", "--out", str(tmp_path)]
     monkeypatch.setattr(study, "cases", lambda: two)
-    monkeypatch.setattr(study, "measure", lambda case, *given: made.append(case) or measure(case, *given))
-    assert [run(study.command, arguments, "") for _ in range(2)] == [0, 0] and made == [*two.values()]
+    monkeypatch.setattr(
+        study, "measure", lambda case, *given: made.append(case) or measure(case, *given)
+    )
+    assert [run(study.command, arguments, "") for _ in range(2)] == [0, 0] and made == [
+        *two.values()
+    ]
     for name, row in read_json(tmp_path / "identification.json")["rows"].items():
         assert row.keys() == published[name].keys() - {"bound", "rms_there"}
         assert np.all(np.isfinite([row[key] for key in row if isinstance(row[key], list)]))

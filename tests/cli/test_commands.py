@@ -8,7 +8,11 @@ from soil_env._io.loading import shipped_dir
 from soil_env.cli import _COMMANDS, main
 
 EXAMPLES = shipped_dir("examples")
-TABLE = [str(EXAMPLES / "data" / "single_wheel.csv"), "--setup", str(EXAMPLES / "data" / "setup.yaml")]
+TABLE = [
+    str(EXAMPLES / "data" / "single_wheel.csv"),
+    "--setup",
+    str(EXAMPLES / "data" / "setup.yaml"),
+]
 
 
 def refusal(capsys, *arguments):
@@ -23,12 +27,18 @@ def refusal(capsys, *arguments):
 def test_help_fits_a_screen_and_an_unknown_option_is_refused(name, capsys):
     assert main([name, "--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"Usage: soil-env {name}") and len(lines) <= 50 and max(map(len, lines)) <= 110
+    assert (
+        lines[0].startswith(f"Usage: soil-env {name}")
+        and len(lines) <= 50
+        and max(map(len, lines)) <= 110
+    )
     assert refusal(capsys, name, "--no-such-option").startswith(f"soil-env {name}: error: ")
 
 
 def test_an_unknown_command_is_refused_with_the_nearest(capsys):
-    assert "unknown command 'identfy'; did you mean 'identify'? (known: drive, " in refusal(capsys, "identfy")
+    assert "unknown command 'identfy'; did you mean 'identify'? (known: drive, " in refusal(
+        capsys, "identfy"
+    )
 
 
 def test_without_arguments_the_help_is_printed(capsys):
@@ -40,13 +50,17 @@ def test_without_arguments_the_help_is_printed(capsys):
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(arguments, capsys, tmp_path):
     assert "'--out': is empty: expected a path" in refusal(capsys, *arguments, "--out", "")
     (tmp_path / "file").write_text("mine")
-    assert str(tmp_path / "file") in refusal(capsys, *arguments, "--out", str(tmp_path / "file" / "out"))
+    assert str(tmp_path / "file") in refusal(
+        capsys, *arguments, "--out", str(tmp_path / "file" / "out")
+    )
     assert os.listdir(tmp_path) == ["file"]
 
 
 def test_discover_says_nothing_but_why_it_refuses(capsys, tmp_path):
     (tmp_path / "table.csv").write_text("slip,load\n0.1,100\n")
-    said = refusal(capsys, "discover", str(tmp_path / "table.csv"), *TABLE[1:], "--out", str(tmp_path / "out"))
+    said = refusal(
+        capsys, "discover", str(tmp_path / "table.csv"), *TABLE[1:], "--out", str(tmp_path / "out")
+    )
     assert "table.csv" in said
 
 
@@ -54,6 +68,8 @@ def test_examples_are_copied_once(capsys, monkeypatch, tmp_path):
     assert main(["examples", str(tmp_path / "mine")]) == 0
     assert (tmp_path / "mine" / "README.md").is_file()
     capsys.readouterr()
-    assert "is not empty: expected a new folder" in refusal(capsys, "examples", str(tmp_path / "mine"))
+    assert "is not empty: expected a new folder" in refusal(
+        capsys, "examples", str(tmp_path / "mine")
+    )
     monkeypatch.chdir(EXAMPLES.parent)
     assert "has the examples already" in refusal(capsys, "examples")

@@ -45,7 +45,11 @@ sys.meta_path.insert(0, Finder())
 @WITH_SIGNALS
 def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(HOOK)
-    env = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "INTERRUPT_AT": "soil_env.discrepancy.workflow"}
+    env = {
+        **os.environ,
+        "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}",
+        "INTERRUPT_AT": "soil_env.discrepancy.workflow",
+    }
     found = ended("-m", "soil_env.cli", "discover", "--help", env=env)
     assert found == (130, "", "\nsoil-env discover: interrupted\n")
 
@@ -53,9 +57,7 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
 @WITH_SIGNALS
 def test_importing_the_package_changes_no_signal_handler():
     handlers = "[signal.getsignal(s) for s in (2, 15)]"
-    code = (
-        f"import signal\nbefore = {handlers}\nimport soil_env, soil_env.env, soil_env.cli\nassert before == {handlers}"
-    )
+    code = f"import signal\nbefore = {handlers}\nimport soil_env, soil_env.env, soil_env.cli\nassert before == {handlers}"
     assert ended("-c", code)[0] == 0
 
 
@@ -73,10 +75,16 @@ def test_sigterm_is_an_interrupt_unless_it_is_ignored(capsys):
 
     before = signal.getsignal(signal.SIGTERM)
     assert run(command_of(work), [], "mine") == TERMINATED
-    assert capsys.readouterr().err == "\nmine: interrupted\n" and signal.getsignal(signal.SIGTERM) is before
+    assert (
+        capsys.readouterr().err == "\nmine: interrupted\n"
+        and signal.getsignal(signal.SIGTERM) is before
+    )
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        assert run(command_of(work), [], "mine") == 0 and signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        assert (
+            run(command_of(work), [], "mine") == 0
+            and signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        )
     finally:
         signal.signal(signal.SIGTERM, before)
 
@@ -111,9 +119,17 @@ def test_a_signal_inside_a_callback_of_llvm_is_not_lost(name, status):
     ("error", "status", "message"),
     [
         (ParameterError("a.yaml: wrong"), 2, "mine: error: a.yaml: wrong\n"),
-        (OSError(28, "No space left on device", "/a"), 2, "mine: error: /a: No space left on device\n"),
+        (
+            OSError(28, "No space left on device", "/a"),
+            2,
+            "mine: error: /a: No space left on device\n",
+        ),
         (MemoryError("8 GB"), 2, "mine: error: not enough memory (8 GB)\n"),
-        (KeyboardInterrupt("continue with --resume"), 130, "\nmine: interrupted; continue with --resume\n"),
+        (
+            KeyboardInterrupt("continue with --resume"),
+            130,
+            "\nmine: interrupted; continue with --resume\n",
+        ),
     ],
 )
 def test_an_error_in_a_command_is_one_line(capsys, error, status, message):
@@ -131,9 +147,7 @@ def test_an_unexpected_error_keeps_its_traceback():
 
 def saying(say):
     """Code of a command that prints."""
-    return (
-        f"{MINE}from rich.console import Console\nleave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
-    )
+    return f"{MINE}from rich.console import Console\nleave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
 
 
 @WITH_SIGNALS
@@ -153,11 +167,17 @@ def test_a_reader_that_has_gone_ends_a_command_silently(say):
 def test_a_print_that_fails_is_one_line():
     with open("/dev/full", "w") as full:
         found = ended("-c", saying("print('x', flush=True)"), stdout=full)
-    assert found == (2, None, "mine: error: the output cannot be written (No space left on device)\n")
+    assert found == (
+        2,
+        None,
+        "mine: error: the output cannot be written (No space left on device)\n",
+    )
 
 
 def test_a_whole_number_is_required(capsys):
-    command = click.Command("mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None)
+    command = click.Command(
+        "mine", params=[click.Option(["--n"], type=WholeNumber())], callback=lambda n: None
+    )
     for text in ("abc", "-1", "1.5", "nan", "1e400", ""):
         assert run(command, ["--n", text], "mine") == 2
         assert f"{text!r}: expected a whole number >= 0" in capsys.readouterr().err

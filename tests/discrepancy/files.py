@@ -29,12 +29,21 @@ SLIPS = (0.05, 0.12, 0.2, 0.3, 0.42, 0.55)
 
 def world(effects: dict) -> WheelSoilModel:
     """A wheel on one soil with effects."""
-    soil = Soil(friction_angle_deg=31, cohesion=3500, shear_modulus=0.028, sinkage_coefficient=740000,
-                sinkage_exponent=0.64, dig_gain=0.0, density=1600)  # fmt: skip
+    soil = Soil(
+        friction_angle_deg=31,
+        cohesion=3500,
+        shear_modulus=0.028,
+        sinkage_coefficient=740000,
+        sinkage_exponent=0.64,
+        dig_gain=0.0,
+        density=1600,
+    )
     return WheelSoilModel(ModelWheel(0.15, 0.12, 0.01), soil, effects)
 
 
-def table_text(effects: dict, loads=(100, 150, 220), slips=SLIPS, channels=tuple(NOISE), seed=0, **conditions) -> str:
+def table_text(
+    effects: dict, loads=(100, 150, 220), slips=SLIPS, channels=tuple(NOISE), seed=0, **conditions
+) -> str:
     """CSV of `world(effects)` with noise at all combinations of the conditions."""
     names = ("load", *conditions, "slip")
     at = np.array(list(itertools.product(loads, *conditions.values(), slips)), dtype=float)
@@ -43,7 +52,9 @@ def table_text(effects: dict, loads=(100, 150, 220), slips=SLIPS, channels=tuple
     values += np.random.default_rng(seed).normal(size=values.shape) * list(NOISE.values())
     chosen = [list(NOISE).index(name) for name in channels]
     lines = [",".join((*names, *channels))]
-    lines += [",".join(f"{x:.6g}" for x in (*a, *v[chosen])) for a, v in zip(at, values, strict=True)]
+    lines += [
+        ",".join(f"{x:.6g}" for x in (*a, *v[chosen])) for a, v in zip(at, values, strict=True)
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -12,12 +12,15 @@ from soil_env.discrepancy.data import Data
 from tests.discrepancy.files import SETUP, SLIPS, data_of, world
 
 NOISE = np.array([0.0009, 1.5, 0.2])
-WHEEL, SOIL = world({}).wheel, world({}).soil
+WHEEL = world({}).wheel
+SOIL = world({}).soil
 LOADS = (100.0, 150.0, 220.0)
 _SETUP = SETUP.split("noise:")[0] + "noise: {sinkage: 0.0009, drawbar_pull: 1.5, torque: 0.2}\n"
 
 
-def table(effects=None, slips=SLIPS, loads=LOADS, speeds=(0.06,), passes=(1,), grades=(0.0,), repeats=1) -> Data:
+def table(
+    effects=None, slips=SLIPS, loads=LOADS, speeds=(0.06,), passes=(1,), grades=(0.0,), repeats=1
+) -> Data:
     """The noise-free table of every combination of the conditions, as the workflow reads it."""
     c = np.array(list(itertools.product(slips, loads, speeds, passes, grades)) * repeats)
     names = ("slip", "load", "speed", "pass", "grade_deg")

@@ -15,7 +15,8 @@ TABLE = table_text({}, loads=(100, 200), slips=(0.1, 0.3, 0.5))
 
 def call(folder, *more, out="out"):
     """Exit status of the command on the files of a folder."""
-    data, setup = folder / "data.csv", folder / "setup.yaml"
+    data = folder / "data.csv"
+    setup = folder / "setup.yaml"
     return main(["discover", str(data), "--setup", str(setup), "--out", str(folder / out), *more])
 
 
@@ -35,7 +36,10 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
         assert point["slip"] in (0.2, 0.6) and point["load"] in (150, 300)
         assert re.search(rf"^ +{k} +{point['slip']} +{point['load']:g} ", shown.out, re.M)
         assert {"name", "probability", "mean", "sd"} == {*said["predicted"][0]}
-    assert "Predictions of the most probable candidates" in (tmp_path / "out" / "report.html").read_text()
+    assert (
+        "Predictions of the most probable candidates"
+        in (tmp_path / "out" / "report.html").read_text()
+    )
     assert names(tmp_path / "out") == NAMES and names(tmp_path) == ["data.csv", "out", "setup.yaml"]
     for name in NAMES:
         assert f"written: {tmp_path / 'out' / name}" in shown.out
@@ -43,16 +47,37 @@ def test_a_run_writes_three_files_and_says_so(tmp_path, capsys):
 
 # what every reader of tables and setups refuses is in tests/measurement; doubts in test_doubts
 BAD = {
-    "sinkage upward": (changed(TABLE, "sinkage", -1.0), SETUP, r"sinkage is negative in every row: .* downward"),
-    "torque in N mm": (changed(TABLE, "torque", 1e3), SETUP, r"torque is \d+ times load times radius .* newton metres"),
-    "speed partly empty": ("slip,load,speed,torque\n0.1,100,0.1,2\n0.2,100,,3\n", SETUP, r"row 3, speed is empty"),
-    "unknown column": (TABLE.replace("drawbar_pull", "drawbar_pul", 1), SETUP, r"'drawbar_pul'; .*'drawbar_pull'"),
-    "misspelt key": (TABLE, SETUP.replace("cohesion:", "cohesoin:", 1), r"'cohesoin'; did you mean 'cohesion'\?"),
+    "sinkage upward": (
+        changed(TABLE, "sinkage", -1.0),
+        SETUP,
+        r"sinkage is negative in every row: .* downward",
+    ),
+    "torque in N mm": (
+        changed(TABLE, "torque", 1e3),
+        SETUP,
+        r"torque is \d+ times load times radius .* newton metres",
+    ),
+    "speed partly empty": (
+        "slip,load,speed,torque\n0.1,100,0.1,2\n0.2,100,,3\n",
+        SETUP,
+        r"row 3, speed is empty",
+    ),
+    "unknown column": (
+        TABLE.replace("drawbar_pull", "drawbar_pul", 1),
+        SETUP,
+        r"'drawbar_pul'; .*'drawbar_pull'",
+    ),
+    "misspelt key": (
+        TABLE,
+        SETUP.replace("cohesion:", "cohesoin:", 1),
+        r"'cohesoin'; did you mean 'cohesion'\?",
+    ),
     "too few for the noise": (
-        table_text({}, loads=(100,), slips=(0.1, 0.3, 0.5)), SETUP.split("noise:")[0],
+        table_text({}, loads=(100,), slips=(0.1, 0.3, 0.5)),
+        SETUP.split("noise:")[0],
         r"noise of sinkage: cannot be estimated from 3 values",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("table, setup, message", BAD.values(), ids=BAD)
@@ -61,7 +86,11 @@ def test_bad_input_is_one_line(tmp_path, capsys, table, setup, message):
     before = names(tmp_path)
     assert call(tmp_path, "--quiet") == 2
     shown = capsys.readouterr()
-    assert shown.out == "" and shown.err.count("\n") == 1 and shown.err.startswith("soil-env discover: ")
+    assert (
+        shown.out == ""
+        and shown.err.count("\n") == 1
+        and shown.err.startswith("soil-env discover: ")
+    )
     assert re.search(message, shown.err), shown.err
     assert names(tmp_path) == before
 
@@ -69,7 +98,10 @@ def test_bad_input_is_one_line(tmp_path, capsys, table, setup, message):
 @pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize(
     "step, error, status",
-    [("replace_files", OSError(28, "No space left on device"), 2), ("page", KeyboardInterrupt(), 130)],
+    [
+        ("replace_files", OSError(28, "No space left on device"), 2),
+        ("page", KeyboardInterrupt(), 130),
+    ],
 )
 def test_nothing_is_left_when_writing_fails(tmp_path, capsys, monkeypatch, step, error, status):
     write_files(tmp_path, TABLE)

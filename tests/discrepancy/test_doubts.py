@@ -37,12 +37,16 @@ def examined(folder, text, setup=SETUP):
     ],
 )
 def test_a_wrong_unit_or_sign_is_doubted_or_refused(tmp_path, column, factor, words):
-    assert words.lower() in " ".join(examined(tmp_path, changed(table_text({}), column, factor))).lower()
+    assert (
+        words.lower()
+        in " ".join(examined(tmp_path, changed(table_text({}), column, factor))).lower()
+    )
 
 
 def test_exchanged_columns_are_doubted(tmp_path):
     lines = [line.split(",") for line in table_text({}).splitlines()]
-    a, b = lines[0].index("drawbar_pull"), lines[0].index("torque")
+    a = lines[0].index("drawbar_pull")
+    b = lines[0].index("torque")
     for line in lines[1:]:
         line[a], line[b] = line[b], line[a]
     said = " ".join(examined(tmp_path, "\n".join(map(",".join, lines)) + "\n"))
@@ -51,7 +55,9 @@ def test_exchanged_columns_are_doubted(tmp_path):
 
 def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust(tmp_path):
     text = changed(table_text({}, loads=(400, 600, 800)), "load", 1 / 9.81)
-    (said,) = examined(tmp_path, text, SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}"))
+    (said,) = examined(
+        tmp_path, text, SETUP.replace("{value: 3700, sd: 700}", "{value: 3500, sd: 100}")
+    )
     assert re.search(r"torque/radius is [\d.]+ times the strength .* with load as kilograms", said)
 
 
@@ -60,11 +66,21 @@ def test_a_load_in_kilograms_is_refused_where_the_soil_could_not_bear_the_thrust
     [
         ("torque", lambda x: 0.0, "torque is 0 in every row: expected measured values"),
         ("sinkage", lambda x: 0.02, "sinkage is 0.02 in every row"),
-        ("drawbar_pull", lambda x: x / 1000.0, "expected newtons (if it is kilonewtons, times 1000)"),
-        ("torque", lambda x: x / 1000.0, "expected newton metres (if it is kilonewton metres, times 1000)"),
+        (
+            "drawbar_pull",
+            lambda x: x / 1000.0,
+            "expected newtons (if it is kilonewtons, times 1000)",
+        ),
+        (
+            "torque",
+            lambda x: x / 1000.0,
+            "expected newton metres (if it is kilonewton metres, times 1000)",
+        ),
     ],
 )
-def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it(tmp_path, column, change, words):
+def test_a_channel_that_is_dead_or_in_kilonewtons_is_said_and_nothing_else_of_it(
+    tmp_path, column, change, words
+):
     (said,) = examined(tmp_path, changed(table_text({}), column, change))
     assert words in said
 
@@ -77,18 +93,24 @@ def test_sinkage_alone_does_not_decide_the_sign_of_the_slip(tmp_path):
 
 def test_a_diameter_for_the_radius_is_told(tmp_path):
     setup = SETUP.replace("radius: 0.15", "radius: 0.3")
-    assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(examined(tmp_path, table_text({}), setup))
+    assert "With wheel.radius of the setup halved to 0.15 m" in " ".join(
+        examined(tmp_path, table_text({}), setup)
+    )
 
 
 def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
     """Only tables that begin at low slip and end below zero say anything about the sign."""
     problem = calibrate(data_of(tmp_path, table_text({})))[0]
     assert doubts._pull_falls(problem) == "" and doubts._beyond_strength(problem) == ""
-    pull, slip = problem.data.y[:, 1], problem.data.rows.slip
+    pull = problem.data.y[:, 1]
+    slip = problem.data.rows.slip
     pull[:] = 40.0 - 200.0 * (slip - 0.2) ** 2  # rises, then falls, above 0
     assert doubts._pull_falls(problem) == ""
     pull[:] = 20.0 - 100.0 * slip
-    assert re.match("drawbar_pull falls with slip in every group of rows that differ", doubts._pull_falls(problem))
+    assert re.match(
+        "drawbar_pull falls with slip in every group of rows that differ",
+        doubts._pull_falls(problem),
+    )
     problem.data.rows.slip[:] = slip * 0.5 + 0.3  # nothing is known of low slip
     assert doubts._pull_falls(problem) == ""
 
@@ -99,7 +121,8 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
     bare = "wheel: {radius: 0.15, width: 0.12}\nsoil: {density: 1600}\nnoise: {sinkage: 0.0006, drawbar_pull: 0.8}\n"
     text = changed(table_text({}), "load", 1 / 9.81)
     assert any(
-        re.search("times the load .* kilograms or kgf, multiply it by 9.81", d) for d in examined(tmp_path, text, bare)
+        re.search("times the load .* kilograms or kgf, multiply it by 9.81", d)
+        for d in examined(tmp_path, text, bare)
     )
     assert examined(tmp_path, table_text({}), bare) == ()
     table = read_table(tmp_path / "data.csv")
@@ -116,7 +139,9 @@ def test_sound_tables_are_rarely_doubted(tmp_path):
     ):
         case = draw_case(11, Task(name, k))
         case = replace(case, columns={n: x[:: 9 if k % 2 else 1] for n, x in case.columns.items()})
-        in_kilograms = replace(case, columns=case.columns | {"load": [w / 9.81 for w in case.columns["load"]]})
+        in_kilograms = replace(
+            case, columns=case.columns | {"load": [w / 9.81 for w in case.columns["load"]]}
+        )
         doubted = []
         for there in (case, in_kilograms):
             write_case(there, tmp_path / "case", tmp_path / "truth.json")
@@ -153,4 +178,7 @@ def test_a_mistyped_slip_that_decides_is_told(tmp_path):
     found, noise = said(tmp_path, with_slip(table_text(PLANTED, LOADS), 5, "1.0"))
     assert noise.alone.tolist().count(True) == 1 and noise.alone[3]
     (doubt,) = found
-    assert doubt.startswith("Line 5 (slip 1, load 100 N) stands alone") and "without it that is slip-sinkage." in doubt
+    assert (
+        doubt.startswith("Line 5 (slip 1, load 100 N) stands alone")
+        and "without it that is slip-sinkage." in doubt
+    )

@@ -23,10 +23,13 @@ def data():
 
 def density(fit, sizes):
     """Log density of the whitened table of a linear model, unknowns and form errors normal, less its constant."""
-    j, b = fit.jacobian, fit.columns(sizes)
+    j = fit.jacobian
+    b = fit.columns(sizes)
     mean = -j @ fit.u  # of the residual, under the prior
     covariance = np.eye(j.shape[0]) + j @ j.T + b @ b.T
-    return multivariate_normal.logpdf(fit.residual, mean, covariance) + 0.5 * j.shape[0] * math.log(2.0 * math.pi)
+    return multivariate_normal.logpdf(fit.residual, mean, covariance) + 0.5 * j.shape[0] * math.log(
+        2.0 * math.pi
+    )
 
 
 @pytest.mark.parametrize("effect", [None, "bulldozing"])
@@ -39,13 +42,15 @@ def test_the_evidence_is_the_density_of_the_table(data, effect):
     logs = np.array([density(fit, s) for s in sizes]) + log_prior
     allowed = np.zeros(len(sizes))
     for k, s in enumerate(sizes):
-        b, j = fit.columns(s), fit.jacobian
+        b = fit.columns(s)
+        j = fit.jacobian
         precision = np.linalg.inv(np.eye(j.shape[0]) + b @ b.T)
         cov = np.linalg.inv(np.eye(fit.u.size) + j.T @ precision @ j)
         mean = fit.u + cov @ (j.T @ precision @ fit.residual - fit.u)
         for i, unknown in enumerate(fit.unknowns):
             low, high = unknown.bounds
-            at, sd = norm(mean[i], math.sqrt(cov[i, i])), norm()
+            at = norm(mean[i], math.sqrt(cov[i, i]))
+            sd = norm()
             allowed[k] += math.log((at.cdf(high) - at.cdf(low)) / (sd.cdf(high) - sd.cdf(low)))
     assert result.log == pytest.approx(np.logaddexp.reduce(logs + allowed), abs=1e-6)
     assert sum(result.share.values()) == pytest.approx(1.0)
@@ -71,13 +76,18 @@ def test_the_posterior_covers_the_soil_under_a_law_error(data):
         errors = np.zeros_like(data.y)
         errors[data.measured] = law @ (0.1 * rng.normal(size=law.shape[1]))
         p = problem(data, rng, errors * NOISE)
-        result, plain = evidence.settle(p, ()), p.fit()
+        result = evidence.settle(p, ())
+        plain = p.fit()
         a, _ = plain.linearised()
         for k, unknown in enumerate(plain.unknowns):
             if unknown.name in true:
                 at = unknown.at(true[unknown.name])
-                inside["form error"] += abs(result.mean[k] - at) < 2.0 * math.sqrt(result.covariance[k, k])
-                inside["noise alone"] += abs(plain.u[k] - at) < 2.0 * math.sqrt(np.linalg.inv(a.T @ a)[k, k])
+                inside["form error"] += abs(result.mean[k] - at) < 2.0 * math.sqrt(
+                    result.covariance[k, k]
+                )
+                inside["noise alone"] += abs(plain.u[k] - at) < 2.0 * math.sqrt(
+                    np.linalg.inv(a.T @ a)[k, k]
+                )
     assert inside["form error"] >= 39 > inside["noise alone"] + 5  # of 45
 
 
@@ -100,19 +110,25 @@ def test_what_is_detectable_is_detected(data, name):
 def test_noise_that_is_hardly_known_says_less(data):
     """Stated at half of what it is, and known to three degrees of freedom or for sure."""
     p = problem(table({"bulldozing": {"rankine": 0.4}}, speeds=SPEEDS), np.random.default_rng(6))
-    p, gains = dataclasses.replace(p, noise=0.5 * NOISE), []
+    p = dataclasses.replace(p, noise=0.5 * NOISE)
+    gains = []
     for p.freedom in (math.inf, 3.0):
         base = evidence.settle(p, ())
         gains.append(evidence.settle(p, (Choice("bulldozing", 0),), base).log - base.log)
     assert 0.0 < gains[1] < 0.8 * gains[0]
-    assert evidence.noise_scales(math.inf) == pytest.approx([1.0]) and evidence.noise_scales(4.0)[2] > 1.0
+    assert (
+        evidence.noise_scales(math.inf) == pytest.approx([1.0])
+        and evidence.noise_scales(4.0)[2] > 1.0
+    )
 
 
 @pytest.mark.parametrize(
-    "place, pattern", [((0.0, 8.0, 0.0), "drawbar_pull with slip"), ((8.0, 0.0, 0.0), "sinkage with slip and speed")]
+    "place, pattern",
+    [((0.0, 8.0, 0.0), "drawbar_pull with slip"), ((8.0, 0.0, 0.0), "sinkage with slip and speed")],
 )
 def test_an_anonymous_contribution_is_found_in_its_place(data, place, pattern):
-    slip, speed = data.rows.slip, data.rows.conditions[:, 0]
+    slip = data.rows.slip
+    speed = data.rows.conditions[:, 0]
     wave = np.sin(7.0 * slip) * (np.sign(speed - 0.06) if "speed" in pattern else 1.0)
     p = problem(data, np.random.default_rng(7), np.outer(wave, place * NOISE))
     base = evidence.settle(p, ())
@@ -129,19 +145,29 @@ def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
     assert free.sizes.scatter == pytest.approx(3.0, abs=1.1) and free.sizes.patterns == ()
     fit = p.fit((), sizes=Sizes(scatter=3.0))
     a, e = fit.linearised()
-    assert fit.sizes.scatter == 3.0 and np.mean(e[: fit.residual.size] ** 2) == pytest.approx(1.1, abs=0.3)
+    assert fit.sizes.scatter == 3.0 and np.mean(e[: fit.residual.size] ** 2) == pytest.approx(
+        1.1, abs=0.3
+    )
     assert a[: fit.residual.size] * 3.0 == pytest.approx(fit.jacobian[:, fit.free_unknowns])
 
 
 def test_beds_that_differ_are_a_pattern_of_the_stress():
     """Six beds of one run each, of which every one bears otherwise; with a bed for each row there is no pattern."""
     data = table(speeds=SPEEDS)
-    bed = np.unique(np.stack([data.rows.load, data.rows.conditions[:, 0]]), axis=1, return_inverse=True)[1].ravel()
+    bed = np.unique(
+        np.stack([data.rows.load, data.rows.conditions[:, 0]]), axis=1, return_inverse=True
+    )[1].ravel()
     there = dataclasses.replace(data, table=dataclasses.replace(data.table, run=bed.astype(str)))
     assert np.array_equal(there.beds, bed) and len(np.unique(data.beds)) == len(data.y)
     p = problem(there, np.random.default_rng(3))
-    assert not [name for name in evidence.patterns(problem(data, np.random.default_rng(3)), p.fit()) if "bed" in name]
-    softer = p.stresses(p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0))[0]
+    assert not [
+        name
+        for name in evidence.patterns(problem(data, np.random.default_rng(3)), p.fit())
+        if "bed" in name
+    ]
+    softer = p.stresses(
+        p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0)
+    )[0]
     off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
     free = evidence.anonymous(
         q := problem(there, np.random.default_rng(3), softer * off[:, None]), evidence.settle(q, ())
@@ -151,7 +177,9 @@ def test_beds_that_differ_are_a_pattern_of_the_stress():
 
 def test_a_law_of_the_freedom_of_an_effect_takes_what_has_another_form(data):
     """Contribution of bulldozing, as it is published, and turned about over slip and load."""
-    there = problem(table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS), np.random.default_rng(9))
+    there = problem(
+        table({"bulldozing": {"rankine": 1.0}}, speeds=SPEEDS), np.random.default_rng(9)
+    )
     added = there.data.y - data.y - NOISE * np.random.default_rng(9).normal(size=data.y.shape)
     turned = added * (1.0 + 1.5 * np.sin(9.0 * data.rows.slip + data.rows.load / 40.0))[:, None]
     for p, listed in ((there, True), (problem(data, np.random.default_rng(9), turned), False)):

@@ -19,8 +19,13 @@ from tests.discrepancy.tables import NOISE, table
 def linear(unknown, u, *parts):
     """(finding, evidence) of one unknown, fitted at u: (probability, mean, variance) of each hypothesis."""
     fit = SimpleNamespace(unknowns=(unknown,), u=np.array([u]))
-    own = [SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]), fit=fit) for _, m, v in parts]
-    hypotheses = tuple(Hypothesis((), False, w, 0.0, e) for (w, _, _), e in zip(parts, own, strict=True))
+    own = [
+        SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]), fit=fit)
+        for _, m, v in parts
+    ]
+    hypotheses = tuple(
+        Hypothesis((), False, w, 0.0, e) for (w, _, _), e in zip(parts, own, strict=True)
+    )
     return Finding(hypotheses, {}, {}), own[0]
 
 
@@ -32,7 +37,9 @@ def test_intervals_are_those_of_a_linear_problem():
     assert result["x"].high - result["x"].value == pytest.approx(1.959964 * math.sqrt(0.8))
     logarithmic = Unknown("x", 0.0, 2.0, -math.inf, math.inf, True)
     result = judgement.intervals(*linear(logarithmic, 0.5, (1.0, 0.5, 0.2)))
-    assert result["x"].high / result["x"].value == pytest.approx(result["x"].value / result["x"].low)
+    assert result["x"].high / result["x"].value == pytest.approx(
+        result["x"].value / result["x"].low
+    )
 
 
 def test_intervals_are_over_all_hypotheses():
@@ -62,8 +69,11 @@ def test_closed_weighs_what_is_above_the_noise(planted):
 def test_shares_of_two_effects_sum_to_what_both_close(problem):
     rng = np.random.default_rng(5)
     before = predictions(problem, 4.0, rng)
-    held = {("a",): predictions(problem, 3.0, rng), ("b",): predictions(problem, 2.0, rng),
-            ("a", "b"): predictions(problem, 1.2, rng)}  # fmt: skip
+    held = {
+        ("a",): predictions(problem, 3.0, rng),
+        ("b",): predictions(problem, 2.0, rng),
+        ("a", "b"): predictions(problem, 1.2, rng),
+    }
     shares = judgement.shares(problem, before, held)
     both = judgement.closed(problem, judgement.gaps(problem, before, held["a", "b"]))
     assert sum(shares.values()) == pytest.approx(both) and shares["b"] > shares["a"] > 0.0
@@ -83,7 +93,8 @@ def predictions(problem, size, rng):
 
 def test_it_holds_the_share_and_is_the_same_for_the_same_seed(problem):
     rng = np.random.default_rng(1)
-    before, after = predictions(problem, 3.0, rng), predictions(problem, 1.5, rng)
+    before = predictions(problem, 3.0, rng)
+    after = predictions(problem, 1.5, rng)
     share = judgement.closed(problem, judgement.gaps(problem, before, after))
     low, high = closed_interval(problem, before, after, np.random.default_rng(0))
     assert low < share < high <= 1.0 and 0.02 < high - low < 0.6
@@ -93,10 +104,14 @@ def test_it_holds_the_share_and_is_the_same_for_the_same_seed(problem):
 def test_one_bad_group_widens_it(problem):
     """An error that sits in one slip alone is known less well than the same error in all of them."""
     rng = np.random.default_rng(2)
-    before, after = predictions(problem, 3.0, rng), predictions(problem, 1.0, rng)
+    before = predictions(problem, 3.0, rng)
+    after = predictions(problem, 1.0, rng)
     spread = after + 1.5 * NOISE * np.sign(rng.normal(size=after.shape))
     only = after.copy()
     group = folds(problem.data)[0][0]
     only[group] += 1.5 * NOISE * np.sqrt(group.size / group.sum())
-    wide, narrow = (np.ptp(closed_interval(problem, before, a, np.random.default_rng(0))) for a in (only, spread))
+    wide, narrow = (
+        np.ptp(closed_interval(problem, before, a, np.random.default_rng(0)))
+        for a in (only, spread)
+    )
     assert wide > 1.5 * narrow

@@ -68,7 +68,8 @@ def test_planted_box_is_found(channel, size, box):
 
 def test_a_model_that_leaves_a_pattern_is_told_from_laws_that_err():
     """A band of slip in the pull, and an error of the laws of a tenth."""
-    data, rng = table(speeds=SPEEDS), np.random.default_rng(6)
+    data = table(speeds=SPEEDS)
+    rng = np.random.default_rng(6)
     base = problem(data, rng)
     law = np.zeros_like(data.y)
     columns = base.fit().law[0]

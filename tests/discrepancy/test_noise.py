@@ -17,7 +17,8 @@ SLIPS = np.linspace(0.05, 0.7, 8)
 
 def noisy(seed, slip_sd, load_sd=0.0, effects=None, stated=True):
     """A table whose slips and loads were read with noise."""
-    clean, rng = table(effects, slips=SLIPS), np.random.default_rng(seed)
+    clean = table(effects, slips=SLIPS)
+    rng = np.random.default_rng(seed)
     y = clean.y + NOISE * rng.normal(size=clean.y.shape)
     slip = clean.table.slip + slip_sd * rng.normal(size=len(y))
     load = clean.table.load + load_sd * rng.normal(size=len(y))
@@ -29,12 +30,15 @@ def noisy(seed, slip_sd, load_sd=0.0, effects=None, stated=True):
     )
 
 
-@pytest.mark.parametrize("effects", [{}, {"slip_sinkage": {"gain": 3.0, "recovery": 1.0, "apparent": 1.0}}])
+@pytest.mark.parametrize(
+    "effects", [{}, {"slip_sinkage": {"gain": 3.0, "recovery": 1.0, "apparent": 1.0}}]
+)
 def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects):
     """The slopes of the true world, which the base model does not have where an effect is missing."""
     rows, setup = noisy(0, 0.02, 3.0, effects)
     problem, noise = calibrate(prepare(rows, setup))
-    world, step = world_of(effects), 1e-3
+    world = world_of(effects)
+    step = 1e-3
     conditions = {"slip": rows.slip, "load": rows.load, "speed": 0.06}
 
     def values(slip=0.0, load=0.0):
@@ -47,10 +51,14 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     found = noise.sd * problem.data.relative_sd
     inner = (rows.slip > 0.1) & (rows.slip < 0.65)
     off = np.abs(found / expected - 1.0)[inner]
-    assert np.max(np.median(off, axis=0)) < 0.05  # of the sinkage 0.17 by the base model's slopes alone
+    assert (
+        np.max(np.median(off, axis=0)) < 0.05
+    )  # of the sinkage 0.17 by the base model's slopes alone
     assert np.max(off) < 0.15
     assert noise.origin == ("setup", "setup", "setup") and noise.of_conditions == ("slip", "load")
-    again, _ = calibrate(prepare(problem.data.table, problem.data.setup))  # as where rows are left out: counted once
+    again, _ = calibrate(
+        prepare(problem.data.table, problem.data.setup)
+    )  # as where rows are left out: counted once
     assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 
@@ -74,5 +82,8 @@ def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
 def test_noise_that_leaves_no_digits_is_refused():
     rows, setup = noisy(0, 0.0)
     tiny = dataclasses.replace(setup, noise=dataclasses.replace(setup.noise, sinkage=1e-10))
-    with pytest.raises(ParameterError, match=r"noise.sinkage = 1e-10: expected at least .* a millionth of the values"):
+    with pytest.raises(
+        ParameterError,
+        match=r"noise.sinkage = 1e-10: expected at least .* a millionth of the values",
+    ):
         run(rows, tiny)

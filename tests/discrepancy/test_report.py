@@ -17,8 +17,18 @@ from soil_env.discrepancy.next_tests import CHECKS
 from soil_env.discrepancy.report import equations, sentences, words
 from tests.discrepancy.files import PLANTED, SETUP, table_text, write_files
 
-KEYS = ("verdict", "effects", "where", "ranking", "gap", "closed", "untestable", "next_tests", "remainder",
-        "detectable")  # fmt: skip
+KEYS = (
+    "verdict",
+    "effects",
+    "where",
+    "ranking",
+    "gap",
+    "closed",
+    "untestable",
+    "next_tests",
+    "remainder",
+    "detectable",
+)
 
 
 def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
@@ -27,7 +37,9 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
-        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect["name"] in LISTED
+        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect[
+            "name"
+        ] in LISTED
         assert all(p["low"] <= p["value"] <= p["high"] for p in effect["parameters"].values())
     assert all({"channel", "region", "size", "p_value"} <= set(d) for d in content["where"])
     assert set(content["gap"]) == set(content["remainder"]) == set(CHANNELS)
@@ -49,10 +61,15 @@ def test_checks_are_asked_for_where_they_are_likely_to_find_something(nothing):
     base = nothing.finding.best()
 
     def step(p):
-        found = [dataclasses.replace(base, names=(n,), probability=p) for n in ("force_gain", "torque_gain")]
+        found = [
+            dataclasses.replace(base, names=(n,), probability=p)
+            for n in ("force_gain", "torque_gain")
+        ]
         rest = dataclasses.replace(base, probability=1.0 - 2.0 * p)
         finding = dataclasses.replace(nothing.finding, hypotheses=(rest, *found))
-        return words.next_step(dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[3:4], next_tests=()))
+        return words.next_step(
+            dataclasses.replace(nothing, finding=finding, next_checks=CHECKS[3:4], next_tests=())
+        )
 
     assert step(0.04) == "Simulate with model.yaml." and "known weights" in step(0.06)
 
@@ -64,14 +81,17 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
     run(*files, tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<b>" not in page and "&lt;b&gt;&amp;" in page
-    assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page)  # it stands alone
+    assert not re.search(
+        r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page
+    )  # it stands alone
 
 
 def test_a_named_effect_is_shown_as_an_equation(planted_files):
     report, folder = planted_files
     (effect,) = json.loads((folder / "report.json").read_text())["effects"]
     (block,) = equations.blocks(report)
-    terminal, page = drawn.text(report), (folder / "report.html").read_text()
+    terminal = drawn.text(report)
+    page = (folder / "report.html").read_text()
     for name, value in effect["parameters"].items():
         if name in effect["symbols"]:
             assert f"{effect['symbols'][name]} = {value['value']:.3g}" in terminal
@@ -84,28 +104,44 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
 def test_the_summary_follows_the_probabilities(planted):
     """One sentence for each verdict, with the probability of `Finding`; the same as in the table and report.json."""
     finding = planted.finding
-    one, other, base = finding.best("slip_sinkage"), finding.best("bulldozing"), finding.best()
+    one = finding.best("slip_sinkage")
+    other = finding.best("bulldozing")
+    base = finding.best()
 
     def report_of(*shares):
-        parts = (one, other, dataclasses.replace(one, free=True), base, dataclasses.replace(base, free=True))
+        parts = (
+            one,
+            other,
+            dataclasses.replace(one, free=True),
+            base,
+            dataclasses.replace(base, free=True),
+        )
         found = [dataclasses.replace(h, probability=p) for h, p in zip(parts, shares, strict=True)]
-        there = dataclasses.replace(finding, hypotheses=tuple(sorted(found, key=lambda h: -h.probability)))
+        there = dataclasses.replace(
+            finding, hypotheses=tuple(sorted(found, key=lambda h: -h.probability))
+        )
         effect = planted.effects[0]
         effect = dataclasses.replace(
-            effect, probability=there.share(effect.name), alternatives=there.alternatives(effect.name)
+            effect,
+            probability=there.share(effect.name),
+            alternatives=there.alternatives(effect.name),
         )
         return dataclasses.replace(planted, finding=there, effects=(effect,))
 
     ambiguous = sentences.summary(report_of(0.45, 0.4, 0.0, 0.15, 0.0))
     assert "85 %" in ambiguous and "slip-sinkage alone (45 %); bulldozing alone (40 %)" in ambiguous
-    assert "in no catalogue (probability 90 %)" in sentences.summary(report_of(0.1, 0.0, 0.0, 0.0, 0.9))
+    assert "in no catalogue (probability 90 %)" in sentences.summary(
+        report_of(0.1, 0.0, 0.0, 0.0, 0.9)
+    )
     assert "nothing is missing" in sentences.summary(report_of(0.0, 0.1, 0.0, 0.9, 0.0)).lower()
     beside = report_of(0.83, 0.0, 0.05, 0.1, 0.02)
     assert "in no catalogue is 7 %" in sentences.summary(beside)
     assert drawn.content(beside)["probability"]["remainder"] == pytest.approx(0.07)
 
 
-@pytest.mark.parametrize("before, after, verdict", [(9.0, 1.2, "named"), (9.0, 4.0, "partly"), (1.0, 1.38, "partly")])
+@pytest.mark.parametrize(
+    "before, after, verdict", [(9.0, 1.2, "named"), (9.0, 4.0, "partly"), (1.0, 1.38, "partly")]
+)
 def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict):
     """An error that stays above the noise, or that the named effect makes larger, is stated with the name."""
     floor = planted.gap["drawbar_pull"].noise_floor
@@ -113,7 +149,9 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
     report = dataclasses.replace(planted, gap=gap)
     assert report.verdict == drawn.content(report)["verdict"] == verdict
     said = sentences.summary(report)
-    assert (f"{floor * math.sqrt(after**2 - 1.0):.2g} N of drawbar pull" in said) == (verdict == "partly")
+    assert (f"{floor * math.sqrt(after**2 - 1.0):.2g} N of drawbar pull" in said) == (
+        verdict == "partly"
+    )
     assert ("rises by 38 %" in said) == (after > before)
 
 
@@ -124,7 +162,9 @@ def test_a_soil_far_from_the_setup_is_a_caution(planted):
         u = planted.fit.u.copy()
         u[k] = (-far if far * 700 < 3700 else far) / PRIOR_WIDTH
         moved = dataclasses.replace(planted, fit=dataclasses.replace(planted.fit, u=u))
-        assert any("Cohesion c" in said and f" {far} " in said for said in sentences.cautions(moved))
+        assert any(
+            "Cohesion c" in said and f" {far} " in said for said in sentences.cautions(moved)
+        )
     assert not any("standard deviations" in said for said in sentences.cautions(planted))
 
 
@@ -132,15 +172,21 @@ def test_digging_of_the_setup_is_no_missing_effect(tmp_path):
     setup = SETUP.replace("soil:\n", "soil:\n  dig_gain: 1.5\n")
     report = run(*write_files(tmp_path, table_text(PLANTED), setup))
     assert report.verdict == "none"
-    assert any("has the slip-sinkage of the setup (dig_gain 1.5)" in said for said in sentences.cautions(report))
+    assert any(
+        "has the slip-sinkage of the setup (dig_gain 1.5)" in said
+        for said in sentences.cautions(report)
+    )
 
 
-@pytest.mark.parametrize(("sure", "words"), [(0.75, "would hardly help"), (0.9, "at least 90 % after them")])
+@pytest.mark.parametrize(
+    ("sure", "words"), [(0.75, "would hardly help"), (0.9, "at least 90 % after them")]
+)
 def test_runs_that_separate_nothing_are_not_recommended(sure, words):
     """Candidates with 0.85 and 0.15: the right one has 0.745 on average now."""
     predicted = [SimpleNamespace(probability=p) for p in (0.85, 0.15)]
     report = SimpleNamespace(
-        next_tests=[SimpleNamespace(predicted=predicted, sure=sure, repeat=False)], verdict="ambiguous"
+        next_tests=[SimpleNamespace(predicted=predicted, sure=sure, repeat=False)],
+        verdict="ambiguous",
     )
     assert sentences.right_now(report) == pytest.approx(0.745)
     assert words in sentences.after_next(report)

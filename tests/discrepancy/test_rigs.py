@@ -18,19 +18,34 @@ from tests.discrepancy.files import NOISE, SETUP, SLIPS, data_of, world, write_f
 LUGS = {"grousers": {"shear_share": 1.0}}
 
 
-def two_wheels(sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns) -> str:
+def two_wheels(
+    sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns
+) -> str:
     """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips and loads."""
-    rng, lines = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    lines = []
     for radius, height in sizes:
         for load in loads:
-            normal, along = load * math.cos(math.radians(tilt)), load * math.sin(math.radians(tilt))
+            normal = load * math.cos(math.radians(tilt))
+            along = load * math.sin(math.radians(tilt))
             at = {"slip": SLIPS, "load": normal, "wheel_radius": radius, "grouser_height": height}
             values = np.stack(world(LUGS).predict(at)[:3], axis=1) - [0.0, along, 0.0]
             values += rng.normal(size=values.shape) * list(NOISE.values())
             more = [str(x) for x in columns.values()]
-            lines += [",".join([*map(repr, (i, load, radius, height, *map(float, v))), *more])
-                      for i, v in zip(SLIPS, values, strict=True)]  # fmt: skip
-    names = ("slip", "load", "wheel_radius", "grouser_height", "sinkage", "drawbar_pull", "torque", *columns)
+            lines += [
+                ",".join([*map(repr, (i, load, radius, height, *map(float, v))), *more])
+                for i, v in zip(SLIPS, values, strict=True)
+            ]
+    names = (
+        "slip",
+        "load",
+        "wheel_radius",
+        "grouser_height",
+        "sinkage",
+        "drawbar_pull",
+        "torque",
+        *columns,
+    )
     return "\n".join([",".join(names), *lines]) + "\n"
 
 
@@ -52,7 +67,10 @@ def test_wheels_are_a_condition(tmp_path):
     assert any(set(limit) == {"grouser_height"} for limit in boxes(problem).limits)
     grid = conditions(problem, ())
     wheels = np.unique(np.stack([grid.value[name] for name in WHEEL], axis=1), axis=0)
-    assert np.array_equal(wheels, np.unique(data.rows.wheels, axis=0)) and "grouser_height" in grid.asked
+    assert (
+        np.array_equal(wheels, np.unique(data.rows.wheels, axis=0))
+        and "grouser_height" in grid.asked
+    )
 
 
 def test_the_noise_of_a_row_is_its_own(tmp_path):
@@ -74,13 +92,19 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
 
 def hilly() -> str:
     """A table with noise of the base model: vertical load and pull of a rig, resolved by hand on the grade."""
-    rng, lines = np.random.default_rng(0), ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
+    rng = np.random.default_rng(0)
+    lines = ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
     for load, grade in itertools.product((100.0, 200.0), (-8.0, 0.0, 8.0)):
         b = math.radians(grade)
-        values = np.stack(world({}).predict({"slip": SLIPS, "load": load * math.cos(b)})[:3], axis=1)
+        values = np.stack(
+            world({}).predict({"slip": SLIPS, "load": load * math.cos(b)})[:3], axis=1
+        )
         values[:, 1] -= load * math.sin(b)
         values += rng.normal(size=values.shape) * list(NOISE.values())
-        lines += [",".join(f"{x:.7g}" for x in (i, load, grade, *v)) for i, v in zip(SLIPS, values, strict=True)]
+        lines += [
+            ",".join(f"{x:.7g}" for x in (i, load, grade, *v))
+            for i, v in zip(SLIPS, values, strict=True)
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -98,12 +122,19 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
     assert fitted(tmp_path, hilly())[0] > 5.0
     model = model_of(problem, fit)
     assert model.effects == {"grade": {"share": 1.0}}
-    assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(fit.output, rel=1e-5, abs=1e-6)
+    assert np.stack(model.predict(problem.data.table)[:3], axis=1) == pytest.approx(
+        fit.output, rel=1e-5, abs=1e-6
+    )
 
 
 def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
     """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands beside the soil."""
-    report = run(*write_files(tmp_path, two_wheels(tilt=1.0), SETUP + "tilt_deg: {value: 0, sd: 1}\n"))
+    report = run(
+        *write_files(tmp_path, two_wheels(tilt=1.0), SETUP + "tilt_deg: {value: 0, sd: 1}\n")
+    )
     assert "grousers" in {e.name for e in report.effects}
     assert report.soil["tilt_deg"].low < 1.0 < report.soil["tilt_deg"].high
-    assert {label.partition(", ")[2] for label, _ in groups(report)} == {"grouser height 0 m", "grouser height 0.02 m"}
+    assert {label.partition(", ")[2] for label, _ in groups(report)} == {
+        "grouser height 0 m",
+        "grouser height 0.02 m",
+    }

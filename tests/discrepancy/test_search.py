@@ -18,25 +18,32 @@ NOISE = "noise:" + SETUP.split("noise:")[1]
 
 def planted(effects, seed=0):
     """A noisy table of 80 rows in which all conditions vary."""
-    data = table(effects, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2), (-6.0, 6.0))
+    data = table(
+        effects, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2), (-6.0, 6.0)
+    )
     return problem(data, np.random.default_rng(seed))
 
 
 def test_what_the_table_cannot_show_is_untestable(tmp_path):
     text = "slip,load,sinkage,drawbar_pull\n" + "".join(
-        f"{s},100,{0.007 - 0.0003 * k},{-8 + 6 * k}\n" for k, s in enumerate((0.05, 0.15, 0.25, 0.35, 0.45))
+        f"{s},100,{0.007 - 0.0003 * k},{-8 + 6 * k}\n"
+        for k, s in enumerate((0.05, 0.15, 0.25, 0.35, 0.45))
     )
     p, _ = calibrate(data_of(tmp_path, text, SMALL + NOISE))
     names, reasons = candidates(p)
     of_torque = {"drivetrain_friction", "torque_gain", "torque_offset", "torque_crosstalk"}
-    assert set(reasons) == {"grousers", "multipass", "penetration_rate", "shear_rate", "grade"} | of_torque
+    assert (
+        set(reasons)
+        == {"grousers", "multipass", "penetration_rate", "shear_rate", "grade"} | of_torque
+    )
     assert "speed" in reasons["penetration_rate"] and "torque" in reasons["drivetrain_friction"]
     assert not set(names) & set(reasons)
 
 
 def law_error(data, size, seed):
     """The table with smooth relative errors of the stress laws, linear in their size, which no effect makes."""
-    rng, p = np.random.default_rng(seed), Problem(data, NOISE_SD.copy(), data.measured)
+    rng = np.random.default_rng(seed)
+    p = Problem(data, NOISE_SD.copy(), data.measured)
     fit = p.fit()
     errors = np.zeros_like(data.y)
     errors[p.used] = fit.law[0] @ (size * rng.normal(size=fit.law[0].shape[1]))
@@ -51,13 +58,18 @@ def test_a_law_error_of_ten_per_cent_is_no_effect():
 
 @pytest.mark.parametrize("effect", [{"multipass": {"hardening": 0.3}}, {"grade": {"share": 1.0}}])
 def test_an_effect_is_named_under_a_law_error(effect):
-    data = table(effect, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2, 4), (-6.0, 6.0))
+    data = table(
+        effect, (0.05, 0.15, 0.3, 0.45, 0.6), (100.0, 200.0), (0.03, 0.2), (1, 2, 4), (-6.0, 6.0)
+    )
     finding = search(problem(data, np.random.default_rng(1), law_error(data, 0.1, 5)))
     assert finding.names[:1] == tuple(effect)
     assert finding.stated.evidence.typical("law") > 0.03
     ((name, strength),) = next(iter(effect.values())).items()
     result = judgement.intervals(finding, finding.stated.evidence)[f"{next(iter(effect))}_{name}"]
-    assert 0.0 < result.low < result.value < result.high and abs(result.value - strength) < 0.5 * strength
+    assert (
+        0.0 < result.low < result.value < result.high
+        and abs(result.value - strength) < 0.5 * strength
+    )
 
 
 def test_a_slip_error_is_named_in_a_form_that_no_catalogue_has():
@@ -91,15 +103,21 @@ SEEN = Detectable(0.1, "x", "form", 0.9)
 
 def test_refuted_effects_leave_their_probability_to_the_others():
     """All sets with the refuted effects go, the ratios of the rest stay."""
-    found = stated((("a", "b"), False, 0.6), (("a",), False, 0.2), (("b",), True, 0.1), ((), False, 0.1))
+    found = stated(
+        (("a", "b"), False, 0.6), (("a",), False, 0.2), (("b",), True, 0.1), ((), False, 0.1)
+    )
     left = found.without(("a", "b"))
     assert [(h.names, h.probability) for h in left.hypotheses] == [
-        (("a",), pytest.approx(0.5)), (("b",), pytest.approx(0.25)), ((), pytest.approx(0.25))
-    ]  # fmt: skip
+        (("a",), pytest.approx(0.5)),
+        (("b",), pytest.approx(0.25)),
+        ((), pytest.approx(0.25)),
+    ]
     assert left.refuted == (("a", "b"),) and left.names == ("a",)
     last = left.without(("a",)).without(("b",))
     assert [h.names for h in last.hypotheses] == [()] and last.none == pytest.approx(1.0)
-    alone = found.without(("a",), alone=True)  # the pair may explain what the effect by itself leaves
+    alone = found.without(
+        ("a",), alone=True
+    )  # the pair may explain what the effect by itself leaves
     assert alone.share("a", "b") == pytest.approx(0.75) and alone.best("a").probability == 0.0
     certain = stated((("a",), False, 1.0), ((), False, 0.0), ((), True, 0.0)).without(("a",))
     assert [h.probability for h in certain.hypotheses] == [0.5, 0.5]
@@ -116,7 +134,16 @@ def test_refuted_effects_leave_their_probability_to_the_others():
         ([((), True, 0.6), ((), False, 0.2), (("a",), False, 0.2)], "unlisted", ()),
         ([(("a", "b"), False, 0.55), (("a",), False, 0.45), ((), False, 0.0)], "named", ("a", "b")),
         # each has more than half, but not both together
-        ([(("a",), False, 0.4), (("b",), False, 0.35), (("a", "b"), False, 0.2), ((), False, 0.05)], "named", ("a",)),
+        (
+            [
+                (("a",), False, 0.4),
+                (("b",), False, 0.35),
+                (("a", "b"), False, 0.2),
+                ((), False, 0.05),
+            ],
+            "named",
+            ("a",),
+        ),
     ],
 )
 def test_the_verdict_is_that_of_the_probabilities(hypotheses, verdict, names):

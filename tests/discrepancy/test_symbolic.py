@@ -12,7 +12,8 @@ from soil_env.parameters import Soil
 from soil_env.terramechanics.model import WheelSoilModel
 from tests.discrepancy.tables import NOISE, SLIPS, WHEEL, problem, table
 
-SPEEDS, PASSES = (0.02, 0.06, 0.2), (1, 2, 3)
+SPEEDS = (0.02, 0.06, 0.2)
+PASSES = (1, 2, 3)
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +24,11 @@ def rich():
 def planted(data, channel, coefficient, **powers):
     """Contribution of a law of the conditions to a table [N, 3]."""
     rows = data.rows
-    known = {"slip": rows.slip, "speed": rows.conditions[:, 0] / math.sqrt(GRAVITY * WHEEL.radius),
-             "pass": rows.conditions[:, 1]}  # fmt: skip
+    known = {
+        "slip": rows.slip,
+        "speed": rows.conditions[:, 0] / math.sqrt(GRAVITY * WHEEL.radius),
+        "pass": rows.conditions[:, 1],
+    }
     value = coefficient * np.prod([known[g] ** p for g, p in powers.items()], axis=0)
     scale = (WHEEL.radius, rows.load, rows.load * WHEEL.radius)[channel]
     return np.outer(value * scale, np.arange(3) == channel)
@@ -34,7 +38,9 @@ def saved(found):
     """`WheelSoilModel` of a law and its soil."""
     return WheelSoilModel(
         WHEEL,
-        Soil(**{k: float(v) for k, v in found.fit.parameters().items()}, density=1600.0, dig_gain=0.0),
+        Soil(
+            **{k: float(v) for k, v in found.fit.parameters().items()}, density=1600.0, dig_gain=0.0
+        ),
         {},
         found.terms,
     )
@@ -62,8 +68,12 @@ def test_planted_law_comes_back(rich, channel, coefficient, powers):
     assert base.residual @ base.residual > count + 3.0 * math.sqrt(2.0 * count)
     left = found.fit.residual @ found.fit.residual
     assert left < count + 2.0 * math.sqrt(2.0 * count)
-    got = saved(found).predict(rich.table)  # of soil and law, in which the sinkage drives the groups
-    assert np.stack(got[:3], axis=1) == pytest.approx(found.fit.output, abs=1e-9 + 0.05 * NOISE.min())
+    got = saved(found).predict(
+        rich.table
+    )  # of soil and law, in which the sinkage drives the groups
+    assert np.stack(got[:3], axis=1) == pytest.approx(
+        found.fit.output, abs=1e-9 + 0.05 * NOISE.min()
+    )
     assert 0.0 < found.gain < base.residual @ base.residual + base.u @ base.u - left
 
 
@@ -98,14 +108,19 @@ def test_a_law_is_chosen_anew_without_each_group(rich):
     base = p.fit()
     held = symbolic.held_out_predictions(p, base, lambda text: None)
     error = (p.data.y - held) / NOISE
-    assert np.sqrt(np.mean(error**2)) < 1.3  # a law that all groups share is found without any of them
+    assert (
+        np.sqrt(np.mean(error**2)) < 1.3
+    )  # a law that all groups share is found without any of them
     only = np.where((rich.rows.slip > 0.5)[:, None] & (np.arange(3) == 2), 2.0, 0.0)
     q = problem(rich, np.random.default_rng(13), only)
     base = q.fit()
     found = symbolic.symbolic(q, base)
     held = symbolic.held_out_predictions(q, base, lambda text: None)
     inside = rich.rows.slip > 0.5
-    rms = [np.sqrt(np.mean((((q.data.y - x) / NOISE)[inside, 2]) ** 2)) for x in (found.fit.output, held)]
+    rms = [
+        np.sqrt(np.mean((((q.data.y - x) / NOISE)[inside, 2]) ** 2))
+        for x in (found.fit.output, held)
+    ]
     assert found.terms and rms[1] > 2.0 * rms[0]
 
 

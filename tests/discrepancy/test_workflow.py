@@ -36,14 +36,20 @@ def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypa
 
     monkeypatch.setattr(workflow, "held_out_predictions", predicted)
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
-    assert ("slip_sinkage",) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
-    assert "slip_sinkage" not in report.model.effects and (report.closed is None or report.closed >= 0.0)
+    assert (
+        "slip_sinkage",
+    ) in report.finding.refuted and "slip_sinkage" not in report.finding.tried
+    assert "slip_sinkage" not in report.model.effects and (
+        report.closed is None or report.closed >= 0.0
+    )
     assert sum(h.probability for h in report.finding.hypotheses) == pytest.approx(1.0)
     result = content(report)
     assert ["slip_sinkage"] in result["refuted"] and "It is not slip-sinkage" in result["summary"]
 
 
-def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_pattern(tmp_path, monkeypatch):
+def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_pattern(
+    tmp_path, monkeypatch
+):
     """A law that errs in an assumed-away way leaves patterns beside the right effect too."""
     monkeypatch.setattr(workflow, "structure", lambda problem, model, seed: 0.0)
     report = run(*write_files(tmp_path, table_text(PLANTED)), seed=1)
@@ -93,7 +99,8 @@ def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
         for k, form in enumerate(effect.forms):
             unknowns = problem.unknowns((Choice(effect.name, k),))[len(problem.soil) :]
             for unknown, name in zip(unknowns, form.free, strict=True):
-                p, ends = effect.parameter(name), [unknown.low, unknown.high]
+                p = effect.parameter(name)
+                ends = [unknown.low, unknown.high]
                 low, high = (math.exp(x) for x in ends) if unknown.log else ends
                 assert low >= p.low - 1e-9 and high <= p.high + 1e-9, (effect.name, name)
 
@@ -120,4 +127,8 @@ def test_a_sensor_that_is_not_linear_puts_no_law_into_the_model(tmp_path):
         lines[k] = ",".join((*others, str(float(torque) / (1.0 + 0.08 * float(torque)))))
     report = run(*write_files(tmp_path, "\n".join(lines) + "\n"))
     assert report.verdict == "unlisted" and report.finding.hypotheses[0].law == "torque_curve"
-    assert report.law is None and not report.model.residual and "each sensor with several" in words.next_step(report)
+    assert (
+        report.law is None
+        and not report.model.residual
+        and "each sensor with several" in words.next_step(report)
+    )

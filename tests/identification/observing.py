@@ -16,8 +16,19 @@ def observe(ids, wheel, reading, numbers):
 def numbers_of(ids):
     """All that identifiers remember, in one row."""
     banks = ids.banks
-    arrays = (ids.estimate, ids.sd, ids.covariance, ids.best_pull, ids.status, ids.borders, banks.nodes, banks.known,
-              banks.sinkage, banks.candidates, banks.point.data)  # fmt: skip
+    arrays = (
+        ids.estimate,
+        ids.sd,
+        ids.covariance,
+        ids.best_pull,
+        ids.status,
+        ids.borders,
+        banks.nodes,
+        banks.known,
+        banks.sinkage,
+        banks.candidates,
+        banks.point.data,
+    )
     return np.concatenate([np.ravel(x) for x in arrays])
 
 

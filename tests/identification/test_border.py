@@ -11,7 +11,11 @@ from scipy.stats import multivariate_normal
 from soil_env._numba.compiling import compiled_root
 from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as nodes_of
-from soil_env.identification.online.border import cross_where_the_grade_changes, follow_border, note_grade
+from soil_env.identification.online.border import (
+    cross_where_the_grade_changes,
+    follow_border,
+    note_grade,
+)
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.ground import share_of_next
@@ -20,7 +24,8 @@ from tests.simulation.wheels import EVEN
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
-LENGTH, NOISE = NUMBERS.border, NUMBERS.noise[7]
+LENGTH = NUMBERS.border
+NOISE = NUMBERS.noise[7]
 STEP = 0.02  # m from reading to reading
 
 
@@ -86,11 +91,16 @@ class Judge:
     """Bayesian regression of the readings on each place, by dense Gaussians of scipy, from the grade of 60 readings."""
 
     def __init__(self):
-        self.x, self.y, self.variance, self.t2 = [], [], NOISE**2 * (1.0 + 1.0 / 60.0), NUMBERS.grade_change**2
+        self.x = []
+        self.y = []
+        self.variance = NOISE**2 * (1.0 + 1.0 / 60.0)
+        self.t2 = NUMBERS.grade_change**2
 
     def located(self, places):
         """(ln odds of a border in these places, mean and sd of its place, mean rise)."""
-        n, evidence, rises = len(self.x), [], []
+        n = len(self.x)
+        evidence = []
+        rises = []
         none = multivariate_normal(np.zeros(n), self.variance * np.eye(n)).logpdf(self.y)
         for place in places:
             w = np.array([share_of_next((a - place) / LENGTH)[0] for a in self.x])
@@ -107,7 +117,8 @@ class Judge:
 def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
     """A border is begun when the evidence exceeds the odds, and is where and as steep as it says, also afterwards."""
     rng, (banks, p), judge, crossed = np.random.default_rng(seed), new_bank(), Judge(), 0
-    p.grades[0], p.grade[0] = 1e6, 0.05
+    p.grades[0] = 1e6
+    p.grade[0] = 0.05
     x = np.arange(-0.5 * LENGTH, 0.5, STEP)
     for at, pitch in zip(x, pitches(x, 0.25, math.radians(6.0), rng), strict=True):
         judge.x.append(at), judge.y.append(pitch - p.grade[0])
@@ -127,21 +138,28 @@ def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
 
 WHEEL_SPEED = {"control": {"action": "wheel_speed"}}
 ONE_SOIL = {
-    "soils": {"dry_sand": 1}, "spread": EVEN, "course": {"margin": [0.0, 0.15]},
+    "soils": {"dry_sand": 1},
+    "spread": EVEN,
+    "course": {"margin": [0.0, 0.15]},
     "belief": {"soils": load_scenario("mixed").belief.soils, "spread": {}},
-}  # fmt: skip
+}
 
 
 def weights_of_the_same_soil(changes):
     """Probabilities [n] that the soil stayed the same, at the end of each border of six courses."""
-    sim, weights = started(load_scenario("mixed", WHEEL_SPEED | changes), 0), []
-    w, p = sim.worlds, sim.worlds.ids.banks.point
+    sim = started(load_scenario("mixed", WHEEL_SPEED | changes), 0)
+    weights = []
+    w = sim.worlds
+    p = sim.worlds.ids.banks.point
     for seed in range(6):
         sim.seed(0, np.random.default_rng(seed))
         sim.restart(0)
         for step in range(420):
-            was, nodes = p.crossing[0], w.ids.banks.nodes[0].reshape(nodes_of.NODE_ROWS, COUNT)[:, nodes_of.STAYS]
-            weight = math.exp(nodes[nodes_of.LOG_WEIGHT]) if nodes[nodes_of.SAME_SOIL] > 0.0 else 0.0
+            was = p.crossing[0]
+            nodes = w.ids.banks.nodes[0].reshape(nodes_of.NODE_ROWS, COUNT)[:, nodes_of.STAYS]
+            weight = (
+                math.exp(nodes[nodes_of.LOG_WEIGHT]) if nodes[nodes_of.SAME_SOIL] > 0.0 else 0.0
+            )
             sim.step(0, 0.42 + 0.1 * math.sin(0.1 * step))
             if w.cause[0] != 0:
                 break

@@ -7,7 +7,8 @@ from agents.controllers import make_controller
 from benchmarks.drives import QUANTITIES, judged, record
 from soil_env.parameters import load_scenario
 
-SEED, COURSES = 5, 40
+SEED = 5
+COURSES = 40
 
 
 @pytest.fixture(scope="module")

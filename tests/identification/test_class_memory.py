@@ -13,8 +13,10 @@ from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
 NUMBERS = memory.memory_numbers(SCENARIO)
-PRIOR, WIDE = NUMBERS.prior, NUMBERS.precision**-0.5
-ESTIMATE, SD = PRIOR + 0.4 * WIDE, WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
+PRIOR = NUMBERS.prior
+WIDE = NUMBERS.precision**-0.5
+ESTIMATE = PRIOR + 0.4 * WIDE
+SD = WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
 
 
 @pytest.fixture
@@ -27,16 +29,21 @@ def kept():
 
 def remember(kept, c, patch, estimate, sd):
     """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the last of them."""
-    ids, sd = new_identifiers(1), sd / np.array([1.0] * 5 + [memory.WIDER])
-    ids.estimate[0], ids.sd[0], ids.best_pull[0] = estimate[:5], sd[:5], (estimate[5], sd[5])
+    ids = new_identifiers(1)
+    sd = sd / np.array([1.0] * 5 + [memory.WIDER])
+    ids.estimate[0] = estimate[:5]
+    ids.sd[0] = sd[:5]
+    ids.best_pull[0] = (estimate[5], sd[5])
     memory.remember(kept, 0, c, patch, ids, NUMBERS)
 
 
 def combined(posteriors):
     """Posteriors (mean, sd) of one number each that all hold the prior, which counts once."""
-    J, h = WIDE**-2.0, WIDE**-2.0 * PRIOR
+    J = WIDE**-2.0
+    h = WIDE**-2.0 * PRIOR
     for mean, sd in posteriors:
-        J, h = J + sd**-2.0 - WIDE**-2.0, h + sd**-2.0 * mean - WIDE**-2.0 * PRIOR
+        J = J + sd**-2.0 - WIDE**-2.0
+        h = h + sd**-2.0 * mean - WIDE**-2.0 * PRIOR
     return h / J, J**-0.5
 
 
@@ -73,25 +80,41 @@ def test_patches_that_differ_by_more_than_they_allow_are_less_sure(kept):
 def test_what_was_learnt_of_a_class_is_near_its_soil():
     """After a course, best drawbar pulls of the classes met: a quarter of their scatter off, and about as stated."""
     wheels = 60
-    scenario = load_scenario("two_lines", {"control": {"action": "wheel_speed"}, "camera": {"label_error": 0.0},
-                                           "course": {"dead_ends": 0.0}})  # fmt: skip
+    scenario = load_scenario(
+        "two_lines",
+        {
+            "control": {"action": "wheel_speed"},
+            "camera": {"label_error": 0.0},
+            "course": {"dead_ends": 0.0},
+        },
+    )
     sim = started(scenario, *([11, k] for k in range(wheels)))
-    what, command = np.zeros(wheels, dtype=np.int8), np.zeros(wheels)
+    what = np.zeros(wheels, dtype=np.int8)
+    command = np.zeros(wheels)
     for _ in range(600):
         halted = sim.worlds.state["halt_left"] > 0.0
         command = np.where(halted, 0.0, np.minimum(command + 0.01, 0.55))
         sim.step_all(command, what)
         what[sim.worlds.cause != 0] = 2
-    kept, lines = sim.worlds.memory, sim.worlds.courses.lines
-    wheel, rows = scenario.wheel, []
+    kept = sim.worlds.memory
+    lines = sim.worlds.courses.lines
+    wheel = scenario.wheel
+    rows = []
     for k in range(wheels):
         for c in np.flatnonzero(kept.patches[k]):
             load = sim.worlds.state["mass"][k] * scenario.gravity
             soil = SoilState(*lines.library[k, c])
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-            rows.append((best.drawbar_pull / load, kept.estimate[k, c, memory.PULL], kept.sd[k, c, memory.PULL]))
+            rows.append(
+                (
+                    best.drawbar_pull / load,
+                    kept.estimate[k, c, memory.PULL],
+                    kept.sd[k, c, memory.PULL],
+                )
+            )
     true, found, sds = np.transpose(rows)
-    error, without = found - true, PRIOR[memory.PULL] - true
+    error = found - true
+    without = PRIOR[memory.PULL] - true
     assert len(error) > 150 and np.std(true) > 0.08
     assert abs(error.mean()) < 0.03 and error.std() < 0.25 * np.std(true)
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(without**2))

@@ -20,7 +20,9 @@ from tests.identification.test_contact_slopes import reactions
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
-LOAD_N, R, B = 147.0, NUMBERS.radius, NUMBERS.width
+LOAD_N = 147.0
+R = NUMBERS.radius
+B = NUMBERS.width
 PRIOR = NUMBERS.prior.forces[: n.SOIL].copy()
 PRIOR_COVARIANCE = symmetric(NUMBERS.prior.forces[n.SOIL :])
 SAND = soils()["lunar_nominal"].state(B)
@@ -35,7 +37,8 @@ def _feed(banks, points, border, numbers):
         count, changed, replaced = c.add(banks.bins[0], int(p.bins[0]), points[t], border)
         if replaced >= 0 or count > int(p.bins[0]):
             begin_bin(banks, 0, replaced if replaced >= 0 else changed, points[t, c.KEY])
-        p.bins[0], p.points[0] = count, p.points[0] + 1.0
+        p.bins[0] = count
+        p.points[0] = p.points[0] + 1.0
         misfit = fit(banks, 0, changed, replaced, numbers)
     return misfit
 
@@ -66,7 +69,8 @@ def forces(soil, sinkages, slips):
 
 def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
     """Points [COUNT, FIELDS] of a soil as measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
-    points, exact = np.zeros((COUNT, c.FIELDS)), np.vstack([SLIPS, SINKAGES, forces(soil, SINKAGES, SLIPS)]).T
+    points = np.zeros((COUNT, c.FIELDS))
+    exact = np.vstack([SLIPS, SINKAGES, forces(soil, SINKAGES, SLIPS)]).T
     points[:, MEASURED] = exact + rng.standard_normal((COUNT, 4)) * sd
     points[:, WEIGHTS] = 1.0 / np.square(sd)
     points[:, [c.READINGS, c.LOAD, c.PLACE, c.SPREAD]] = 8.0, LOAD_N, 0.1, 0.02
@@ -91,16 +95,22 @@ class Fitted:
 
 SCALE = np.sqrt(np.diag(PRIOR_COVARIANCE))
 BY_LN_K = PRIOR_COVARIANCE[:3, 3] / PRIOR_COVARIANCE[3, 3]
-GIVEN_LN_K = np.linalg.cholesky(PRIOR_COVARIANCE[:3, :3] - np.outer(BY_LN_K, PRIOR_COVARIANCE[:3, 3]))
+GIVEN_LN_K = np.linalg.cholesky(
+    PRIOR_COVARIANCE[:3, :3] - np.outer(BY_LN_K, PRIOR_COVARIANCE[:3, 3])
+)
 
 
 def residual(x, points, ln_K):
     """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior and of the bins."""
-    away, of_bins = np.append(SCALE[:3] * x[:3], ln_K - PRIOR[3]), x[3:].reshape(2, COUNT)
-    measured, weights = points[:, MEASURED].T, points[:, WEIGHTS].T
+    away = np.append(SCALE[:3] * x[:3], ln_K - PRIOR[3])
+    of_bins = x[3:].reshape(2, COUNT)
+    measured = points[:, MEASURED].T
+    weights = points[:, WEIGHTS].T
     slips, sinkages = measured[:2] + of_bins / np.sqrt(weights[:2])
     form = NUMBERS.model_error * LOAD_N * np.array([[1.0], [R]])
-    off = (measured[2:] - forces(PRIOR + away, sinkages, slips)) / np.sqrt(1.0 / weights[2:] + form**2)
+    off = (measured[2:] - forces(PRIOR + away, sinkages, slips)) / np.sqrt(
+        1.0 / weights[2:] + form**2
+    )
     prior = np.linalg.solve(GIVEN_LN_K, away[:3] - BY_LN_K * away[3])
     return np.concatenate([prior, of_bins.ravel(), off.ravel()])
 
@@ -120,7 +130,8 @@ def judge(points, ln_K):
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
     """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
     points = noisy_points(np.random.default_rng(seed))
-    fitted, log_weight = Fitted(points), np.empty(COUNT)
+    fitted = Fitted(points)
+    log_weight = np.empty(COUNT)
     nodes = fitted.nodes
     likely = np.exp(nodes[n.LOG_WEIGHT]) > 2e-3
     assert likely.sum() >= 4
@@ -132,7 +143,9 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
             sd = np.sqrt(np.diag(covariance))
             found = symmetric(nodes[n.COVARIANCE : n.COVARIANCE + n.TRIANGLE, k])[:3, :3]
             assert np.all(np.abs(nodes[:3, k] - mean) < 0.15 * sd), (k, (nodes[:3, k] - mean) / sd)
-            np.testing.assert_allclose(found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08)
+            np.testing.assert_allclose(
+                found / np.outer(sd, sd), covariance / np.outer(sd, sd), atol=0.08
+            )
             assert nodes[n.COST, k] == pytest.approx(chi, rel=0.03, abs=0.15)
     np.testing.assert_allclose(np.exp(nodes[n.LOG_WEIGHT]), softmax(log_weight), atol=0.03)
     assert fitted.misfit == pytest.approx(nodes[n.COST].min())
@@ -140,7 +153,8 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
 
 def test_the_share_on_a_border_and_its_slope():
     """The mean of the terrain's share over two places; the slope by the place of the border is that of differences."""
-    spread, length = 0.02, 0.3
+    spread = 0.02
+    length = 0.3
 
     def share(x, place):
         out = np.zeros(2 * COUNT)
@@ -150,7 +164,9 @@ def test_the_share_on_a_border_and_its_slope():
     for place in (-0.05, 0.0, 0.03):
         for x in np.linspace(-0.2, 0.2, 9):
             found, slope = share(x, place)
-            of_terrain = 0.5 * sum(share_of_next((x + s - place) / length)[0] for s in (-spread, spread))
+            of_terrain = 0.5 * sum(
+                share_of_next((x + s - place) / length)[0] for s in (-spread, spread)
+            )
             assert found == pytest.approx(min(max(of_terrain, 1e-4), 1.0 - 1e-4), abs=1e-12)
             if 1e-3 < found < 1.0 - 1e-3:
                 rise = share(x, place + 1e-6)[0] - share(x, place - 1e-6)[0]

@@ -11,8 +11,12 @@ from soil_env.identification.table.form_error import INPUTS, Process
 from tests.terramechanics.reference import Ground
 
 RNG = np.random.default_rng(0)
-CONDITIONS = {"slip": RNG.uniform(0.0, 0.6, 60), "load": np.exp(RNG.uniform(4.0, 5.5, 60)),
-              "pass": RNG.integers(1, 4, 60).astype(float), "speed": np.full(60, 0.05)}  # fmt: skip
+CONDITIONS = {
+    "slip": RNG.uniform(0.0, 0.6, 60),
+    "load": np.exp(RNG.uniform(4.0, 5.5, 60)),
+    "pass": RNG.integers(1, 4, 60).astype(float),
+    "speed": np.full(60, 0.05),
+}
 
 
 def gauss(x, length):
@@ -21,16 +25,22 @@ def gauss(x, length):
 
 
 def kernel(names):
-    each = {name: CONDITIONS[name] if name == "slip" else np.log(CONDITIONS[name]) for name in names}
+    each = {
+        name: CONDITIONS[name] if name == "slip" else np.log(CONDITIONS[name]) for name in names
+    }
     return math.prod(gauss(x, form_error.LENGTHS[name]) for name, x in each.items())
 
 
 def test_the_functions_have_the_covariance_of_the_process():
     process = Process.over(CONDITIONS)
     assert set(process.names) == {"slip", "load", "pass"}  # the speed does not vary
-    assert process.at_points @ process.at_points.T == pytest.approx(kernel(("slip", "load", "pass")), abs=0.03)
+    assert process.at_points @ process.at_points.T == pytest.approx(
+        kernel(("slip", "load", "pass")), abs=0.03
+    )
     of_a_law = Process.over(CONDITIONS, of=INPUTS)  # what goes with the pass is no error of the law
-    assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(kernel(("slip", "load")), abs=0.03)
+    assert of_a_law.at_points @ of_a_law.at_points.T == pytest.approx(
+        kernel(("slip", "load")), abs=0.03
+    )
     over = Process.over(CONDITIONS, of=INPUTS, lengths=form_error.LAW_LENGTHS[1])
     expected = kernel(("load",)) * gauss(CONDITIONS["slip"], 0.6)
     assert over.at_points @ over.at_points.T == pytest.approx(expected, abs=0.03)
@@ -41,7 +51,9 @@ def test_errors_over_the_logarithm_of_slip_change_fast_at_little_slip_and_differ
     process = Process.over(conditions, of=INPUTS, lengths=form_error.LAW_LENGTHS[2])
     assert set(process.names) == {"log_slip", "load"}  # in place of the slip
     place = np.array([-0.6, -0.05, 0.0, 0.05, 0.5, 0.55])
-    at = process.at({"slip": place, "load": np.full(6, 120.0), "pass": np.ones(6), "speed": np.full(6, 0.05)})
+    at = process.at(
+        {"slip": place, "load": np.full(6, 120.0), "pass": np.ones(6), "speed": np.full(6, 0.05)}
+    )
     logarithm = np.sign(place) * np.log(1.0 + np.abs(place) / 0.05)
     assert at @ at.T == pytest.approx(gauss(logarithm, 0.8), abs=0.1)
 
@@ -66,10 +78,14 @@ def test_compression_whitens():
 
 @pytest.mark.parametrize("first", [0, 1, 2])
 def test_marginals_are_those_of_the_joint_normal(first):
-    j, e, u = RNG.normal(size=(30, 3)), RNG.normal(size=30), RNG.normal(size=3)
+    j = RNG.normal(size=(30, 3))
+    e = RNG.normal(size=30)
+    u = RNG.normal(size=3)
     blocks = [RNG.normal(size=(30, 5)), RNG.normal(size=(30, 4))]
     sizes = np.array([[0.0, 0.0], [0.4, 0.3], [2.0, 0.0], [0.4, 1.0], [0.0, 0.7], [0.0, 0.2]])
-    log, mean, covariance = form_error.marginals(form_error.NormalEquations.of(j, blocks, e), sizes, u, first)
+    log, mean, covariance = form_error.marginals(
+        form_error.NormalEquations.of(j, blocks, e), sizes, u, first
+    )
     expected = []
     for k, size in enumerate(sizes):
         c = np.eye(30) + sum(x**2 * b @ b.T for x, b in zip(size, blocks, strict=True))
@@ -81,9 +97,12 @@ def test_marginals_are_those_of_the_joint_normal(first):
 
 
 def test_a_mixture_has_the_moments_of_its_parts():
-    share, mean = np.array([0.25, 0.75]), np.array([[0.0], [2.0]])
+    share = np.array([0.25, 0.75])
+    mean = np.array([[0.0], [2.0]])
     centre, covariance = form_error.mixed(share, mean, np.array([[[1.0]], [[4.0]]]))
-    assert centre == pytest.approx([1.5]) and covariance[0, 0] == pytest.approx(0.25 + 3.0 + 0.25 * 0.75 * 4.0)
+    assert centre == pytest.approx([1.5]) and covariance[0, 0] == pytest.approx(
+        0.25 + 3.0 + 0.25 * 0.75 * 4.0
+    )
 
 
 def test_stress_changes_scale_the_stresses():
@@ -91,12 +110,16 @@ def test_stress_changes_scale_the_stresses():
     normal, shear, moved, spread, later = form_error.stress_changes(soil, 0.1, 0.02)
     assert normal == ({"sinkage_coefficient": pytest.approx(1.1e6)}, {})
     assert shear.soil["cohesion"] == pytest.approx(1100.0)
-    assert np.tan(np.radians(shear.soil["friction_angle_deg"])) == pytest.approx(1.1 * np.tan(np.radians(30.0)))
+    assert np.tan(np.radians(shear.soil["friction_angle_deg"])) == pytest.approx(
+        1.1 * np.tan(np.radians(30.0))
+    )
     assert not moved.soil and set(moved.effects) == {"stress_peak_shift_offset"}
     depth = form_error._MEAN_DEPTH * 0.02  # where the pressure stays
     pressure = spread.soil["sinkage_coefficient"] * depth ** spread.soil["sinkage_exponent"]
     assert pressure == pytest.approx(1e6 * depth) and spread.soil["sinkage_exponent"] > 1.0
-    assert later.soil["shear_modulus"] > 0.01 and later.soil["cohesion"] > 1000.0 and not later.effects
+    assert (
+        later.soil["shear_modulus"] > 0.01 and later.soil["cohesion"] > 1000.0 and not later.effects
+    )
 
 
 def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
@@ -126,7 +149,9 @@ def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
 def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it():
     """Errors correlated over half of the arc, multiplying Janosi's shear stress under a normal stress of n = 1."""
     x = np.linspace(0.0, 1.0, 401)  # theta over the entry angle
-    entry, slip, K = 0.7, 0.3, 0.1  # [rad], -, [of the radius]
+    entry = 0.7  # [rad], -, [of the radius]
+    slip = 0.3
+    K = 0.1
     sigma = np.cos(entry * np.where(x > 0.5, x, 1.0 - x)) - np.cos(entry)
     j = entry * (1.0 - x) - (1.0 - slip) * (np.sin(entry) - np.sin(entry * x))
 

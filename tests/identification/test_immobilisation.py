@@ -37,15 +37,19 @@ def by_matrices(inputs, net):
 
 
 def test_the_compiled_network_is_the_one_of_matrices():
-    warning, rng, k = im.ImmobilisationWarning(SCENARIO), np.random.default_rng(1), np.arange(200)
+    warning = im.ImmobilisationWarning(SCENARIO)
+    rng = np.random.default_rng(1)
+    k = np.arange(200)
     recent = np.abs(rng.normal(size=(200, im.MEMORY)))
-    estimate, sd = 0.3 * rng.normal(size=(200, 5)), np.abs(rng.normal(size=(200, 5)))
+    estimate = 0.3 * rng.normal(size=(200, 5))
+    sd = np.abs(rng.normal(size=(200, 5)))
     expected = by_matrices(warning.inputs(k, recent, estimate, sd), im.shipped_network())
     np.testing.assert_allclose(warning.probabilities(k, recent, estimate, sd), expected, rtol=1e-10)
 
 
 def test_averages_answer_a_step_with_their_time_constants():
-    period, after = SCENARIO.control.period, 7
+    period = SCENARIO.control.period
+    after = 7
     recent = follow([READING] + [READING._replace(slip=0.8)] * after)
     found = dict(zip(im.INPUTS, recent[:AVERAGES], strict=False))
     for scale in im.SCALES:
@@ -64,31 +68,50 @@ def test_halts_are_left_out():
 
 def test_a_wheel_of_another_size_reads_the_same():
     """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the same to it."""
-    wheel = {"radius": 0.45, "width": 0.45, "body_mass": 15.0 * 8.0, "stall_torque": 35.0 * 24.0, "inertia": 40.0}
+    wheel = {
+        "radius": 0.45,
+        "width": 0.45,
+        "body_mass": 15.0 * 8.0,
+        "stall_torque": 35.0 * 24.0,
+        "inertia": 40.0,
+    }
     large = load_scenario("mixed", {"wheel": wheel})
     similar = SensorReading(*np.multiply(READING, (1, 3, 8, 8, 24, 3, 3, 1, 24, 1)))
-    np.testing.assert_allclose(follow([similar] * 3, scenario=large), follow([READING] * 3), rtol=1e-12)
+    np.testing.assert_allclose(
+        follow([similar] * 3, scenario=large), follow([READING] * 3), rtol=1e-12
+    )
 
 
 def test_inputs_have_the_estimate_without_dimension():
     estimate = np.array([[0.5, math.log(0.015), math.log(8e5), 600.0, 0.2]])
     sd = np.array([[0.1, 0.2, 0.3, 400.0, 0.5]])
-    inputs = im.ImmobilisationWarning(SCENARIO).inputs(np.array([0]), follow([READING])[None], estimate, sd)
+    inputs = im.ImmobilisationWarning(SCENARIO).inputs(
+        np.array([0]), follow([READING])[None], estimate, sd
+    )
     found = dict(zip(im.INPUTS, inputs[0], strict=True))
-    wheel, n = SCENARIO.wheel, SCENARIO.belief.sinkage_exponent
+    wheel = SCENARIO.wheel
+    n = SCENARIO.belief.sinkage_exponent
     area = wheel.radius * wheel.width
     assert found["strength"] == pytest.approx(math.tan(0.5) + 600.0 * area / 150.0)
     assert found["log_modulus"] == pytest.approx(math.log(0.015 / wheel.radius))
-    assert found["log_bearing"] == pytest.approx(math.log(8e5 * wheel.radius**n * area / SCENARIO.weight))
+    assert found["log_bearing"] == pytest.approx(
+        math.log(8e5 * wheel.radius**n * area / SCENARIO.weight)
+    )
     assert found["log_digging"] == pytest.approx(math.log(SCENARIO.belief.dig_gain) + 0.2)
-    assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [0.1, 0.2, 0.3, 0.5]
+    assert [found[name] for name in ("phi_sd", "modulus_sd", "bearing_sd", "digging_sd")] == [
+        0.1,
+        0.2,
+        0.3,
+        0.5,
+    ]
 
 
 def views(steps):
     """(inputs of the view, observation, radius) by name after each of `steps` steps to the line with more margin."""
     env = SoilWheelEnv("two_lines", observation="identified", action="torque", repeat=1)
     env.reset(seed=3)
-    worlds, warning = env.simulation.worlds, im.ImmobilisationWarning(env.scenario)
+    worlds = env.simulation.worlds
+    warning = im.ImmobilisationWarning(env.scenario)
     names = [e.name for e in layout("identified", env.scenario.course)]
     observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
     for _ in range(steps):
@@ -96,30 +119,47 @@ def views(steps):
         *_, ended, _, _ = env.step([-0.1 if beside else 0.45])
         inputs = warning.inputs(np.array([0]), worlds.recent, worlds.ids.estimate, worlds.ids.sd)[0]
         observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
-        yield dict(zip(im.INPUTS, inputs.tolist(), strict=True)), observed, env.scenario.wheel.radius
+        yield (
+            dict(zip(im.INPUTS, inputs.tolist(), strict=True)),
+            observed,
+            env.scenario.wheel.radius,
+        )
         if ended:
             env.reset()
             observed = dict(zip(names, worlds.observation[0].tolist(), strict=True))
 
 
 def test_with_a_camera_the_view_is_that_of_the_observation():
-    ways, forks, before = [], {"open": 0, "settled": 0}, None
+    ways = []
+    forks = {"open": 0, "settled": 0}
+    before = None
     for found, observed, radius in views(1200):
         assert found["camera"] == 1.0
         assert found["ahead_seen"] == (observed["ahead_friction_angle"] > 0.0)
         if not found["ahead_seen"]:
             before = None
             continue
-        assert found["border_ahead"] * radius == pytest.approx(observed["border_distance"], abs=1e-6)
+        assert found["border_ahead"] * radius == pytest.approx(
+            observed["border_distance"], abs=1e-6
+        )
         two = observed["beside_friction_angle"] > 0.0
-        margins = [observed["ahead_margin"], observed["beside_margin"] if two else observed["ahead_margin"]]
-        assert sorted([found["line_margin"], found["beside_margin"]]) == pytest.approx(sorted(margins), abs=1e-6)
+        margins = [
+            observed["ahead_margin"],
+            observed["beside_margin"] if two else observed["ahead_margin"],
+        ]
+        assert sorted([found["line_margin"], found["beside_margin"]]) == pytest.approx(
+            sorted(margins), abs=1e-6
+        )
         settled = found["line_chosen"] == 1.0
         assert settled or two
         if two:
             forks["settled" if settled else "open"] += 1
-            ways.append("ahead" if found["line_margin"] == pytest.approx(margins[0], abs=1e-6) else "beside")
-            if settled and before is False and observed["border_distance"] > 0.2:  # not back over a border, by noise
+            ways.append(
+                "ahead" if found["line_margin"] == pytest.approx(margins[0], abs=1e-6) else "beside"
+            )
+            if (
+                settled and before is False and observed["border_distance"] > 0.2
+            ):  # not back over a border, by noise
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}

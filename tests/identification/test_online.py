@@ -21,7 +21,12 @@ from tests.simulation import wheels as bench
 from tests.simulation.wheels import EVEN
 
 SAND = soils()["lunar_nominal"].state(0.15)
-UNIFORM = {"length": 60.0, "patch_length": [100.0, 100.0], "halt_interval": [1e5, 1e5], "margin": [0.1, 0.1]}
+UNIFORM = {
+    "length": 60.0,
+    "patch_length": [100.0, 100.0],
+    "halt_interval": [1e5, 1e5],
+    "margin": [0.1, 0.1],
+}
 PLAIN = Belief()  # no library of soils
 
 
@@ -38,10 +43,16 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
     The soils of a library scatter as those of the courses where the belief does not say how.
     """
     spread = SoilSpread(shear_modulus=0.5)
-    changes = {"soils": {"snow": 1, "heavy_clay_25": 2}, "spread": {"friction": 0.3, "stiffness": 1.0},
-               "course": {"length": 30.0, "margin": [0.2, 0.3]}}  # fmt: skip
+    changes = {
+        "soils": {"snow": 1, "heavy_clay_25": 2},
+        "spread": {"friction": 0.3, "stiffness": 1.0},
+        "course": {"length": 30.0, "margin": [0.2, 0.3]},
+    }
     belief = PLAIN if plain else replace(load_scenario("mixed").belief, spread=spread)
-    a, b = (identifier.identifier_numbers(replace(load_scenario("mixed", c), belief=belief)) for c in ({}, changes))
+    a, b = (
+        identifier.identifier_numbers(replace(load_scenario("mixed", c), belief=belief))
+        for c in ({}, changes)
+    )
     for name in a._fields:
         if name != "filter":  # a tuple of its own, and its prior another
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
@@ -51,11 +62,17 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
         np.testing.assert_array_equal(x, y)
 
 
-def simulate(changes=None, wheels=1, mode="wheel_speed", spread=EVEN, grade=(-1.0, 0.0), belief=PLAIN):
+def simulate(
+    changes=None, wheels=1, mode="wheel_speed", spread=EVEN, grade=(-1.0, 0.0), belief=PLAIN
+):
     """(simulation, true unknowns [wheels, 3]) of wheels after a reset, each on a long course of one soil."""
-    base = {"wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
-            "soils": {"lunar_nominal": 1}, "spread": spread, "control": {"action": mode},
-            "course": UNIFORM | {"grade_deg": list(grade)}}  # fmt: skip
+    base = {
+        "wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
+        "soils": {"lunar_nominal": 1},
+        "spread": spread,
+        "control": {"action": mode},
+        "course": UNIFORM | {"grade_deg": list(grade)},
+    }
     scenario = replace(load_scenario("mixed", base | (changes or {})), belief=belief)
     sim = started(scenario, *range(wheels))
     return sim, unknowns(sim.worlds.courses.soils[:, 0])
@@ -64,7 +81,8 @@ def simulate(changes=None, wheels=1, mode="wheel_speed", spread=EVEN, grade=(-1.
 def test_only_readings_enter():
     """Soil and state are changed at will between sensing and identifying: the estimate must not notice."""
     sim, _ = simulate()
-    w, n = sim.worlds, sim.numbers
+    w = sim.worlds
+    n = sim.numbers
     other = identifier.new_identifiers(1)
     identifier.forget(other, 0, sim.belief.identifier)
     what = np.full(1, STEP, dtype=np.int8)
@@ -78,7 +96,8 @@ def test_only_readings_enter():
         for name in w.state.NAMES:
             w.state[name] *= 1.3
         observe(w.ids, 0, readings, sim.belief.identifier)
-        w.courses.soils[:], w.state.data[:] = kept[0], kept[1].data
+        w.courses.soils[:] = kept[0]
+        w.state.data[:] = kept[1].data
     assert w.ids.banks.point.points[0] > 5.0
     np.testing.assert_array_equal(numbers_of(w.ids), numbers_of(other))
 
@@ -91,7 +110,8 @@ def excited(step):
 def test_driving_with_varied_slip_finds_the_soil():
     """On twelve drives friction and K are right, far better known than before, and noise is no misfit of the laws."""
     sim, truth = simulate(wheels=12)
-    ids, prior = sim.worlds.ids, 1.0 / np.sqrt(sim.belief.identifier.precision)
+    ids = sim.worlds.ids
+    prior = 1.0 / np.sqrt(sim.belief.identifier.precision)
     for k in range(200):
         sim.step_all(np.full(12, excited(k)), np.zeros(12, dtype=np.int8))
     assert np.all(np.abs(ids.estimate[:12, :2] - truth[:, :2]) < 3.5 * ids.sd[:12, :2])
@@ -106,10 +126,14 @@ def test_a_border_between_soils_is_noticed(sinkage_alone):
     A change of the sinkage coefficient alone shows by the depth: pull and torque hardly depend on it.
     """
     sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
-    w, soil = sim.worlds, sim.worlds.courses.soils
-    soil[0, 1] = soil[0, 0] * [1, 1, 1, 0.5, 1, 1, 1] if sinkage_alone else soils()["dry_sand"].state(0.15)
+    w = sim.worlds
+    soil = sim.worlds.courses.soils
+    soil[0, 1] = (
+        soil[0, 0] * [1, 1, 1, 0.5, 1, 1, 1] if sinkage_alone else soils()["dry_sand"].state(0.15)
+    )
     w.courses.grades[:] = 0.0
-    truth, k = unknowns(soil[0, :2])[:, :2], 0
+    truth = unknowns(soil[0, :2])[:, :2]
+    k = 0
     for patch, place in enumerate((3.6, 5.3)):
         while w.state.x[0] < place:
             sim.step(0, excited(k))
@@ -122,13 +146,24 @@ def test_a_border_between_soils_is_noticed(sinkage_alone):
 
 @compiled_root
 def _published(ids, numbers, anew):
-    publish(ids.banks, 0, numbers.filter, ids.estimate[0], ids.sd[0], ids.covariance[0], ids.best_pull[0], anew)
+    publish(
+        ids.banks,
+        0,
+        numbers.filter,
+        ids.estimate[0],
+        ids.sd[0],
+        ids.covariance[0],
+        ids.best_pull[0],
+        anew,
+    )
 
 
 def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
     """By its derivative: as one that is found anew, to a hundredth of the load."""
-    sim, apart = started(load_scenario("mixed", {"control": {"action": "wheel_speed"}}), 0), []
-    ids, numbers = sim.worlds.ids, sim.belief.identifier
+    sim = started(load_scenario("mixed", {"control": {"action": "wheel_speed"}}), 0)
+    apart = []
+    ids = sim.worlds.ids
+    numbers = sim.belief.identifier
     for seed in range(8):
         sim.seed(0, np.random.default_rng(seed))
         sim.restart(0)
@@ -138,10 +173,12 @@ def test_the_best_pull_follows_the_ground_between_the_points_on_a_border():
             if sim.worlds.cause[0] != 0:
                 break
             if ids.banks.point.crossing[0] > 0.0 and ids.banks.point.points[0] == points >= 1.0:
-                found, steady = ids.best_pull[0].copy(), ids.banks.steady[0].copy()
+                found = ids.best_pull[0].copy()
+                steady = ids.banks.steady[0].copy()
                 _published(ids, numbers, True)
                 apart.append(found[0] - ids.best_pull[0, 0])
-                ids.best_pull[0], ids.banks.steady[0] = found, steady
+                ids.best_pull[0] = found
+                ids.banks.steady[0] = steady
     assert len(apart) > 100 and np.sqrt(np.mean(np.square(apart))) < 0.01
 
 
@@ -153,7 +190,9 @@ def test_an_estimate_that_is_no_soil_is_forgotten():
         if k == 100:
             ids.banks.sinkage[0, 8:16] = 3.0 * FARTHEST  # ln of the pressure, of all filters
         sim.step(0, excited(k))
-    assert np.all(np.isfinite(ids.estimate)) and np.all(np.abs(ids.estimate[0, [1, 2, 4]]) < FARTHEST)
+    assert np.all(np.isfinite(ids.estimate)) and np.all(
+        np.abs(ids.estimate[0, [1, 2, 4]]) < FARTHEST
+    )
 
 
 def test_without_identification_a_wheel_drives_as_with_it():
@@ -174,9 +213,13 @@ def test_without_identification_a_wheel_drives_as_with_it():
         OnlineIdentifier.of_scenario(scenario)
 
 
-@pytest.mark.parametrize(("name", "value"), [("period", 0.0), ("gravity", -9.81), ("relaxation", math.nan),
-                                             ("period", "1")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("period", 0.0), ("gravity", -9.81), ("relaxation", math.nan), ("period", "1")],
+)
 def test_numbers_out_of_range_are_named(name, value):
-    with pytest.raises(ParameterError, match=f"^{name} = {value!r}: expected a number in ") as refusal:
+    with pytest.raises(
+        ParameterError, match=f"^{name} = {value!r}: expected a number in "
+    ) as refusal:
         OnlineIdentifier(wheels()["planetary_rover"], **{name: value})
     assert "\n" not in str(refusal.value)

@@ -14,7 +14,17 @@ from soil_env._io.loading import ParameterError
 from soil_env.identification.table import identify_table
 from soil_env.measurement.setup import Prior
 from tests.identification import test_table as tables
-from tests.identification.test_table import COLUMNS, LOADS, SAND, SD, SLIPS, THREE, clean, steady, table_of
+from tests.identification.test_table import (
+    COLUMNS,
+    LOADS,
+    SAND,
+    SD,
+    SLIPS,
+    THREE,
+    clean,
+    steady,
+    table_of,
+)
 
 ON_GRADES = ("slip", "load", "grade_deg", *COLUMNS[2:])
 
@@ -26,8 +36,11 @@ def setup_of(noise=SD, **options):
 def within(estimate):
     """True if phi, K and S are within three standard deviations of the truth."""
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient"):
-        p, truth = estimate.parameters[name], getattr(SAND, name)
-        if abs(truth - p.value) > 3.0 / 1.96 * (p.high - p.value if truth > p.value else p.value - p.low):
+        p = estimate.parameters[name]
+        truth = getattr(SAND, name)
+        if abs(truth - p.value) > 3.0 / 1.96 * (
+            p.high - p.value if truth > p.value else p.value - p.low
+        ):
             return False
     return True
 
@@ -37,19 +50,23 @@ def test_pull_and_torque_suffice(tmp_path, seed):
     rows = clean()
     whole = table_of(tmp_path, rows, np.random.default_rng(seed))
     bare = table_of(tmp_path, rows, np.random.default_rng(seed), leave_out=("sinkage",))
-    e, full = identify_table(bare, setup_of()), identify_table(whole, setup_of())
+    e = identify_table(bare, setup_of())
+    full = identify_table(whole, setup_of())
     assert e.converged and within(e) and "sinkage" not in e.fits
     assert any("24 of 24 rows have no sinkage: it follows from the load" in w for w in e.warnings)
     assert e.reference_sinkage == pytest.approx(np.median(rows[:, 2]), rel=0.1)
     for name in ("friction_angle_deg", "sinkage_coefficient"):  # what was not measured is missed
-        a, b = e.parameters[name], full.parameters[name]
+        a = e.parameters[name]
+        b = full.parameters[name]
         assert a.high - a.low > b.high - b.low
 
 
 def test_one_force_suffices_with_a_prior_of_the_stiffness(tmp_path):
     bare = table_of(tmp_path, clean(), leave_out=("sinkage", "torque"))
     e = identify_table(bare, tables.setup_of(THREE, sinkage_coefficient=Prior(9e5, 1e5)))
-    assert e.parameters["friction_angle_deg"].value == pytest.approx(SAND.friction_angle_deg, rel=0.01)
+    assert e.parameters["friction_angle_deg"].value == pytest.approx(
+        SAND.friction_angle_deg, rel=0.01
+    )
 
 
 def resolved(slip, load, grade_deg):
@@ -63,12 +80,18 @@ def resolved(slip, load, grade_deg):
 
 
 def test_a_vertical_load_is_resolved(tmp_path):
-    rows = [(slip, 120.0, b, *resolved(slip, 120.0, b)) for b in (-8.0, 0.0, 8.0, 15.0) for slip in SLIPS]
+    rows = [
+        (slip, 120.0, b, *resolved(slip, 120.0, b))
+        for b in (-8.0, 0.0, 8.0, 15.0)
+        for slip in SLIPS
+    ]
     t = table_of(tmp_path, rows, np.random.default_rng(0), columns=ON_GRADES)
     e = identify_table(t, setup_of(load="vertical"))
     assert within(e) and not any("grade" in w or "does not fit" in w for w in e.warnings)
     normal = identify_table(t, setup_of())
-    assert normal.law_error > 1.5 * e.law_error and any("taken as level" in w for w in normal.warnings)
+    assert normal.law_error > 1.5 * e.law_error and any(
+        "taken as level" in w for w in normal.warnings
+    )
 
 
 def test_free_climbing_shows_the_soil(tmp_path):
@@ -76,14 +99,18 @@ def test_free_climbing_shows_the_soil(tmp_path):
     rows = []
     for load in LOADS:
         for slip in (0.15, 0.25, 0.4, 0.55, 0.7):
-            grade = brentq(lambda b, slip=slip, load=load: resolved(slip, load, b)[1], -28.0, 45.0, xtol=1e-6)
+            grade = brentq(
+                lambda b, slip=slip, load=load: resolved(slip, load, b)[1], -28.0, 45.0, xtol=1e-6
+            )
             z, _, torque = resolved(slip, load, grade)
             rows.append((slip, load, grade, z, 0.0, torque))
     t = table_of(tmp_path, rows, columns=ON_GRADES)
     p = identify_table(t, setup_of(load="vertical")).parameters
     assert p["friction_angle_deg"].value == pytest.approx(SAND.friction_angle_deg, rel=2e-3)
     assert p["shear_modulus"].value == pytest.approx(SAND.shear_modulus, rel=1e-2)
-    with pytest.raises(ParameterError, match="drawbar_pull = 0 on every grade, .*: expected load: vertical"):
+    with pytest.raises(
+        ParameterError, match="drawbar_pull = 0 on every grade, .*: expected load: vertical"
+    ):
         identify_table(t, setup_of())
 
 
@@ -104,12 +131,15 @@ def test_a_tilt_is_fitted_with_the_soil(tmp_path, tilt):
 
 def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
     """Half of the rows 20 times as noisy, by their own columns: the estimate is as good as from the other half."""
-    rng, rows = np.random.default_rng(4), clean()
+    rng = np.random.default_rng(4)
+    rows = clean()
     sd = np.array(list(SD.values())) * np.where(np.arange(len(rows)) % 2, 20.0, 1.0)[:, None]
     values = rows[:, 2:] + sd * rng.normal(size=sd.shape)
     values[:, 0] = np.clip(values[:, 0], 1e-3, None)
     rows = np.hstack([rows[:, :2], values])
-    t = table_of(tmp_path, np.hstack([rows, sd]), columns=(*COLUMNS, *(f"{name}_sd" for name in SD)))
+    t = table_of(
+        tmp_path, np.hstack([rows, sd]), columns=(*COLUMNS, *(f"{name}_sd" for name in SD))
+    )
     e = identify_table(t, setup_of(None))
     assert within(e) and not any(fit.estimated for fit in e.fits.values()) and not e.warnings
     assert e.fits["torque"].noise == pytest.approx(np.median(sd[:, 2]))

@@ -16,15 +16,20 @@ from soil_env.terramechanics.effects import excavation_rate
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)
-R, LENGTH, RECOVERY = NUMBERS.radius, NUMBERS.relaxation, NUMBERS.dig_recovery
-DT, N, LOST = 0.4, 1.07, 1e6  # s; exponent; m2, of a sinkage that is not measured
+R = NUMBERS.radius
+LENGTH = NUMBERS.relaxation
+RECOVERY = NUMBERS.dig_recovery
+DT = 0.4  # s; exponent; m2, of a sinkage that is not measured
+N = 1.07
+LOST = 1e6
 
 
 class Wheel:
     """The sinkage filter of one wheel, on one soil or on a border."""
 
     def __init__(self, numbers=NUMBERS):
-        self.banks, self.numbers = new_banks(1), numbers
+        self.banks = new_banks(1)
+        self.numbers = numbers
         restart(self.banks, 0, numbers)
         self.s = self.banks.sinkage[0]
 
@@ -48,7 +53,11 @@ class Wheel:
         That is on the soil whose y is the one of the prior.
         """
         depth = sf.mean(self.s, sf.DEPTH)
-        ln_s = self.numbers.prior.sinkage[0] + N * math.log(bearing / self.numbers.depth) - N * math.log(depth)
+        ln_s = (
+            self.numbers.prior.sinkage[0]
+            + N * math.log(bearing / self.numbers.depth)
+            - N * math.log(depth)
+        )
         ground = sf.Ground(ln_s, depth, by_depth, N, share, by_place, place_variance)
         sf.follow(self.banks, 0, ground, motion, self.numbers)
 
@@ -64,11 +73,18 @@ class Wheel:
         """The covariance of each filter and of all is positive semidefinite; weights sum to one."""
         w = np.exp(self.s[sf.LOG_WEIGHT * COUNT :][:COUNT])
         assert w.sum() == pytest.approx(1.0, abs=1e-9) and np.all(np.isfinite(self.s))
-        P = np.array([[self.s[sf.cell(i, j) : sf.cell(i, j) + COUNT] for j in range(size)] for i in range(size)])
+        P = np.array(
+            [
+                [self.s[sf.cell(i, j) : sf.cell(i, j) + COUNT] for j in range(size)]
+                for i in range(size)
+            ]
+        )
         whole = np.array([[sf.spread(self.s, i, j) for j in range(size)] for i in range(size)])
         for p in (*np.moveaxis(P, 2, 0), whole):
             sd = np.sqrt(np.maximum(np.diag(p), 1e-18))
-            assert np.all(np.diag(p) >= 0.0) and np.linalg.eigvalsh(p / np.outer(sd, sd)).min() > -1e-7
+            assert (
+                np.all(np.diag(p) >= 0.0) and np.linalg.eigvalsh(p / np.outer(sd, sd)).min() > -1e-7
+            )
 
 
 def moved(speed, sliding, seconds=DT, sinkage=0.02, variance=LOST, time=None):
@@ -83,16 +99,20 @@ def law(z, bearing, gain, motions):
     out = []
     for speed, sliding in motions:
         a, b = excavation_rate(speed, sliding, gain, RECOVERY, LENGTH)
-        z = solve_ivp(lambda _, y, a=a, b=b: b * bearing - a * y, (0.0, DT), [z], rtol=1e-10, atol=1e-13).y[0, -1]
+        z = solve_ivp(
+            lambda _, y, a=a, b=b: b * bearing - a * y, (0.0, DT), [z], rtol=1e-10, atol=1e-13
+        ).y[0, -1]
         out.append(z)
     return np.array(out)
 
 
 @settings(max_examples=30, deadline=None)
 @given(
-    ln_gain=st.floats(-1.5, 1.0), bearing=st.floats(0.008, 0.03), ratio=st.floats(0.5, 2.0),
+    ln_gain=st.floats(-1.5, 1.0),
+    bearing=st.floats(0.008, 0.03),
+    ratio=st.floats(0.5, 2.0),
     motions=st.lists(st.tuples(st.floats(0.0, 0.5), st.floats(0.0, 0.4)), min_size=1, max_size=12),
-)  # fmt: skip
+)
 def test_with_exact_parameters_the_sinkage_follows_its_law(ln_gain, bearing, ratio, motions):
     wheel = Wheel()
     wheel.know(NUMBERS.prior.sinkage[0], ln_gain)
@@ -106,11 +126,15 @@ def test_with_exact_parameters_the_sinkage_follows_its_law(ln_gain, bearing, rat
 @pytest.mark.parametrize("offset", [-2.0, -0.5, 0.0, 0.7, 2.0])
 def test_what_lacks_in_depth_comes_in_the_mean(offset):
     """At rest for long: the moments are those of the larger of the sinkage and its bearing depth, by draws."""
-    wheel, sd, bearing = Wheel(), 0.004, 0.03
+    wheel = Wheel()
+    sd = 0.004
+    bearing = 0.03
     wheel.know(NUMBERS.prior.sinkage[0], 0.0)
     wheel.start(bearing + offset * sd, sd * sd)
     wheel.follow(moved(0.0, 0.0, 100.0), bearing)
-    z = np.maximum(bearing + sd * (offset + np.random.default_rng(0).standard_normal(400_000)), bearing)
+    z = np.maximum(
+        bearing + sd * (offset + np.random.default_rng(0).standard_normal(400_000)), bearing
+    )
     found, of_all = wheel.moments(sf.DEPTH)
     assert found == pytest.approx(z.mean(), abs=0.02 * sd)
     least = (0.02 * R) ** 2 + (0.1 * (found - bearing - offset * sd)) ** 2  # of the law itself
@@ -120,46 +144,77 @@ def test_what_lacks_in_depth_comes_in_the_mean(offset):
 def test_the_bank_of_a_new_soil_has_the_moments_of_the_prior():
     states = (sf.PRESSURE, sf.GAIN)
     for numbers in (NUMBERS, filter_numbers(load_scenario("two_lines"))):
-        wheel, P = Wheel(numbers), numbers.prior.sinkage_covariance.reshape(2, 2)
+        wheel = Wheel(numbers)
+        P = numbers.prior.sinkage_covariance.reshape(2, 2)
         sf.new_soil(wheel.banks, 0, numbers)
-        np.testing.assert_allclose([sf.mean(wheel.s, i) for i in states], numbers.prior.sinkage, atol=1e-9)
-        found, scale = np.array([[sf.spread(wheel.s, i, j) for j in states] for i in states]), np.sqrt(np.diag(P))
-        np.testing.assert_allclose(found / np.outer(scale, scale), P / np.outer(scale, scale), atol=0.15)
+        np.testing.assert_allclose(
+            [sf.mean(wheel.s, i) for i in states], numbers.prior.sinkage, atol=1e-9
+        )
+        found = np.array([[sf.spread(wheel.s, i, j) for j in states] for i in states])
+        scale = np.sqrt(np.diag(P))
+        np.testing.assert_allclose(
+            found / np.outer(scale, scale), P / np.outer(scale, scale), atol=0.15
+        )
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_pressure_and_gain_are_learnt_from_the_sinkage(seed):
     """A wheel at varied slip that obeys the law, with noise of 1 mm: both come within three standard deviations."""
-    rng, wheel, prior = np.random.default_rng(seed), Wheel(), NUMBERS.prior
-    off, ln_gain = 0.4 * rng.standard_normal(), 0.5 * rng.standard_normal()
+    rng = np.random.default_rng(seed)
+    wheel = Wheel()
+    prior = NUMBERS.prior
+    off = 0.4 * rng.standard_normal()
+    ln_gain = 0.5 * rng.standard_normal()
     bearing = 0.02 * math.exp(-off / N)
     wheel.start(0.02, 1e-4)
     z = bearing
     for k in range(60):
-        speed, sliding = 0.25, 0.12 * (1.0 + math.sin(0.5 * k))
+        speed = 0.25
+        sliding = 0.12 * (1.0 + math.sin(0.5 * k))
         z = law(z, bearing, NUMBERS.dig_gain * math.exp(ln_gain), [(speed, sliding)])[0]
         # the pressure mobilised is that of a bearing sinkage of 0.02 m on the soil of the prior, whatever the depth
-        wheel.follow(moved(speed, sliding, sinkage=z + 1e-3 * rng.standard_normal(), variance=1e-6), 0.02)
+        wheel.follow(
+            moved(speed, sliding, sinkage=z + 1e-3 * rng.standard_normal(), variance=1e-6), 0.02
+        )
         wheel.check(sf.HERE)
-    for state, truth, before in ((sf.PRESSURE, prior.sinkage[0] + off, prior.sinkage_covariance[0]),
-                                 (sf.GAIN, ln_gain, prior.sinkage_covariance[3])):  # fmt: skip
+    for state, truth, before in (
+        (sf.PRESSURE, prior.sinkage[0] + off, prior.sinkage_covariance[0]),
+        (sf.GAIN, ln_gain, prior.sinkage_covariance[3]),
+    ):
         found, sd = wheel.moments(state)
         assert abs(found - truth) < 3.0 * sd < 3.0 * 0.6 * math.sqrt(before), state
 
 
 floats = st.floats
 step = st.tuples(
-    st.integers(0, 9), st.booleans(), floats(1e-3, 0.5), floats(-2.0, 0.0), floats(0.0, 0.999), floats(0.0, 0.01),
-    st.tuples(floats(0.0, 5.0), floats(0.0, 5.0), floats(0.0, 1.0), floats(0.0, 2.0), floats(0.0, 1.5),
-              floats(1e-8, 1e2)),
-)  # fmt: skip
+    st.integers(0, 9),
+    st.booleans(),
+    floats(1e-3, 0.5),
+    floats(-2.0, 0.0),
+    floats(0.0, 0.999),
+    floats(0.0, 0.01),
+    st.tuples(
+        floats(0.0, 5.0),
+        floats(0.0, 5.0),
+        floats(0.0, 1.0),
+        floats(0.0, 2.0),
+        floats(0.0, 1.5),
+        floats(1e-8, 1e2),
+    ),
+)
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.sampled_from(["mixed", "field_vehicle"]), floats(1e-3, 1.0), floats(1e-10, 1e-2), st.lists(step, min_size=1))
+@given(
+    st.sampled_from(["mixed", "field_vehicle"]),
+    floats(1e-3, 1.0),
+    floats(1e-10, 1e-2),
+    st.lists(step, min_size=1),
+)
 def test_covariances_stay_positive_and_weights_sum_to_one(scenario, sinkage, variance, steps):
     """On one soil and on a border, at any motion; steps begin a border, or end it with the old or the new soil."""
-    wheel, on_border = Wheel(filter_numbers(load_scenario(scenario))), False
+    wheel = Wheel(filter_numbers(load_scenario(scenario)))
+    on_border = False
     r = wheel.numbers.radius
     wheel.start(sinkage * r, variance)
     for turn, old, bearing, by_depth, share, place_variance, motion in steps:
@@ -171,20 +226,32 @@ def test_covariances_stay_positive_and_weights_sum_to_one(scenario, sinkage, var
                 sf.keep_old_sinkage(wheel.banks, 0)
             on_border = False
         motion = sf.Motion(*motion[:4], motion[4] * r, motion[5])
-        wheel.follow(motion, bearing * r, by_depth, share if on_border else 1.0, -5.0 * on_border, place_variance)
+        wheel.follow(
+            motion,
+            bearing * r,
+            by_depth,
+            share if on_border else 1.0,
+            -5.0 * on_border,
+            place_variance,
+        )
         wheel.check(sf.STATES if on_border else sf.HERE)
-        assert (1.0 - 1e-9) * 1e-3 * r <= wheel.sinkage <= 1.9 * r * (1.0 + 1e-9) and wheel.banks.point.bearing[0] > 0.0
+        assert (1.0 - 1e-9) * 1e-3 * r <= wheel.sinkage <= 1.9 * r * (
+            1.0 + 1e-9
+        ) and wheel.banks.point.bearing[0] > 0.0
 
 
 def test_on_a_border_the_ground_is_of_both_soils():
     """By the share of the new one: y is averaged, so that the bearing sinkage is their geometric mean; gains add."""
-    wheel, y = Wheel(), NUMBERS.prior.sinkage[0]
+    wheel = Wheel()
+    y = NUMBERS.prior.sinkage[0]
     wheel.know(y - 0.4, math.log(0.5))
     wheel.start(0.03)
     sf.begin_next_sinkage(wheel.banks, 0, NUMBERS)
     wheel.set(sf.PRESSURE, y + 0.2)
     wheel.set(sf.GAIN, math.log(2.0))
-    share, speed, sliding = 0.3, 0.2, 0.1
+    share = 0.3
+    speed = 0.2
+    sliding = 0.1
     bearing = 0.02 * math.exp(-(share * 0.2 - (1.0 - share) * 0.4) / N)
     gain = NUMBERS.dig_gain * (share * 2.0 + (1.0 - share) * 0.5)
     wheel.follow(moved(speed, sliding, time=0.0), 0.02, share=share)

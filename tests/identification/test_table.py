@@ -25,8 +25,10 @@ WHEEL = SetupWheel(0.15, 0.12)
 SAND = reference.Ground(31.0, 1500.0, 0.018, 9e5, 0.9)
 CLAY = reference.Ground(20.0, 68950.0, 0.006, 1861609.0, 0.2)  # Wong: lean clay, 22 % moisture
 SD = {"sinkage": 3e-4, "drawbar_pull": 0.7, "torque": 0.1}
-SLIPS, LOADS = tuple(np.round(np.linspace(0.05, 0.7, 8), 3)), (60.0, 120.0, 240.0)
-NAMES, COLUMNS = reference.Ground._fields, ("slip", "load", "sinkage", "drawbar_pull", "torque")
+SLIPS = tuple(np.round(np.linspace(0.05, 0.7, 8), 3))
+LOADS = (60.0, 120.0, 240.0)
+NAMES = reference.Ground._fields
+COLUMNS = ("slip", "load", "sinkage", "drawbar_pull", "torque")
 THREE = ("cohesion", "sinkage_exponent")  # known where phi, K and S are identified
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "data"
 
@@ -39,7 +41,9 @@ def steady(slip, load, soil=SAND, wheel=WHEEL):
 @cache
 def clean(soil=SAND, slips=SLIPS, loads=LOADS, wheel=WHEEL):
     """Rows [N, 5] of slip, load, sinkage, drawbar pull, torque without noise."""
-    return np.array([(slip, load, *steady(slip, load, soil, wheel)) for load in loads for slip in slips])
+    return np.array(
+        [(slip, load, *steady(slip, load, soil, wheel)) for load in loads for slip in slips]
+    )
 
 
 def table_of(folder, rows, rng=None, sd=SD, leave_out=(), columns=COLUMNS):
@@ -49,7 +53,9 @@ def table_of(folder, rows, rng=None, sd=SD, leave_out=(), columns=COLUMNS):
         rows[:, -3:] += rng.normal(size=(len(rows), 3)) * list(sd.values())
     keep = [k for k, name in enumerate(columns) if name not in leave_out]
     header = ",".join(columns[k] for k in keep)
-    np.savetxt(folder / "data.csv", rows[:, keep], delimiter=",", header=header, comments="", fmt="%.7g")
+    np.savetxt(
+        folder / "data.csv", rows[:, keep], delimiter=",", header=header, comments="", fmt="%.7g"
+    )
     return read_table(folder / "data.csv", WHEEL)
 
 
@@ -69,7 +75,8 @@ def write_example(path):
     """The synthetic table of examples/data."""
     rows = clean(slips=(0.05, 0.15, 0.25, 0.35, 0.5, 0.65)).copy()
     rows[:, 2:] += np.random.default_rng(0).normal(size=(len(rows), 3)) * list(SD.values())
-    header, form = ",".join([*COLUMNS, "run"]), "%g,%g,%.5f,%.2f,%.3f,synthetic"
+    header = ",".join([*COLUMNS, "run"])
+    form = "%g,%g,%.5f,%.2f,%.3f,synthetic"
     np.savetxt(path, rows, fmt=form, header=header, comments="")
 
 
@@ -88,9 +95,14 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
     assert e.parameters["reference_pressure"].value == pytest.approx(truth, rel=1e-3)
 
 
-@pytest.mark.parametrize(("known", "noise"), [
-    (THREE, SD), ((), SD), ((), None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("known", "noise"),
+    [
+        (THREE, SD),
+        ((), SD),
+        ((), None),
+    ],
+)
 def test_intervals_cover_the_truth(tmp_path, known, noise):
     """95 % intervals: fewer than 24 hits of 30 has a probability below 1e-3 a parameter if they are calibrated.
 
@@ -98,7 +110,11 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     most of all that of the angle, which an error of the shear stress that is the same everywhere changes unseen.
     Noise that is left out is estimated, without bias.
     """
-    rng, hits, values, noises, setup = np.random.default_rng(5), Counter(), [], [], setup_of(known, noise)
+    rng = np.random.default_rng(5)
+    hits = Counter()
+    values = []
+    noises = []
+    setup = setup_of(known, noise)
     free = [name for name in NAMES if name not in known]
     for _ in range(30):
         e = identify_table(table_of(tmp_path, clean(), rng), setup)
@@ -106,7 +122,9 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
         noises.append([e.fits[name].noise for name in SD])
         hits.update(inside(e))
         found = {name: e.parameters[name] for name in free}
-        values.append([(p.value - getattr(SAND, name)) / (p.high - p.low) * 3.92 for name, p in found.items()])
+        values.append(
+            [(p.value - getattr(SAND, name)) / (p.high - p.low) * 3.92 for name, p in found.items()]
+        )
     assert set(hits) == set(free) and min(hits.values()) >= 24, hits
     spread = np.std(values, axis=0)
     assert np.all((0.25 < spread) & (spread < 1.35)), spread
@@ -115,11 +133,16 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
 
 
 @pytest.mark.parametrize(
-    ("stretched", "smallest"), [(lambda slip: slip / 0.35, 0.03), (lambda slip: np.log1p(slip / 0.05), 0.02)]
+    ("stretched", "smallest"),
+    [(lambda slip: slip / 0.35, 0.03), (lambda slip: np.log1p(slip / 0.05), 0.02)],
 )
 def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smallest):
     """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the noise."""
-    rng, hits, sizes, phi, setup = np.random.default_rng(8), Counter(), [], [], setup_of(THREE)
+    rng = np.random.default_rng(8)
+    hits = Counter()
+    sizes = []
+    phi = []
+    setup = setup_of(THREE)
     for _ in range(30):
         rows = clean().copy()
         at = np.stack([stretched(rows[:, 0]), np.log(rows[:, 1])], axis=1)
@@ -137,14 +160,19 @@ def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smalles
 
 def test_errors_of_the_stresses_are_not_taken_for_errors_of_the_channels(tmp_path):
     """15 draws of errors of 8 % in the stresses: intervals hold, and the size is found."""
-    rng, sizes, hits, setup = np.random.default_rng(9), [], Counter(), setup_of(THREE)
+    rng = np.random.default_rng(9)
+    sizes = []
+    hits = Counter()
+    setup = setup_of(THREE)
     problem = TableProblem(table_of(tmp_path, clean()), setup)
     u = np.array([k.at(getattr(SAND, k.name)) for k in problem.unknowns])
     problem.weigh(problem.by_conditions(u))
     stresses = problem.law_errors(u, 0)[0]
     for _ in range(15):
         rows = clean().copy()
-        rows[:, 2:] += (stresses @ (0.08 * rng.normal(size=stresses.shape[1]))).reshape(-1, 3) * list(SD.values())
+        rows[:, 2:] += (stresses @ (0.08 * rng.normal(size=stresses.shape[1]))).reshape(
+            -1, 3
+        ) * list(SD.values())
         rows[:, 2] = np.maximum(rows[:, 2], 0.3 * clean()[:, 2])
         e = identify_table(table_of(tmp_path, rows, rng), setup)
         sizes.append(e.law_error)
@@ -156,22 +184,29 @@ def test_errors_of_the_stresses_are_not_taken_for_errors_of_the_channels(tmp_pat
 def test_large_errors_of_sinkage_do_not_bias(tmp_path):
     """Errors in variables: at 10 % noise of the sinkage the mean of 40 estimates is within half an sd."""
     sd = {"sinkage": 1.5e-3, "drawbar_pull": 2.0, "torque": 0.3}
-    rng, setup = np.random.default_rng(6), setup_of(THREE, sd)
-    found = [identify_table(table_of(tmp_path, clean(), rng, sd), setup).parameters for _ in range(40)]
+    rng = np.random.default_rng(6)
+    setup = setup_of(THREE, sd)
+    found = [
+        identify_table(table_of(tmp_path, clean(), rng, sd), setup).parameters for _ in range(40)
+    ]
     for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient"):
         values = [p[name].value for p in found]
         assert abs(np.mean(values) - getattr(SAND, name)) < 0.5 * np.std(values), name
 
 
 def test_wheels_of_two_widths_share_k_c_and_k_phi(tmp_path):
-    k_c, k_phi, parts = 2e4, 7e5, []
+    k_c = 2e4
+    k_phi = 7e5
+    parts = []
     for wheel in (WHEEL, SetupWheel(0.15, 0.2)):
         soil = SAND._replace(sinkage_coefficient=k_c / wheel.width + k_phi)
         rows = clean(soil, slips=(0.1, 0.3, 0.5), loads=(80.0, 160.0), wheel=wheel)
         parts.append(np.insert(rows, 2, wheel.width, axis=1))
     columns = ("slip", "load", "wheel_width", *COLUMNS[2:])
     priors = {"k_c": Prior(k_c, 0.0), "k_phi": Prior(k_phi, 2e5)}
-    e = identify_table(table_of(tmp_path, np.concatenate(parts), columns=columns), setup_of(THREE, **priors))
+    e = identify_table(
+        table_of(tmp_path, np.concatenate(parts), columns=columns), setup_of(THREE, **priors)
+    )
     assert e.parameters["sinkage_coefficient"].value == pytest.approx(k_c / 0.12 + k_phi, rel=5e-3)
     assert e.parameters["friction_angle_deg"].value == pytest.approx(31.0, rel=5e-3)
 
@@ -183,7 +218,10 @@ def test_names_what_the_data_cannot_tell(tmp_path):
     e = identify_table(table, setup_of((), sinkage_exponent=Prior(0.9, 0.02)))
     words = " ".join(e.warnings)
     assert "do not determine the sinkage exponent" in words
-    assert "friction angle and cohesion together" in words or "do not determine the friction angle" in words
+    assert (
+        "friction angle and cohesion together" in words
+        or "do not determine the friction angle" in words
+    )
     p = e.parameters["sinkage_exponent"]
     assert p.sd_over_prior > 0.7 and p.high - p.low == pytest.approx(2 * 1.96 * 0.02, rel=0.3)
     assert e.condition > identify_table(table_of(tmp_path, clean()), setup_of()).condition
@@ -201,15 +239,34 @@ def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
     """Not those under the form error, which takes a part of the misfit of the pull away from the sinkage."""
     rows = clean().copy()
     rows[:, 3] *= 1.0 + 0.8 * rows[:, 0]
-    found = [w for w in identify_table(table_of(tmp_path, rows), setup_of(THREE)).warnings if "does not fit" in w]
-    assert len(found) == 3 and all(float(w.split(" times the given")[0].split()[-1]) > 1.0 for w in found)
+    found = [
+        w
+        for w in identify_table(table_of(tmp_path, rows), setup_of(THREE)).warnings
+        if "does not fit" in w
+    ]
+    assert len(found) == 3 and all(
+        float(w.split(" times the given")[0].split()[-1]) > 1.0 for w in found
+    )
 
 
-@pytest.mark.parametrize(("leave_out", "rows", "setup", "words"), [
-    (("sinkage", "torque"), slice(None), setup_of(), "no row has a sinkage, or both drawbar_pull and torque"),
-    ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),
-    (("torque",), slice(0, 2), setup_of(("cohesion",), None), "4 parameters .*sinkage noise .* at least 6"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("leave_out", "rows", "setup", "words"),
+    [
+        (
+            ("sinkage", "torque"),
+            slice(None),
+            setup_of(),
+            "no row has a sinkage, or both drawbar_pull and torque",
+        ),
+        ((), slice(None), setup_of(NAMES), "setup: soil: every parameter is known"),
+        (
+            ("torque",),
+            slice(0, 2),
+            setup_of(("cohesion",), None),
+            "4 parameters .*sinkage noise .* at least 6",
+        ),
+    ],
+)
 def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words):
     with pytest.raises(ParameterError, match=words):
         identify_table(table_of(tmp_path, clean()[rows], leave_out=leave_out), setup)
@@ -217,7 +274,10 @@ def test_refuses_what_it_cannot_identify(tmp_path, leave_out, rows, setup, words
 
 def test_a_very_wide_prior_says_no_more_than_the_admissible_range(tmp_path):
     table = table_of(tmp_path, clean(), np.random.default_rng(3))
-    wide = [identify_table(table, setup_of(THREE, friction_angle_deg=Prior(30.0, sd))) for sd in (1e12, 1e300)]
+    wide = [
+        identify_table(table, setup_of(THREE, friction_angle_deg=Prior(30.0, sd)))
+        for sd in (1e12, 1e300)
+    ]
     usual = identify_table(table, setup_of(THREE))
     for e in wide:
         angle, expected = (x.parameters["friction_angle_deg"].value for x in (e, usual))
@@ -232,7 +292,9 @@ def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
     for name, (_, _, low, high, logarithmic) in BROAD.items():
         p = e.parameters[name]
         low, high = (math.exp(x) if logarithmic else x for x in (low, high))
-        assert p.known or low * (1.0 - 1e-9) <= p.low <= p.value <= p.high <= high * (1.0 + 1e-9), name
+        assert p.known or low * (1.0 - 1e-9) <= p.low <= p.value <= p.high <= high * (1.0 + 1e-9), (
+            name
+        )
     angle = e.parameters["friction_angle_deg"]
     assert leave_out or (angle.low, angle.high) == pytest.approx((2.0, 65.0))
     assert not leave_out or any("degrees of freedom" in w for w in e.warnings)
@@ -255,7 +317,9 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
 
 def test_intervals_from_few_points_at_one_load(tmp_path):
     """Two channels of unknown noise, four points: 95 % intervals; fewer than 24 of 30 has probability 5e-4."""
-    rng, hits, four = np.random.default_rng(9), Counter(), clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))
+    rng = np.random.default_rng(9)
+    hits = Counter()
+    four = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))
     for _ in range(30):
         e = identify_table(table_of(tmp_path, four, rng), setup_of(THREE, None))
         assert e.converged
@@ -264,10 +328,21 @@ def test_intervals_from_few_points_at_one_load(tmp_path):
 
 
 def test_command(tmp_path, capsys):
-    arguments = ["identify", str(EXAMPLE / "single_wheel.csv"), "--setup", str(EXAMPLE / "setup.yaml")]
+    arguments = [
+        "identify",
+        str(EXAMPLE / "single_wheel.csv"),
+        "--setup",
+        str(EXAMPLE / "setup.yaml"),
+    ]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    for word in ("friction angle", "95 % interval", "Correlation", "drawbar pull", "identification.png"):
+    for word in (
+        "friction angle",
+        "95 % interval",
+        "Correlation",
+        "drawbar pull",
+        "identification.png",
+    ):
         assert word in said.out
     assert "\x1b" not in said.out and said.err == ""
     report = json.loads((tmp_path / "out" / "identification.json").read_text())

@@ -7,7 +7,9 @@ import pytest
 
 from soil_env._io.document import Table, html_image, html_page, render
 
-TABLE = Table(("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils")
+TABLE = Table(
+    ("soil", "pull [N]"), [("<sand> & co", "12.5"), ("loam|clay", -3), ("", "-")], "Two soils"
+)
 
 
 def test_a_table_is_escaped_and_its_numbers_are_aligned():
@@ -17,8 +19,14 @@ def test_a_table_is_escaped_and_its_numbers_are_aligned():
 
 
 def test_a_page_loads_nothing_and_escapes_text_but_not_a_table():
-    text = html_page("a < b", ["<h1>A</h1>", TABLE.html(), html_image(b"\x89PNG", 'x "y"')], "p { color: red; }")
-    assert "<title>a &lt; b</title>" in text and "p { color: red; }" in text and text.count("<table") == 1
+    text = html_page(
+        "a < b", ["<h1>A</h1>", TABLE.html(), html_image(b"\x89PNG", 'x "y"')], "p { color: red; }"
+    )
+    assert (
+        "<title>a &lt; b</title>" in text
+        and "p { color: red; }" in text
+        and text.count("<table") == 1
+    )
     assert "href" not in text and re.findall(r'src="([^",]*)', text) == ["data:image/png;base64"]
     own = jinja2.Environment(autoescape=True).from_string("{{ t }}")
     assert own.render(t=TABLE) == TABLE.html()

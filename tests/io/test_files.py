@@ -50,7 +50,11 @@ def test_outputs_that_could_not_be_written_are_named_and_nothing_is_made(tmp_pat
     (tmp_path / "file").write_text("mine")
     (tmp_path / "a.md").mkdir()
     check_outputs(tmp_path / "new", ("a.md", "plots/b.png"))
-    for name, said in (("file/out/b.png", "is a file"), ("file/b.png", "is a file"), ("a.md", "is a folder")):
+    for name, said in (
+        ("file/out/b.png", "is a file"),
+        ("file/b.png", "is a file"),
+        ("a.md", "is a folder"),
+    ):
         with pytest.raises(OSError, match=said):
             check_outputs(tmp_path, (name,))
     with pytest.raises(OSError, match="is a file"):
@@ -59,5 +63,11 @@ def test_outputs_that_could_not_be_written_are_named_and_nothing_is_made(tmp_pat
 
 
 def test_json_has_no_numpy_and_no_nan(tmp_path):
-    write_json(tmp_path / "a.json", {"x": np.array([1.0, np.nan]), 2: (np.float32(0.5), math.inf, None, True)})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"x": [1.0, None], "2": [0.5, None, None, True]}
+    write_json(
+        tmp_path / "a.json",
+        {"x": np.array([1.0, np.nan]), 2: (np.float32(0.5), math.inf, None, True)},
+    )
+    assert json.loads((tmp_path / "a.json").read_text()) == {
+        "x": [1.0, None],
+        "2": [0.5, None, None, True],
+    }

@@ -17,7 +17,8 @@ from soil_env.terramechanics.model import WheelSoilModel
 
 ROOT = Path(__file__).resolve().parents[2]
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    f"{b}: &{b} [{', '.join(['*' + a] * 10)}]\n"
+    for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
 YAMLS = {
     "aliases": (BOMB, "more than"),
@@ -26,7 +27,10 @@ YAMLS = {
     "deep mappings": ("wheel: " + "{a: " * 300 + "1" + "}" * 300, "nested deeper"),
     "itself": ("wheel: &w {preset: *w}", "contains itself"),
     "merged with itself": ("wheel: &w {<<: *w}", "contains itself"),
-    "a call": ("wheel: !!python/object/apply:os.system ['touch pwned']", "could not determine a constructor"),
+    "a call": (
+        "wheel: !!python/object/apply:os.system ['touch pwned']",
+        "could not determine a constructor",
+    ),
     "a name": ("!!python/name:os.system", "could not determine a constructor"),
     "no date": ("wheel: 2001-99-99", "month must be in"),
     "a long number": ("gravity: " + "9" * 5000, "not valid YAML"),
@@ -35,7 +39,10 @@ YAMLS = {
     "no text": (b"\xff\xfe\x00", "not valid YAML"),
     "large": (b"#" * 2_000_000, "larger than"),
     "a list": ("[1, 2]", "expected a mapping"),
-    "twice": ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "key 'c' appears twice in line 5, column 3: c: 3"),
+    "twice": (
+        "a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n",
+        "key 'c' appears twice in line 5, column 3: c: 3",
+    ),
     "no key": ("? [a]\n: 1", "not valid YAML"),
     "long text": ("wheel: " + "x" * 900_000, "wheel"),
 }
@@ -44,10 +51,15 @@ YAMLS = {
 SLOW = ("many values", "large", "long text")  # seconds to read
 
 
-@pytest.mark.parametrize(("name", "load"), [
-    (name, load) for name in YAMLS for load in (load_scenario, WheelSoilModel.load, read_setup)
-    if load is load_scenario or name not in SLOW
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "load"),
+    [
+        (name, load)
+        for name in YAMLS
+        for load in (load_scenario, WheelSoilModel.load, read_setup)
+        if load is load_scenario or name not in SLOW
+    ],
+)
 def test_yaml(tmp_path, monkeypatch, name, load):
     monkeypatch.chdir(tmp_path)
     content, words = YAMLS[name]
@@ -68,13 +80,27 @@ def test_plain_aliases_merges_and_shipped_files_are_read():
 
 def test_no_unsafe_loading_in_the_sources():
     """No yaml.load but the one with our SafeLoader; pickles only from the parent process."""
-    unsafe = re.compile(r"yaml\.(load\(|unsafe|full)|pickle\.load|allow_pickle=True|(?<!retri)eval\(|exec\(")
-    files = [p for folder in ("soil_env", "agents", "benchmarks", "examples") for p in (ROOT / folder).rglob("*.py")]
-    lines = [(path.name, line.strip()) for path in files for line in path.read_text("utf-8").splitlines()]
+    unsafe = re.compile(
+        r"yaml\.(load\(|unsafe|full)|pickle\.load|allow_pickle=True|(?<!retri)eval\(|exec\("
+    )
+    files = [
+        p
+        for folder in ("soil_env", "agents", "benchmarks", "examples")
+        for p in (ROOT / folder).rglob("*.py")
+    ]
+    lines = [
+        (path.name, line.strip()) for path in files for line in path.read_text("utf-8").splitlines()
+    ]
     assert sorted((name, line) for name, line in lines if unsafe.search(line)) == [
-        ("compiling.py", "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`"),
+        (
+            "compiling.py",
+            "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`",
+        ),
         ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
-        ("records.py", 'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does'),
+        (
+            "records.py",
+            'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does',
+        ),
     ]
 
 
@@ -121,13 +147,16 @@ def test_our_models_are_loaded_without_unpickling(saved, tmp_path, monkeypatch):
     from agents.evaluate.models import load_model
 
     data = data_of(saved)
-    pickled = [key for key, value in data.items() if isinstance(value, dict) and ":serialized:" in value]
+    pickled = [
+        key for key, value in data.items() if isinstance(value, dict) and ":serialized:" in value
+    ]
     assert len(pickled) > 5
     for key in pickled:
         data[key][":serialized:"] = base64.b64encode(pickle.dumps(Bomb())).decode()
     hostile = zipped(tmp_path / "m.zip", saved, data=json.dumps(data))
     for load in (load_agent, lambda p: load_model(p, load_scenario())):
-        a, b = load(saved), load(hostile)
+        a = load(saved)
+        b = load(hostile)
         weights = [agent.policy.state_dict() for agent in (a, b)]
         assert all((weights[0][key] == weights[1][key]).all() for key in weights[0])
 
@@ -147,20 +176,26 @@ def foreign(path, source, **entries):
     zipped(path, data=json.dumps(data_of(source) | entries))
 
 
-@pytest.mark.parametrize(("make", "words"), [
-    (lambda s, p: p.write_bytes(b""), "not a model"),
-    (lambda s, p: p.write_bytes(b"hello"), "not a model"),
-    (lambda s, p: p.write_bytes(s.read_bytes()[:5000]), "not a model"),
-    (lambda s, p: zipped(p, other="x"), "not a model"),
-    (lambda s, p: zipped(p, data="{"), "not a model"),
-    (lambda s, p: zipped(p, data="[" * 100_000), "not a model"),
-    (lambda s, p: zipped(p, data="[1]"), "expected a mapping"),
-    (lambda s, p: zipped(p, data=b" " * 60_000_000), "too large"),
-    (lambda s, p: foreign(p, s, policy_class={":serialized:": "", "__module__": "os"}), "policy of 'os'"),
-    (lambda s, p: zipped(p, s, **{"policy.pth": b"no"}), "cannot be loaded"),
-    (lambda s, p: zipped(p, s, **{"policy.pth": pickle.dumps(Bomb())}), "cannot be loaded"),
-    (lambda s, p: p.mkdir(), "cannot be read"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda s, p: p.write_bytes(b""), "not a model"),
+        (lambda s, p: p.write_bytes(b"hello"), "not a model"),
+        (lambda s, p: p.write_bytes(s.read_bytes()[:5000]), "not a model"),
+        (lambda s, p: zipped(p, other="x"), "not a model"),
+        (lambda s, p: zipped(p, data="{"), "not a model"),
+        (lambda s, p: zipped(p, data="[" * 100_000), "not a model"),
+        (lambda s, p: zipped(p, data="[1]"), "expected a mapping"),
+        (lambda s, p: zipped(p, data=b" " * 60_000_000), "too large"),
+        (
+            lambda s, p: foreign(p, s, policy_class={":serialized:": "", "__module__": "os"}),
+            "policy of 'os'",
+        ),
+        (lambda s, p: zipped(p, s, **{"policy.pth": b"no"}), "cannot be loaded"),
+        (lambda s, p: zipped(p, s, **{"policy.pth": pickle.dumps(Bomb())}), "cannot be loaded"),
+        (lambda s, p: p.mkdir(), "cannot be read"),
+    ],
+)
 def test_a_zip_that_is_none(saved, tmp_path, make, words):
     from agents.evaluate.models import load_model
 

@@ -15,7 +15,13 @@ MAP = {
         "wheel_speed": {"topic": "/drive", "field": "speed"},
         "speed": {"topic": "/odom", "field": "twist.x"},
         "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm"},
-        "torque": {"topic": "/drive", "field": "motor.current", "unit": "A", "motor_constant": 0.05, "gear": 100},
+        "torque": {
+            "topic": "/drive",
+            "field": "motor.current",
+            "unit": "A",
+            "motor_constant": 0.05,
+            "gear": 100,
+        },
     },
 }
 
@@ -43,7 +49,8 @@ def write_mcap(path, messages, **options):
     from mcap.writer import Writer
 
     with open(path, "wb") as stream:
-        writer, channels = Writer(stream, **options), {}
+        writer = Writer(stream, **options)
+        channels = {}
         writer.start()
         for topic, time, content in messages:
             if topic not in channels:
@@ -61,10 +68,15 @@ def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000)
 
     def messages():
         for k in range(steps):
-            time, stage = start + k * 100_000_000, k // 20 % 3
+            time = start + k * 100_000_000
+            stage = k // 20 % 3
             speed = 2.0 + 0.5 * stage
             yield "/drive", time, {"speed": speed, "motor": {"current": 1.0 + 0.1 * stage}}
-            yield "/odom", time, {"twist": {"x": 0.15 * speed * (0.85, 0.8, 0.7)[stage]}, "depth": 22.0}
+            yield (
+                "/odom",
+                time,
+                {"twist": {"x": 0.15 * speed * (0.85, 0.8, 0.7)[stage]}, "depth": 22.0},
+            )
             if payload:
                 yield "/camera", time, image
 

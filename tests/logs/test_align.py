@@ -28,14 +28,21 @@ def test_a_fast_channel_is_averaged_and_a_slow_one_interpolated():
     log = axis({"wheel_speed": fast, "speed": slow}, constants={"load": 150.0})
     assert log.start == 4.95 * NS and np.diff(log.time) == pytest.approx(0.1)
     inner = slice(2, 18)
-    assert log.readings["wheel_speed"][inner] == pytest.approx(2.0 + (4.95 + log.time[inner] - 5.0), abs=0.0051)
-    assert log.readings["speed"][6] == pytest.approx(25.0 * (0.1 * round((log.time[6] - 0.05) / 0.1)), abs=2.6)
-    assert log.channels["speed"].interpolated > 0.6 and log.channels["wheel_speed"].interpolated == 0.0
+    assert log.readings["wheel_speed"][inner] == pytest.approx(
+        2.0 + (4.95 + log.time[inner] - 5.0), abs=0.0051
+    )
+    assert log.readings["speed"][6] == pytest.approx(
+        25.0 * (0.1 * round((log.time[6] - 0.05) / 0.1)), abs=2.6
+    )
+    assert (
+        log.channels["speed"].interpolated > 0.6 and log.channels["wheel_speed"].interpolated == 0.0
+    )
     assert np.all(log.readings["load"] == 150.0)
 
 
 def test_values_are_not_interpolated_over_a_longer_gap():
-    time, values = 0.1 * np.arange(12), np.full(12, math.nan)
+    time = 0.1 * np.arange(12)
+    values = np.full(12, math.nan)
     values[[1, 4, 10]] = 1.0, 4.0, 0.0
     out, filled = interpolated(time, values, 0.3)
     assert out[1:5] == pytest.approx([1, 2, 3, 4]) and np.flatnonzero(filled).tolist() == [2, 3]

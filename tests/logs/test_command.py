@@ -37,11 +37,17 @@ def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand"):
     rng = np.random.default_rng(0)
     slips = np.concatenate([np.full(round(t / period), s) for s, t in plan])
     state = model.predict({"slip": slips, "load": 150.0})
-    rim, load = np.full(slips.size, 2.0), np.full(slips.size, 150.0)
+    rim = np.full(slips.size, 2.0)
+    load = np.full(slips.size, 150.0)
     rows = [rim, 0.3 * (1.0 - slips), state.sinkage, state.drawbar_pull, load, state.torque]
     names = ("wheel_speed", "speed", "sinkage", "drawbar_pull", "load", "torque")
-    columns = np.array(rows) + noise * rng.normal(size=(6, slips.size)) * np.array([[0, 1e-4, 1e-4, 0.3, 1, 0.05]]).T
-    return Aligned(0, period * np.arange(slips.size), dict(zip(names, columns, strict=True)), {}, period)
+    columns = (
+        np.array(rows)
+        + noise * rng.normal(size=(6, slips.size)) * np.array([[0, 1e-4, 1e-4, 0.3, 1, 0.05]]).T
+    )
+    return Aligned(
+        0, period * np.arange(slips.size), dict(zip(names, columns, strict=True)), {}, period
+    )
 
 
 def of(log, readings):
@@ -51,7 +57,11 @@ def of(log, readings):
 
 @pytest.fixture()
 def log_map(tmp_path):
-    return read_map(write_map(tmp_path, {"wheel": {"radius": 0.15, "width": 0.15, "body_mass": 15.3}, "soil": KNOWN}))
+    return read_map(
+        write_map(
+            tmp_path, {"wheel": {"radius": 0.15, "width": 0.15, "body_mass": 15.3}, "soil": KNOWN}
+        )
+    )
 
 
 @pytest.fixture()
@@ -65,7 +75,9 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     driven = [0.1, 0.2, 0.35, 0.5, 0.7]
     log = made(log_map, [(s, 4.0) for s in driven])
     found = steady_windows(log, log_map)
-    assert sorted({round(row["slip"], 6) for row in found.rows}) == driven  # no row across a change of slip
+    assert (
+        sorted({round(row["slip"], 6) for row in found.rows}) == driven
+    )  # no row across a change of slip
     assert len(found.rows) >= 3 * len(driven)
     noisy = steady_windows(made(log_map, [(s, 4.0) for s in driven], noise=1.0), log_map)
     assert noisy.noise["sinkage"] == pytest.approx(1e-4 / math.sqrt(10), rel=0.2)
@@ -103,10 +115,15 @@ def test_a_gap_starts_the_identifier_anew(log_map):
     assert one.restarts == 0 and one.renewed.sum() > 10
     late = Aligned(0, log.time + 100.0 * (log.time > 3.95), log.readings, {}, log.period)
     two = replay(late, log_map)
-    again = replay(Aligned(0, log.time[40:], {n: v[40:] for n, v in log.readings.items()}, {}, log.period), log_map)
+    again = replay(
+        Aligned(0, log.time[40:], {n: v[40:] for n, v in log.readings.items()}, {}, log.period),
+        log_map,
+    )
     assert two.restarts == 1 and two.warnings
     assert two.values["shear_modulus"][39] == one.values["shear_modulus"][39]
-    assert two.values["shear_modulus"][-1] == pytest.approx(again.values["shear_modulus"][-1], rel=1e-9)
+    assert two.values["shear_modulus"][-1] == pytest.approx(
+        again.values["shear_modulus"][-1], rel=1e-9
+    )
     assert two.values["shear_modulus"][-1] != one.values["shear_modulus"][-1]
 
 
@@ -138,7 +155,9 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
     """And said so, in one line; with the inertia it identifies what the torque does."""
     log = made(log_map, VARIED, noise=1.0)
     readings = {n: v for n, v in log.readings.items() if n not in ("drawbar_pull", "torque")}
-    motor = Aligned(0, log.time, readings | {"motor_torque": log.readings["torque"]}, {}, log.period)
+    motor = Aligned(
+        0, log.time, readings | {"motor_torque": log.readings["torque"]}, {}, log.period
+    )
     bare = replay(motor, log_map)
     without = replay(of(log, readings), log_map)
     assert np.array_equal(bare.values["shear_modulus"], without.values["shear_modulus"])
@@ -152,19 +171,30 @@ def test_a_motor_torque_without_inertia_is_left_out(log_map):
 @pytest.mark.parametrize(("name", "value"), [("shear_modulus", 1e300), ("cohesion", math.inf)])
 def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, name, value):
     """In the middle of a log and at its end: no picture, table or file has it."""
-    log, update = made(log_map, VARIED, noise=1.0), OnlineIdentifier.update
+    log = made(log_map, VARIED, noise=1.0)
+    update = OnlineIdentifier.update
 
     def absurd(self, readings):
-        estimate, far = update(self, readings), readings.time > 7.0 or 3.0 < readings.time < 3.5
+        estimate = update(self, readings)
+        far = readings.time > 7.0 or 3.0 < readings.time < 3.5
         return dataclasses.replace(estimate, **{name: value}) if far else estimate
 
     monkeypatch.setattr(OnlineIdentifier, "update", absurd)
     log.channels.update({n: Channel(n) for n in log.readings})
     found = replay(log, log_map)
-    written = report_of("a.csv", log, log_map, found, steady_windows(log, log_map, found.ground)).files
+    written = report_of(
+        "a.csv", log, log_map, found, steady_windows(log, log_map, found.ground)
+    ).files
     refused = [line for line in found.warnings if "refused" in line]
-    assert len(refused) == 1 and "13 of 80" in refused[0] and written["report.html"].count("refused, being") == 1
-    cells = [dict(zip(COLUMNS, row.split(",")[1:], strict=False)) for row in written["estimates.csv"].splitlines()]
+    assert (
+        len(refused) == 1
+        and "13 of 80" in refused[0]
+        and written["report.html"].count("refused, being") == 1
+    )
+    cells = [
+        dict(zip(COLUMNS, row.split(",")[1:], strict=False))
+        for row in written["estimates.csv"].splitlines()
+    ]
     assert cells[-1][name] == cells[35][name] == "" and cells[30][name] and cells[40][name]
     assert json.loads(written["log.json"])["estimate"][name] is None
 
@@ -177,16 +207,21 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
     steady = steady_windows(log, log_map, found.ground)
     written = files(grounds(found, steady), steady, log_map, found.prior)
     (tmp_path / "setup.yaml").write_text(written["setup.yaml"])
-    read, b = read_setup(tmp_path / "setup.yaml"), log_map.belief
+    read = read_setup(tmp_path / "setup.yaml")
+    b = log_map.belief
     unknowns, known = soil_unknowns(read, np.full(3, 150.0), np.full(3, 0.01))
     seen = {u.name: (u.value(0.0), u.sd) for u in unknowns}
     assert seen == {
         "friction_angle_deg": pytest.approx((b.friction_angle_deg, b.friction_sd_deg), rel=1e-3),
         "shear_modulus": pytest.approx((b.shear_modulus, b.shear_modulus_sd), rel=1e-3),
-        "sinkage_coefficient": pytest.approx((b.sinkage_coefficient, b.sinkage_coefficient_sd), rel=1e-3),
+        "sinkage_coefficient": pytest.approx(
+            (b.sinkage_coefficient, b.sinkage_coefficient_sd), rel=1e-3
+        ),
     }
     assert known == KNOWN  # of the map, in place of the belief
-    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]  # where an estimate was current
+    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})[
+        "dig_gain"
+    ]  # where an estimate was current
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
 
 
@@ -204,7 +239,14 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
     assert len(parts) == 2 and parts[1].begin == pytest.approx(16.0, abs=1.0)
     assert {row["run"].split(".")[0] for row in steady.rows} == {"ground1", "ground2"}
     written = files(parts, steady, log_map, found.prior)
-    assert set(written) == {"steady.csv", "setup.yaml", "ground1.csv", "ground1.yaml", "ground2.csv", "ground2.yaml"}
+    assert set(written) == {
+        "steady.csv",
+        "setup.yaml",
+        "ground1.csv",
+        "ground1.yaml",
+        "ground2.csv",
+        "ground2.yaml",
+    }
     for name, content in written.items():
         (tmp_path / name).write_text(content)
     fits = {}
@@ -212,26 +254,33 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
         known = read_setup(tmp_path / (f"{name}.yaml" if name != "steady" else "setup.yaml"))
         table = read_table(tmp_path / f"{name}.csv", known.wheel)
         fits[name] = identify_table(table, known).parameters["shear_modulus"]
-        assert {t > 16.0 for t in table.time} == {"ground1": {False}, "ground2": {True}}.get(name, {False, True})
+        assert {t > 16.0 for t in table.time} == {"ground1": {False}, "ground2": {True}}.get(
+            name, {False, True}
+        )
     truth = [soils()[name].shear_modulus for name in names]
     assert [fits["ground1"].value, fits["ground2"].value] == pytest.approx(truth, rel=0.4)
     run = commands(parts, steady, tmp_path)
     assert len(run) == 4 and not any("steady.csv" in line for line in run)
     assert parts[1].differs > 0.8 and "Grounds found: 2, of" in advice(found, parts, steady)[0]
-    assert any("16." in line and "one ground at a time" in line for line in advice(found, parts, steady))
+    assert any(
+        "16." in line and "one ground at a time" in line for line in advice(found, parts, steady)
+    )
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
     """Estimates on both sides of 13 borders are of one soil but for two: those two count, and so does each gap."""
     steps = 1400
-    time, shown = 0.1 * np.arange(steps), {"wheel_speed": np.full(steps, 2.0), "speed": np.full(steps, 0.25)}
-    prior, soil = replay(made(log_map, [(0.2, 1.0)]), log_map).prior, np.repeat([0.0, 1.5, 0.0], [500, 400, 500])
+    time = 0.1 * np.arange(steps)
+    shown = {"wheel_speed": np.full(steps, 2.0), "speed": np.full(steps, 0.25)}
+    prior = replay(made(log_map, [(0.2, 1.0)]), log_map).prior
+    soil = np.repeat([0.0, 1.5, 0.0], [500, 400, 500])
     values = {n: np.full(steps, getattr(prior, n)) for n in ESTIMATED}
     rng = np.random.default_rng(0)
     for value, sd in (("friction_angle_deg", "friction_angle_sd_deg"), ("cohesion", "cohesion_sd")):
         values[sd] *= 0.1
         values[value] += values[sd] / 0.1 * (soil + 0.1 * np.repeat(rng.normal(size=14), 100))
-    found, current = np.arange(steps) // 100, np.full(steps, int(Status.CONVERGED))
+    found = np.arange(steps) // 100
+    current = np.full(steps, int(Status.CONVERGED))
     log = Aligned(0, time, shown, {}, 0.1)
     ground, differs = _grounds(log, log_map, found, values, current, prior)
     assert np.flatnonzero(np.diff(ground)).tolist() == [499, 899]
@@ -244,11 +293,20 @@ def test_borders_without_another_soil_are_no_grounds(log_map):
 def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "drive.mcap")
     (tmp_path / "out").mkdir()
-    assert main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(["logs", str(bag), "--map", str(write_map(tmp_path)), "--out", str(tmp_path / "out")])
+        == 0
+    )
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert {name for name in written if not name.startswith("ground")} == {
-        "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png", "steady.csv", "setup.yaml",
-    }  # fmt: skip
+        "report.html",
+        "log.json",
+        "estimates.csv",
+        "estimates.png",
+        "readings.png",
+        "steady.csv",
+        "setup.yaml",
+    }
     page = (tmp_path / "out" / "report.html").read_text()
     assert not re.search(r"(src|href)=.(?!data:)", page) and page.count("<img") == 2
     facts = json.loads((tmp_path / "out" / "log.json").read_text())
@@ -260,6 +318,18 @@ def test_command(tmp_path, capsys):
     bag = write_json_mcap(tmp_path / "short.mcap", steps=8)
     for name in ("ground1.csv", "ground1.yaml", "mine.csv"):
         (tmp_path / "out" / name).write_text("")
-    assert main(["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]) == 0
+    assert (
+        main(
+            ["logs", str(bag), "--map", str(tmp_path / "map.yaml"), "--out", str(tmp_path / "out")]
+        )
+        == 0
+    )
     left = {p.name for p in (tmp_path / "out").iterdir()}  # nothing of the other log
-    assert left == {"mine.csv", "report.html", "log.json", "estimates.csv", "estimates.png", "readings.png"}
+    assert left == {
+        "mine.csv",
+        "report.html",
+        "log.json",
+        "estimates.csv",
+        "estimates.png",
+        "readings.png",
+    }

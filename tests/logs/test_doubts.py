@@ -15,14 +15,25 @@ from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
 
-READINGS = ("slip", "sinkage", "drawbar_pull", "load", "torque", "speed", "wheel_speed", "pitch", "motor_torque",
-            "acceleration")  # in the order of `SensorReading`  # fmt: skip
+READINGS = (
+    "slip",
+    "sinkage",
+    "drawbar_pull",
+    "load",
+    "torque",
+    "speed",
+    "wheel_speed",
+    "pitch",
+    "motor_torque",
+    "acceleration",
+)  # in the order of `SensorReading`
 
 
 class SteppedSpeed(ConstantSpeed):
     """Rim speed that is held for 2.5 s, and then another."""
 
-    shares, hold = np.array([0.33, 0.6, 0.47, 0.8]), 2.5  # of the top rim speed; [s]
+    shares = np.array([0.33, 0.6, 0.47, 0.8])  # of the top rim speed; [s]
+    hold = 2.5
 
     def rim_speed(self, observation, state):
         t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
@@ -31,18 +42,32 @@ class SteppedSpeed(ConstantSpeed):
 
 def log_of(driven, scenario):
     """A drive of `benchmarks.drives.record` as a log with its map."""
-    rows, wheel, period = driven["readings"], scenario.wheel, scenario.control.period
+    rows = driven["readings"]
+    wheel = scenario.wheel
+    period = scenario.control.period
     twist = scenario.weight * wheel.radius
-    unit = {"drawbar_pull": scenario.weight, "load": scenario.weight, "torque": twist, "motor_torque": twist}
+    unit = {
+        "drawbar_pull": scenario.weight,
+        "load": scenario.weight,
+        "torque": twist,
+        "motor_torque": twist,
+    }
     readings = {name: rows[:, k].copy() for k, name in enumerate(READINGS)}
     readings["wheel_speed"] /= wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
-    sources = {name: Source(column=name, sd=getattr(scenario.noise, name) * unit.get(name, 1.0)) for name in readings}
+    sources = {
+        name: Source(column=name, sd=getattr(scenario.noise, name) * unit.get(name, 1.0))
+        for name in readings
+    }
     log_map = LogMap(
-        wheel, sources, period=period, gravity=scenario.gravity, relaxation=scenario.relaxation,
+        wheel,
+        sources,
+        period=period,
+        gravity=scenario.gravity,
+        relaxation=scenario.relaxation,
         windows=Windows(duration=1.0),
         belief=replace(scenario.belief, spread=scenario.belief.spread or scenario.spread),
-    )  # fmt: skip
+    )
     return Aligned(0, period * np.arange(len(rows)), readings, {}, period), log_map
 
 
@@ -50,9 +75,15 @@ def log_of(driven, scenario):
 def logs():
     """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
     out = {}
-    for name, controller in (("mixed", SteppedSpeed), ("sticky", ConstantSpeed), ("field_vehicle", SteppedSpeed)):
+    for name, controller in (
+        ("mixed", SteppedSpeed),
+        ("sticky", ConstantSpeed),
+        ("field_vehicle", SteppedSpeed),
+    ):
         scenario = load_scenario(name)
-        out[name] = [log_of(driven, scenario) for driven in record(controller(scenario), scenario, 3, 11)]
+        out[name] = [
+            log_of(driven, scenario) for driven in record(controller(scenario), scenario, 3, 11)
+        ]
     return out
 
 
@@ -106,9 +137,16 @@ def test_what_was_driven_is_not_doubted(logs, name):
 
 @pytest.mark.parametrize(
     ("interval", "rows", "unit", "proposed"),
-    [(0.1, 400, "s", ""), (1e-4, 400, "ms", "unit s"), (100.0, 400, "s", "unit ms"), (1e-3, 12000, "s", ""),
-     (1.5e-3, 400, "ms", "unit s"), (1e5, 400, "s", "unit us"), (1e-4, 400, "s", "another")],
-)  # fmt: skip
+    [
+        (0.1, 400, "s", ""),
+        (1e-4, 400, "ms", "unit s"),
+        (100.0, 400, "s", "unit ms"),
+        (1e-3, 12000, "s", ""),
+        (1.5e-3, 400, "ms", "unit s"),
+        (1e5, 400, "s", "unit us"),
+        (1e-4, 400, "s", "another"),
+    ],
+)
 def test_stamps_in_another_unit_are_doubted(logs, interval, rows, unit, proposed):
     """`interval` [s] between the rows, as declared."""
     log_map = replace(logs["mixed"][0][1], time=TimeColumn("t", unit))

@@ -19,7 +19,8 @@ pytest.importorskip("rosbags")
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
     """A drive of the environment in both storages of ROS 2, with its map: (folder, map, estimates while driving)."""
-    folder, code = tmp_path_factory.mktemp("drives"), example()
+    folder = tmp_path_factory.mktemp("drives")
+    code = example()
     for name in ("MCAP", "SQLITE3"):
         recorder = code["Recorder"](folder / name, code["StoragePlugin"][name])
         scenario, online = code["drive"](recorder, seed=1, steps=250)
@@ -33,7 +34,12 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
     """Equal to the precision of the bag: observations are float32, and so is the range of a Range."""
     folder, log_map, online = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
-    for name in ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "friction_angle_sd_deg"):
+    for name in (
+        "friction_angle_deg",
+        "shear_modulus",
+        "sinkage_coefficient",
+        "friction_angle_sd_deg",
+    ):
         assert found.values[name] == pytest.approx([e[name] for e in online], rel=1e-4)
     assert [s for s in found.status] == [type(found.prior.status)[e["status"]] for e in online]
     assert found.values["shear_modulus"][-1] != pytest.approx(found.prior.shear_modulus, rel=0.05)
@@ -41,11 +47,14 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
 
 def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
     """Split by the recorder, whose metadata names the files in order; then without it, as after a power cut."""
-    log_map, folder = read_map(write_map(tmp_path)), tmp_path / "bag"
+    log_map = read_map(write_map(tmp_path))
+    folder = tmp_path / "bag"
     folder.mkdir()
     write_json_mcap(folder / "z_0.mcap", steps=20)
     write_json_mcap(folder / "a_1.mcap", steps=30, start=3 * NS)
-    named = {"rosbag2_bagfile_information": {"relative_file_paths": ["z_0.mcap", "a_1.mcap", "a_2.mcap"]}}
+    named = {
+        "rosbag2_bagfile_information": {"relative_file_paths": ["z_0.mcap", "a_1.mcap", "a_2.mcap"]}
+    }
     (folder / "metadata.yaml").write_text(json.dumps(named))
     done = []
     log = read_recording(folder, log_map, lambda at, size: done.append((at, size)))
@@ -63,11 +72,22 @@ def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
 def test_messages_that_are_compressed_one_by_one(tmp_path):
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    code, reading = example(), {"wheel_speed": 2.0, "torque": 5.0, "speed": 0.25, "drawbar_pull": 9.0, "load": 147.0,
-                                "pitch": 0.1, "sinkage": 0.02, "slip": 0.2, "motor_torque": 5.2,
-                                "acceleration": 0.7}  # fmt: skip
+    code = example()
+    reading = {
+        "wheel_speed": 2.0,
+        "torque": 5.0,
+        "speed": 0.25,
+        "drawbar_pull": 9.0,
+        "load": 147.0,
+        "pitch": 0.1,
+        "sinkage": 0.02,
+        "slip": 0.2,
+        "motor_torque": 5.2,
+        "acceleration": 0.7,
+    }
     recorder = code["Recorder"].__new__(code["Recorder"])
-    recorder.writer, recorder.connections = Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.SQLITE3), {}
+    recorder.writer = Writer(tmp_path / "b", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    recorder.connections = {}
     recorder.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     recorder.writer.open()
     for k in range(1, 8):
@@ -75,13 +95,16 @@ def test_messages_that_are_compressed_one_by_one(tmp_path):
     recorder.writer.close()
     file = next((tmp_path / "b").glob("*.db3"))
     assert b"\x28\xb5\x2f\xfd" in file.read_bytes()
-    found = read_recording(tmp_path / "b", read_map(write_map(tmp_path, code["CHANNELS"] | {"sinkage": None})))
+    found = read_recording(
+        tmp_path / "b", read_map(write_map(tmp_path, code["CHANNELS"] | {"sinkage": None}))
+    )
     for name, values in found.readings.items():
         assert values == pytest.approx(np.full(7, reading[name])), name
 
 
 def test_csv_and_parquet_give_what_the_bag_gives(drives, tmp_path):
-    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
     folder, log_map, _ = drives
     whole = read_recording(folder / "MCAP", log_map)
     names = list(whole.readings)
@@ -104,12 +127,18 @@ def test_units_gear_and_motor_constant(tmp_path):
     bag = write_json_mcap(tmp_path / "a.mcap", steps=30)
     changes = {
         "wheel_speed": {"topic": "/drive", "field": "speed", "unit": "rpm", "gear": 4, "sign": -1},
-        "motor_torque": {"topic": "/drive", "field": "motor.current", "unit": "A", "motor_constant": 0.05, "gear": 100,
-                         "efficiency": 0.5},
+        "motor_torque": {
+            "topic": "/drive",
+            "field": "motor.current",
+            "unit": "A",
+            "motor_constant": 0.05,
+            "gear": 100,
+            "efficiency": 0.5,
+        },
         "sinkage": {"topic": "/odom", "field": "depth", "unit": "mm", "sign": -1, "offset": 0.15},
         "load": {"constant": 0.15, "unit": "kN"},
         "torque": None,
-    }  # fmt: skip
+    }
     found = read_recording(bag, read_map(write_map(tmp_path, changes))).readings
     assert found["wheel_speed"][0] == pytest.approx(-2.0 * 2.0 * math.pi / 60.0 / 4.0)
     assert found["motor_torque"][0] == pytest.approx(1.0 * 0.05 * 100 * 0.5)
@@ -120,19 +149,42 @@ def test_units_gear_and_motor_constant(tmp_path):
 @pytest.mark.parametrize(
     ("channel", "source", "named"),
     [
-        ("torque", {"topic": "/joint_state", "field": "effort[0]"}, ("/joint_state", "/joint_states")),
-        ("speed", {"topic": "/odom", "field": "twist.linear.x"}, ("/odom", "'twist.twist.linear.x'")),
-        ("torque", {"topic": "/joint_states", "field": "effort[whel]"}, ("/joint_states", "'whel'", "'wheel'")),
-        ("torque", {"topic": "/joint_states", "field": "position[0]"}, ("/joint_states", "position[0]", "0 values")),
+        (
+            "torque",
+            {"topic": "/joint_state", "field": "effort[0]"},
+            ("/joint_state", "/joint_states"),
+        ),
+        (
+            "speed",
+            {"topic": "/odom", "field": "twist.linear.x"},
+            ("/odom", "'twist.twist.linear.x'"),
+        ),
+        (
+            "torque",
+            {"topic": "/joint_states", "field": "effort[whel]"},
+            ("/joint_states", "'whel'", "'wheel'"),
+        ),
+        (
+            "torque",
+            {"topic": "/joint_states", "field": "position[0]"},
+            ("/joint_states", "position[0]", "0 values"),
+        ),
         ("sinkage", {"column": "z"}, ("sinkage", "column z", "topic")),
     ],
 )
-def test_errors_name_topic_and_field_and_the_nearest_known(drives, tmp_path, channel, source, named):
+def test_errors_name_topic_and_field_and_the_nearest_known(
+    drives, tmp_path, channel, source, named
+):
     folder, _, _ = drives
-    changes = example()["CHANNELS"] | {"torque": None, "sinkage": {"topic": "/range", "field": "range"}}
+    changes = example()["CHANNELS"] | {
+        "torque": None,
+        "sinkage": {"topic": "/range", "field": "range"},
+    }
     with pytest.raises(ParameterError) as error:
         read_recording(folder / "MCAP", read_map(write_map(tmp_path, changes | {channel: source})))
-    assert all(name in str(error.value) for name in named) and "\n" not in str(error.value), str(error.value)
+    assert all(name in str(error.value) for name in named) and "\n" not in str(error.value), str(
+        error.value
+    )
 
 
 @pytest.mark.parametrize(
@@ -164,9 +216,14 @@ def stamped(path, delay, back=20):
     def messages():
         for k in range(20):
             at = 100 * NS + k * NS // 10
-            late, own = at + round(delay * NS), at - NS * (k >= back)
+            late = at + round(delay * NS)
+            own = at - NS * (k >= back)
             header = {"stamp": {"sec": own // NS, "nanosec": own % NS}}
-            yield "/drive", late, {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}}
+            yield (
+                "/drive",
+                late,
+                {"header": header, "speed": 2.0 if k != 7 else 1e999, "motor": {"current": 1.0}},
+            )
             yield "/odom", late, {"twist": {"x": 0.1 * k}, "depth": 20.0}
 
     return write_mcap(path, messages())
@@ -179,21 +236,29 @@ def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
     assert by_header.start == 100 * NS and any("/odom" in note for note in by_header.notes)
     assert np.isnan(by_header.readings["speed"]).all()
     by_log = read_recording(bag, read_map(write_map(tmp_path, {"clock": "log"})))
-    assert by_log.start == 103 * NS and by_log.readings["speed"] == pytest.approx(0.1 * np.arange(20))
+    assert by_log.start == 103 * NS and by_log.readings["speed"] == pytest.approx(
+        0.1 * np.arange(20)
+    )
     soon = read_recording(stamped(tmp_path / "b.mcap", delay=0.004), read_map(write_map(tmp_path)))
     assert soon.readings["speed"] == pytest.approx(0.1 * np.arange(20))
 
 
 def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
     """A clock that is set back: the stamps of one topic from then on are left out, but for one within max_gap."""
-    found = read_recording(stamped(tmp_path / "a.mcap", 0.0, back=15), read_map(write_map(tmp_path)))
+    found = read_recording(
+        stamped(tmp_path / "a.mcap", 0.0, back=15), read_map(write_map(tmp_path))
+    )
     (note,) = (n for n in found.notes if "goes back" in n)
-    assert "topic /drive" in note and "5 times" in note and "101.500 s" in note and "4 of them" in note
+    assert (
+        "topic /drive" in note and "5 times" in note and "101.500 s" in note and "4 of them" in note
+    )
     assert found.channels["wheel_speed"].readings == 16 and found.channels["speed"].readings == 20
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.db3"])
-@pytest.mark.parametrize("content", [b"", b"no such thing" * 100, 8, 200], ids=["empty", "another kind", "8", "200"])
+@pytest.mark.parametrize(
+    "content", [b"", b"no such thing" * 100, 8, 200], ids=["empty", "another kind", "8", "200"]
+)
 def test_a_file_without_a_message_is_refused(tmp_path, name, content):
     """Empty, of another kind, or cut off before its first message."""
     if isinstance(content, int):
@@ -205,27 +270,36 @@ def test_a_file_without_a_message_is_refused(tmp_path, name, content):
 
 def test_a_value_that_cannot_be_is_left_out_and_counted(tmp_path):
     found = read_recording(stamped(tmp_path / "a.mcap", 0.0), read_map(write_map(tmp_path)))
-    assert found.channels["wheel_speed"].unusable == 1 and found.channels["wheel_speed"].readings == 20
+    assert (
+        found.channels["wheel_speed"].unusable == 1 and found.channels["wheel_speed"].readings == 20
+    )
     assert found.readings["wheel_speed"] == pytest.approx(2.0)  # interpolated there
     millimetres = {"topic": "/odom", "field": "depth", "unit": "m"}
-    found = read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": millimetres})))
+    found = read_recording(
+        tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": millimetres}))
+    )
     assert found.channels["sinkage"].unusable == 20 and np.isnan(found.readings["sinkage"]).all()
     assert sum("sinkage" in note for note in found.notes) == 1
     with pytest.raises(ParameterError, match="sinkage"):
-        read_recording(tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": {"constant": 20}})))
+        read_recording(
+            tmp_path / "a.mcap", read_map(write_map(tmp_path, {"sinkage": {"constant": 20}}))
+        )
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
 def test_a_cut_mcap_gives_what_is_whole_and_says_so(tmp_path, share):
     log_map = read_map(write_map(tmp_path))
     bag = write_json_mcap(tmp_path / "a.mcap")
-    whole, content = read_recording(bag, log_map), bag.read_bytes()
+    whole = read_recording(bag, log_map)
+    content = bag.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(content[: int(share * len(content))])
     part = read_recording(tmp_path / "cut.mcap", log_map)
     assert any("cut.mcap" in note for note in part.notes) and not whole.notes
     assert 0 < len(part) < len(whole)
     for name, values in part.readings.items():
-        inside = values[: len(part) - 1]  # messages of the last step may lie on both sides of the cut
+        inside = values[
+            : len(part) - 1
+        ]  # messages of the last step may lie on both sides of the cut
         assert np.array_equal(inside, whole.readings[name][: inside.size])
     (tmp_path / "cut.mcap").write_bytes(content[:-100])  # of the index, which is not needed
     part = read_recording(tmp_path / "cut.mcap", log_map)
@@ -254,7 +328,9 @@ def test_a_cut_sqlite_bag_is_refused(drives, tmp_path, share):
         read_recording(tmp_path / "cut.db3", log_map)
 
 
-COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {"time": {"column": "t"}}
+COLUMNS = {n: {"column": n} for n in ("wheel_speed", "speed", "sinkage", "torque")} | {
+    "time": {"column": "t"}
+}
 HEADER = "t,wheel_speed,speed,sinkage,torque\n"
 
 
@@ -263,11 +339,15 @@ def lines(times):
 
 
 def test_a_csv_that_ends_in_the_middle_of_a_row(tmp_path):
-    log_map, rows = read_map(write_map(tmp_path, COLUMNS)), "".join(lines(0.1 * np.arange(10)))
+    log_map = read_map(write_map(tmp_path, COLUMNS))
+    rows = "".join(lines(0.1 * np.arange(10)))
     (tmp_path / "a.csv").write_text(HEADER + rows + "1.0,2,0.2")
     part = read_recording(tmp_path / "a.csv", log_map)
     assert len(part) == 10 and any("a.csv" in note for note in part.notes)
-    for content, named in (("1.0,2,0.2\n" + rows, "row 2"), (rows + "1.0,2,fast,0.02,5\n", "row 12, speed = 'fast'")):
+    for content, named in (
+        ("1.0,2,0.2\n" + rows, "row 2"),
+        (rows + "1.0,2,fast,0.02,5\n", "row 12, speed = 'fast'"),
+    ):
         (tmp_path / "a.csv").write_text(HEADER + content)
         with pytest.raises(ParameterError, match=named):
             read_recording(tmp_path / "a.csv", log_map)
@@ -285,11 +365,15 @@ TIMES = {  # unit -> three stamps a tenth of a second apart
 @pytest.mark.parametrize("unit", TIMES)
 def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     rows = [f"{t},2,{v},0.02," for t, v in zip(TIMES[unit], ("0.25", "", "0.35"), strict=True)]
-    (tmp_path / "a.csv").write_text("\ufefft,wheel_speed,speed,sinkage,torque\n" + "\n".join(rows) + "\n\n", "utf-8")
+    (tmp_path / "a.csv").write_text(
+        "\ufefft,wheel_speed,speed,sinkage,torque\n" + "\n".join(rows) + "\n\n", "utf-8"
+    )
     changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
     assert found.start == 1_770_000_000 * NS
-    assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
+    assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings[
+        "speed"
+    ] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.channels["speed"].readings == 2
 
 
@@ -314,15 +398,23 @@ def test_time_that_goes_back_in_a_table(tmp_path):
     times = [0.0, 0.1, 0.2, 0.4, 0.3, *(0.1 * k for k in range(5, 10)), 0.1, 0.2, 1.0]
     (tmp_path / "a.csv").write_text(HEADER + "".join(lines(times)))
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))
-    assert found.readings["speed"] == pytest.approx([0.0, 0.1, 0.2, 0.4, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2])
-    assert any("3 times, first in row 6 (0.300 s after 0.400 s): 2 of them" in note for note in found.notes)
+    assert found.readings["speed"] == pytest.approx(
+        [0.0, 0.1, 0.2, 0.4, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 1.2]
+    )
+    assert any(
+        "3 times, first in row 6 (0.300 s after 0.400 s): 2 of them" in note for note in found.notes
+    )
 
 
 def test_memory_does_not_grow_with_the_bag(tmp_path):
     """40 MB with images of 200 kB: no more than a few chunks of 1 MB at a time."""
-    log_map, peaks, seen = read_map(write_map(tmp_path)), [], []
+    log_map = read_map(write_map(tmp_path))
+    peaks = []
+    seen = []
     for steps in (20, 200):
-        bag = write_json_mcap(tmp_path / f"{steps}.mcap", steps=steps, chunk=1_000_000, payload=200_192)
+        bag = write_json_mcap(
+            tmp_path / f"{steps}.mcap", steps=steps, chunk=1_000_000, payload=200_192
+        )
         tracemalloc.start()
         found = read_recording(bag, log_map, lambda done, size: seen.append((done, size)))
         peaks.append(tracemalloc.get_traced_memory()[1])

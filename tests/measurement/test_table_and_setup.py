@@ -38,35 +38,71 @@ def test_reads_a_full_table(tmp_path):
         '"x, y",1,1e2,,,,,,,,,-4',
     )
     t = read_table(path)
-    assert len(t) == 2 and list(t.row) == [2, 4] and "torque" in t.given and "drawbar_pull" not in t.given
-    assert list(t.run) == ["a b", "x, y"] and list(t.passes) == [2, 1] and list(t.slip) == [-1.0, 1.0]
-    assert t.grade_deg[0] == -8.5 and t.torque[1] == -4.0 and math.isnan(t.sinkage[1]) and t.sinkage[0] == 0.02
+    assert (
+        len(t) == 2
+        and list(t.row) == [2, 4]
+        and "torque" in t.given
+        and "drawbar_pull" not in t.given
+    )
+    assert (
+        list(t.run) == ["a b", "x, y"] and list(t.passes) == [2, 1] and list(t.slip) == [-1.0, 1.0]
+    )
+    assert (
+        t.grade_deg[0] == -8.5
+        and t.torque[1] == -4.0
+        and math.isnan(t.sinkage[1])
+        and t.sinkage[0] == 0.02
+    )
     assert np.all(np.isnan(t.drawbar_pull)) and np.isnan(t.speed[1])
-    assert list(t.radius(SetupWheel(0.15, 0.12))) == [0.2, 0.15] and list(t.width(SetupWheel(0.15, 0.12))) == [0.12] * 2
+    assert (
+        list(t.radius(SetupWheel(0.15, 0.12))) == [0.2, 0.15]
+        and list(t.width(SetupWheel(0.15, 0.12))) == [0.12] * 2
+    )
     with pytest.raises(ValueError, match="read-only"):
         t.slip[0] = 0.0
 
 
-@pytest.mark.parametrize("lines, words", [
-    (["slip,sinkage", "0.1,0.02"], ["missing column 'load'"]),
-    (["slip;load;torque", "0,1;100;2,5"], ["semicolons", "decimal commas: expected commas", "decimal points"]),
-    (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
-    ([HEADER, "0.1,100,deep,5"], ["row 2", "sinkage = 'deep'", "expected a finite number in m ("]),
-    ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number in N ("]),
-    ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),
-    ([HEADER, "10,100,0.02,5", "20,100,0.02,6"], ["row 2", "slip = 10", "[-1, 1]", "percent"]),
-    ([HEADER, "0.1,100,20,5"], ["row 2", "sinkage = 20", "can only be millimetres"]),
-    ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
-    ([HEADER, GOOD[1], "0.2,1e300,0.02,5"], ["row 3, load = 1e300: expected newtons, at most 1e+06\n"]),
-    ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
-    ([HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"], ["row 2", "radians", "57.3"]),
-    ([HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"], ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"]),
-    ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
-    ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
-    ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
-    (["# " + GOOD[0], *GOOD[1:]], ["the first line has numbers", "without # before it"]),
-    ([HEADER + ",torqe_sd", GOOD[1] + ",1"], ["unknown column 'torqe_sd'; did you mean 'torque_sd'?", "ignore_"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "lines, words",
+    [
+        (["slip,sinkage", "0.1,0.02"], ["missing column 'load'"]),
+        (
+            ["slip;load;torque", "0,1;100;2,5"],
+            ["semicolons", "decimal commas: expected commas", "decimal points"],
+        ),
+        (["slip,load,torque", '"0,1",100,2'], ["slip = '0,1'", "with a decimal point"]),
+        (
+            [HEADER, "0.1,100,deep,5"],
+            ["row 2", "sinkage = 'deep'", "expected a finite number in m ("],
+        ),
+        ([HEADER, GOOD[1], "0.1,nan,0.02,5"], ["row 3", "load = 'nan'", "finite number in N ("]),
+        ([HEADER, ",100,0.02,5"], ["row 2", "slip is empty"]),
+        ([HEADER, "10,100,0.02,5", "20,100,0.02,6"], ["row 2", "slip = 10", "[-1, 1]", "percent"]),
+        ([HEADER, "0.1,100,20,5"], ["row 2", "sinkage = 20", "can only be millimetres"]),
+        ([HEADER + ",pass", "0.1,100,0.02,5,1.5"], ["row 2", "pass = 1.5", "whole number"]),
+        (
+            [HEADER, GOOD[1], "0.2,1e300,0.02,5"],
+            ["row 3, load = 1e300: expected newtons, at most 1e+06\n"],
+        ),
+        ([HEADER + ",grade_deg", "0.1,100,0.02,5,75"], ["row 2", "grade_deg = 75", "[-60, 60]"]),
+        (
+            [HEADER + ",grade_deg", "0.1,100,0.02,5,-0.0873", "0.2,100,0.02,5,0.1745"],
+            ["row 2", "radians", "57.3"],
+        ),
+        (
+            [HEADER + ",wheel_radius", "0.1,100,0.2,5,0.15"],
+            ["row 2", "sinkage = 0.2", "wheel radius 0.15 m"],
+        ),
+        ([*GOOD, "0.10,100,0.02,5"], ["row 5 repeats row 2"]),
+        ([HEADER, "0.1,100,0.02,5", "0.1,120,0.02,6"], ["slip = 0.1 in every row"]),
+        ([HEADER, "0.1,100,0.02"], ["row 2 has 3 cells: expected 4"]),
+        (["# " + GOOD[0], *GOOD[1:]], ["the first line has numbers", "without # before it"]),
+        (
+            [HEADER + ",torqe_sd", GOOD[1] + ",1"],
+            ["unknown column 'torqe_sd'; did you mean 'torque_sd'?", "ignore_"],
+        ),
+    ],
+)
 @pytest.mark.filterwarnings("error")
 def test_refuses_a_bad_table(tmp_path, lines, words):
     message = refusal(read_table, written(tmp_path, *lines))
@@ -77,7 +113,9 @@ def test_refuses_a_bad_table(tmp_path, lines, words):
 def test_refuses_other_files(tmp_path):
     assert "cannot be read" in refusal(read_table, tmp_path / "absent.csv")
     assert "cannot be read" in refusal(read_table, tmp_path)
-    assert "not UTF-8" in refusal(read_table, written(tmp_path, "slip,load,sinkage,\u00e9", encoding="latin-1"))
+    assert "not UTF-8" in refusal(
+        read_table, written(tmp_path, "slip,load,sinkage,\u00e9", encoding="latin-1")
+    )
     binary = written(tmp_path, "PAR1\xff", name="data.parquet", encoding="latin-1")
     assert "expected a CSV file" in refusal(read_table, binary)
 
@@ -93,54 +131,101 @@ def test_sinkage_and_lugs_are_held_against_the_wheel_of_the_setup(tmp_path):
 
 
 def test_grades_that_are_degrees_stay_degrees(tmp_path):
-    for grades in (("0", "0.75"), ("0.5", "-0.31"), ("0.1745", "12"), ("", "0.5"), ("-0.6458", "0.6458")):
+    for grades in (
+        ("0", "0.75"),
+        ("0.5", "-0.31"),
+        ("0.1745", "12"),
+        ("", "0.5"),
+        ("-0.6458", "0.6458"),
+    ):
         rows = [f"0.{k + 1},100,0.02,5,{g}" for k, g in enumerate(grades)]
         read_table(written(tmp_path, HEADER + ",grade_deg", *rows))
 
 
 def test_reads_a_setup(tmp_path):
     """All that it may say, the numbers that look like another unit, and what is left out."""
-    s = read_setup(written(
-        tmp_path,
-        "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}",
-        "slip_reference: tip\nload: vertical\ntilt_deg: {value: 0, sd: 1}\nignore_columns: [note, x]",
-        "soil: {friction_angle_deg: {value: 30, sd: 1.5}, cohesion: 3700, k_c: 1000, k_phi: {value: 7e5, sd: 8e4}}",
-        "noise: {sinkage: 0.001}",
-    ))  # fmt: skip
-    assert s.wheel == SetupWheel(0.1, 0.1, 0.01, 18) and s.load == "vertical" and s.slip_reference == "tip"
+    s = read_setup(
+        written(
+            tmp_path,
+            "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}",
+            "slip_reference: tip\nload: vertical\ntilt_deg: {value: 0, sd: 1}\nignore_columns: [note, x]",
+            "soil: {friction_angle_deg: {value: 30, sd: 1.5}, cohesion: 3700, k_c: 1000, k_phi: {value: 7e5, sd: 8e4}}",
+            "noise: {sinkage: 0.001}",
+        )
+    )
+    assert (
+        s.wheel == SetupWheel(0.1, 0.1, 0.01, 18)
+        and s.load == "vertical"
+        and s.slip_reference == "tip"
+    )
     assert s.tilt_deg == Prior(0.0, 1.0) and s.ignore_columns == ("note", "x")
     assert s.soil.friction_angle_deg == Prior(30.0, 1.5) and not s.soil.friction_angle_deg.known
-    assert s.soil.cohesion == Prior(3700.0, 0.0) and s.soil.cohesion.known and s.soil.sinkage_exponent is None
+    assert (
+        s.soil.cohesion == Prior(3700.0, 0.0)
+        and s.soil.cohesion.known
+        and s.soil.sinkage_exponent is None
+    )
     assert s.soil.lumped(0.1) == Prior(1e4 + 7e5, 8e4)
     assert s.noise.sinkage == 0.001 and s.noise.torque is None
-    odd = "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
+    odd = (
+        "soil: {friction_angle_deg: 0.52, cohesion: 1.5, sinkage_coefficient: {value: 900, sd: 90}}"
+    )
     words = read_setup(written(tmp_path, SETUP + odd)).doubts()
-    for word, part in zip(words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True):
+    for word, part in zip(
+        words, ("0.52 deg looks like radians", "1.5 Pa looks like kPa", "kN/m^(n+2)"), strict=True
+    ):
         assert part in word
     usual = "soil: {friction_angle_deg: 6, cohesion: 0, k_c: 770, k_phi: 43120}"
     assert read_setup(written(tmp_path, SETUP + usual)).doubts() == []
     s = read_setup(written(tmp_path, SETUP + "soil:\nnoise:\ntilt_deg: -1.5\n"))
-    assert s.soil.lumped(0.1) is None and s.wheel == SetupWheel(0.15, 0.12) and s.wheel.grouser_height is None
-    assert s.tilt_deg.known and s.load == "normal" and s.slip_reference == "rim" and s.ignore_columns == ()
+    assert (
+        s.soil.lumped(0.1) is None
+        and s.wheel == SetupWheel(0.15, 0.12)
+        and s.wheel.grouser_height is None
+    )
+    assert (
+        s.tilt_deg.known
+        and s.load == "normal"
+        and s.slip_reference == "rim"
+        and s.ignore_columns == ()
+    )
 
 
-@pytest.mark.parametrize("text, words", [
-    ("nois: {}", ["unknown key 'nois'", "'noise'"]),  # before the wheel, which is missing too
-    (SETUP + "rig: {loads: []}", ["rig.loads = []: expected at least one value"]),
-    ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
-    (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
-    (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
-    (SETUP + "soil: {cohesion: much}", ["soil.cohesion = 'much': expected a number or {value: ..., sd: ...}"]),
-    (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),
-    (SETUP + "soil: {k_c: 1, k_phi: 1e5, sinkage_coefficient: 1e5}", ["either sinkage_coefficient"]),
-    ("wheel: {radius: 1", ["not valid YAML", "in line 1"]),
-    ("soil: {}", ["missing wheel: expected wheel: {radius: ..., width: ...}"]),
-    (SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}", ["sd = 1e-300", "at least 1e-05", "plain number"]),
-    (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
-    (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
-    (SETUP + "ignore_columns: [note, load]", ["ignore_columns: 'load'", "every table needs this one"]),
-    ("wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}", ["grouser_height = 0.2", "wheel radius 0.1 m"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("nois: {}", ["unknown key 'nois'", "'noise'"]),  # before the wheel, which is missing too
+        (SETUP + "rig: {loads: []}", ["rig.loads = []: expected at least one value"]),
+        ("wheel: {radius: 150, width: 0.12}", ["radius = 150", "[0.01, 3] m"]),
+        (SETUP + "noise: {sinkage: 0}", ["sinkage = 0", "> 0 m"]),
+        (SETUP + "soil: {cohesion: {value: 10, sd: 0}}", ["cohesion: sd = 0", "plain number"]),
+        (
+            SETUP + "soil: {cohesion: much}",
+            ["soil.cohesion = 'much': expected a number or {value: ..., sd: ...}"],
+        ),
+        (SETUP + "soil: {k_c: 1000}", ["both k_c and k_phi"]),
+        (
+            SETUP + "soil: {k_c: 1, k_phi: 1e5, sinkage_coefficient: 1e5}",
+            ["either sinkage_coefficient"],
+        ),
+        ("wheel: {radius: 1", ["not valid YAML", "in line 1"]),
+        ("soil: {}", ["missing wheel: expected wheel: {radius: ..., width: ...}"]),
+        (
+            SETUP + "soil: {cohesion: {value: 10, sd: 1e-300}}",
+            ["sd = 1e-300", "at least 1e-05", "plain number"],
+        ),
+        (SETUP + "load: vertcal", ["load = 'vertcal'", "'normal', 'vertical'"]),
+        (SETUP + "tilt_deg: 40", ["tilt_deg = 40", "[-20, 20]"]),
+        (
+            SETUP + "ignore_columns: [note, load]",
+            ["ignore_columns: 'load'", "every table needs this one"],
+        ),
+        (
+            "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.2}",
+            ["grouser_height = 0.2", "wheel radius 0.1 m"],
+        ),
+    ],
+)
 def test_refuses_a_bad_setup(tmp_path, text, words):
     message = refusal(read_setup, written(tmp_path, text, name="setup.yaml"))
     for word in ["setup.yaml", *words]:
@@ -167,7 +252,8 @@ def test_comments_and_ignored_columns_are_passed_over(tmp_path):
 
 def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
     """Speeds of an 18-lug wheel, r 0.1 m, h 0.01 m: V and w give both slips, driving and braking."""
-    omega, travel = 3.0, np.array([0.1, 0.25, 0.32, 0.4])
+    omega = 3.0
+    travel = np.array([0.1, 0.25, 0.32, 0.4])
 
     def slip(r):
         return np.where(r * omega > travel, 1.0 - travel / (r * omega), r * omega / travel - 1.0)
@@ -177,4 +263,6 @@ def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
     wheel = SetupWheel(0.1, 0.1, 0.01)
     assert table.rim_slip(Setup(wheel, slip_reference="tip")) == pytest.approx(slip(0.1), abs=1e-12)
     assert np.array_equal(table.rim_slip(Setup(wheel)), table.slip)
-    assert "grouser_height" in refusal(table.rim_slip, Setup(SetupWheel(0.1, 0.1), slip_reference="tip"))
+    assert "grouser_height" in refusal(
+        table.rim_slip, Setup(SetupWheel(0.1, 0.1), slip_reference="tip")
+    )

@@ -21,7 +21,11 @@ def test_code_of_edited_sources_is_not_loaded(tmp_path, monkeypatch):
     """Sources in all compiled rooms, in folders in them too, and the other files."""
     if not cache.CACHE:
         pytest.skip("no folder for compiled code")
-    sources = [*cache._FILES, "simulation/rover/law.py", *(f"{room}/law.py" for room in cache._ROOMS)]
+    sources = [
+        *cache._FILES,
+        "simulation/rover/law.py",
+        *(f"{room}/law.py" for room in cache._ROOMS),
+    ]
     for source in sources:
         (tmp_path / source).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / source).write_text("x = 1\n")
@@ -50,7 +54,9 @@ def call(tmp_path):
         env = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": path}
         del env["PYTEST_CURRENT_TEST"]
         command = [sys.executable, "-c", CALL.format("kernel_of_a_test")]
-        return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        return subprocess.Popen(
+            command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
 
     return call
 

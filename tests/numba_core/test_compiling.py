@@ -62,7 +62,9 @@ def test_a_part_is_called_from_python_like_a_function():
     assert pickle.loads(pickle.dumps(squared)) is squared
 
 
-@pytest.mark.parametrize("make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n])
+@pytest.mark.parametrize(
+    "make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n]
+)
 def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
     with pytest.raises(NumbaError):
         compiled_root(make)(3)
@@ -107,10 +109,18 @@ def last_of(state, k):
 
 def test_rows_of_another_class_are_another_type():
     """The places of the names are compiled in: the same names in another order must not be taken for them."""
-    state, turned = rows("State", "x", "speed", "load")(11), rows("State", "load", "speed", "x")(11)
-    state.speed, state.load[5], turned.x, turned.load = np.arange(11.0), 7.0, 1.0, 3.0
+    state = rows("State", "x", "speed", "load")(11)
+    turned = rows("State", "load", "speed", "x")(11)
+    state.speed = np.arange(11.0)
+    state.load[5] = 7.0
+    turned.x = 1.0
+    turned.load = 3.0
     assert last_of(turned, 5) == (1.0, 0.0, 3.0)
-    assert last_of(state, 5) == (0.0, 5.0, 7.0) and state[5] == {"x": 0.0, "speed": 5.0, "load": 7.0}
+    assert last_of(state, 5) == (0.0, 5.0, 7.0) and state[5] == {
+        "x": 0.0,
+        "speed": 5.0,
+        "load": 7.0,
+    }
 
 
 def test_golden_values_of_a_random_stream():
@@ -120,10 +130,13 @@ def test_golden_values_of_a_random_stream():
         assert streams.uniform(words, 0) == (expected >> 11) * 2.0**-53
 
 
-@pytest.mark.parametrize(("law", "draw"), [
-    ("uniform", lambda words: (streams.uniform(words, 0), streams.uniform(words, 0))),
-    ("norm", lambda words: streams.normal_pair(words, 0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("law", "draw"),
+    [
+        ("uniform", lambda words: (streams.uniform(words, 0), streams.uniform(words, 0))),
+        ("norm", lambda words: streams.normal_pair(words, 0)),
+    ],
+)
 def test_random_streams_have_their_distribution(law, draw):
     words = np.array([streams.seed_stream(np.random.default_rng(4))], dtype=np.uint64)
     pairs = np.array([draw(words) for _ in range(20_000)])

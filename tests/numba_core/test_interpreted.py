@@ -21,7 +21,8 @@ MODELS = {"no effects": None, "effects": WheelSoilModel(WHEEL, None, EFFECTS, RE
 
 def drive(scenario, commands, model=None):
     """Everything that is kept of a vehicle, by name, after each of a few control periods on the way."""
-    simulation, out = started(scenario, "identified", model=model), {}
+    simulation = started(scenario, "identified", model=model)
+    out = {}
     for k, command in enumerate(commands):
         simulation.step(0, command)
         out |= {f"{k} {name}": value for name, value in memory(simulation.worlds, 0, 1).items()}
@@ -31,7 +32,11 @@ def drive(scenario, commands, model=None):
 def drive_wheel(name):
     """Rim speeds of the control periods: with effects the last makes steps so short that the wheel is taken alone."""
     many = (0.3, 0.5, 0.8, 1.0, -0.4, 0.0, 0.6, 0.2, 0.7, 0.3)
-    return drive(load_scenario("mixed"), (0.3, 0.8, 1.0, -0.4, 1.0) if name == "no effects" else many, MODELS[name])
+    return drive(
+        load_scenario("mixed"),
+        (0.3, 0.8, 1.0, -0.4, 1.0) if name == "no effects" else many,
+        MODELS[name],
+    )
 
 
 def drive_rover(name):
@@ -65,11 +70,18 @@ def interpreted(tmp_path_factory):
     )
     env = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(folder)], env=env, cwd=ROOT,
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, str(folder)],
+        env=env,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr[-2000:]
-    return {unset: {name: dict(np.load(folder / f"{unset} {name}.npz")) for name in RUNS} for unset in UNSET}
+    return {
+        unset: {name: dict(np.load(folder / f"{unset} {name}.npz")) for name in RUNS}
+        for unset in UNSET
+    }
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -80,10 +92,14 @@ def test_python_gives_what_the_compiled_code_gives(interpreted, name):
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
         scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
-        np.testing.assert_allclose(interpreted["nan"][name][key], value, rtol=tolerance, atol=scale, err_msg=key)
+        np.testing.assert_allclose(
+            interpreted["nan"][name][key], value, rtol=tolerance, atol=scale, err_msg=key
+        )
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_what_scratch_memory_holds_before_changes_no_bit(interpreted, name):
-    found = [{key: array.tobytes() for key, array in interpreted[unset][name].items()} for unset in UNSET]
+    found = [
+        {key: array.tobytes() for key, array in interpreted[unset][name].items()} for unset in UNSET
+    ]
     assert found[0] and found[0] == found[1]

@@ -41,12 +41,38 @@ RNG = np.random.default_rng(0)
 SMALL = 10.0 ** RNG.uniform(-12, 0, 1000)
 
 
-@pytest.mark.parametrize(("which", "exact", "x", "rtol"), [
-    (0, np.exp, np.concatenate([-(10.0 ** RNG.uniform(-12, 2.8, 20_000)), RNG.uniform(0.0, 30.0, 20_000)]), 4e-15),
-    (1, np.log, np.concatenate([10.0 ** RNG.uniform(-300, 300, 40_000), 1.0 + 1e-3 * SMALL, [1.0]]), 1e-15),
-    (2, lambda x: np.sin(0.5 * x), np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), SMALL]), 2e-15),
-    (3, lambda t: np.arcsin(np.sqrt(t)), np.concatenate([RNG.uniform(0.0, 1.0, 40_000), SMALL, [0.0, 1.0]]), 2e-15),
-], ids=["exp", "log", "half sine", "asin of a root"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("which", "exact", "x", "rtol"),
+    [
+        (
+            0,
+            np.exp,
+            np.concatenate(
+                [-(10.0 ** RNG.uniform(-12, 2.8, 20_000)), RNG.uniform(0.0, 30.0, 20_000)]
+            ),
+            4e-15,
+        ),
+        (
+            1,
+            np.log,
+            np.concatenate([10.0 ** RNG.uniform(-300, 300, 40_000), 1.0 + 1e-3 * SMALL, [1.0]]),
+            1e-15,
+        ),
+        (
+            2,
+            lambda x: np.sin(0.5 * x),
+            np.concatenate([RNG.uniform(-math.pi, math.pi, 40_000), SMALL]),
+            2e-15,
+        ),
+        (
+            3,
+            lambda t: np.arcsin(np.sqrt(t)),
+            np.concatenate([RNG.uniform(0.0, 1.0, 40_000), SMALL, [0.0, 1.0]]),
+            2e-15,
+        ),
+    ],
+    ids=["exp", "log", "half sine", "asin of a root"],
+)
 def test_functions_are_those_of_numpy(which, exact, x, rtol):
     first, second = of(which, x)
     np.testing.assert_allclose(first, exact(x), rtol=rtol)
@@ -56,7 +82,9 @@ def test_functions_are_those_of_numpy(which, exact, x, rtol):
 
 def test_functions_at_their_edges():
     at = of(0, [0.0, -0.0, -700.0, -1e6, -np.inf, 700.0, 1e6, np.inf])[0]
-    np.testing.assert_allclose(at, np.exp([0.0, 0.0, -700.0, -700.0, -700.0, 700.0, 700.0, 700.0]), rtol=2e-13)
+    np.testing.assert_allclose(
+        at, np.exp([0.0, 0.0, -700.0, -700.0, -700.0, 700.0, 700.0, 700.0]), rtol=2e-13
+    )
     assert at[0] == at[1] == 1.0  # a wheel at rest has no shear at all
     np.testing.assert_allclose(of(3, [-0.1, 1.2])[0], [0.0, 0.5 * math.pi])
 
@@ -65,9 +93,15 @@ def test_functions_at_their_edges():
 def law(x, y):
     """An expression in all operations that floats and lanes have in common."""
     z = elementary.fma(x, y, 1.0) / (2.0 - x) - elementary.exp(-abs(x)) * elementary.tanh(y)
-    z = elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(x * x)
-    z = elementary.larger(z, elementary.sqrt(abs(z))) + elementary.copysign(elementary.log(1.0 + abs(x)), y)
-    return elementary.smaller(z, 2.0) + elementary.chosen(elementary.below(x, y), z, lanes.alike(0.25, z))
+    z = elementary.where_less(z, 0.3, -z, elementary.power(abs(y), 1.5)) + elementary.asin_root(
+        x * x
+    )
+    z = elementary.larger(z, elementary.sqrt(abs(z))) + elementary.copysign(
+        elementary.log(1.0 + abs(x)), y
+    )
+    return elementary.smaller(z, 2.0) + elementary.chosen(
+        elementary.below(x, y), z, lanes.alike(0.25, z)
+    )
 
 
 @compiled_root
@@ -80,4 +114,6 @@ def test_a_law_gives_the_same_of_floats_and_in_lanes():
     x, y = RNG.uniform(-1.5, 1.5, (2, 4000))
     out = np.empty(4000)
     law_in_lanes(x, y, out)
-    np.testing.assert_allclose(out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(
+        out, [law(a, b) for a, b in zip(x, y, strict=True)], rtol=1e-13, atol=1e-14
+    )

@@ -34,19 +34,31 @@ def test_forces_against_the_independent_judge(compaction):
     ground = reference.Ground(SAND[0], e.cohesion, *SAND[1:], e.exponent)
     judge = reference.forces(ground, P.working_point.slip, entry, e.radius, e.width)
     found = model.forces(SAND, P.working_point.slip, e.radius * (1.0 - math.cos(entry)), e)[0]
-    expected = judge.drawbar_pull_paper if compaction else judge.drawbar_pull, judge.load, judge.torque
+    expected = (
+        judge.drawbar_pull_paper if compaction else judge.drawbar_pull,
+        judge.load,
+        judge.torque,
+    )
     np.testing.assert_allclose(found[:3], expected, rtol=1e-5)
 
 
 def test_simpson_converges_to_the_quadrature():
     """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
-    e, entry = AS_PRINTED._replace(exponent=1.0, compaction=False), 0.9
-    judge = reference.forces(reference.Ground(SAND[0], e.cohesion, *SAND[1:], 1.0), 0.3, entry, e.radius, e.width)
-    expected, errors = np.array([judge.drawbar_pull, judge.load, judge.torque / e.radius]), []
+    e = AS_PRINTED._replace(exponent=1.0, compaction=False)
+    entry = 0.9
+    judge = reference.forces(
+        reference.Ground(SAND[0], e.cohesion, *SAND[1:], 1.0), 0.3, entry, e.radius, e.width
+    )
+    expected = np.array([judge.drawbar_pull, judge.load, judge.torque / e.radius])
+    errors = []
     for m in (2, 4, 8, 16):
-        found = model.forces(SAND, 0.3, e.radius * (1.0 - math.cos(entry)), e._replace(simpson=m))[0, :3]
+        found = model.forces(SAND, 0.3, e.radius * (1.0 - math.cos(entry)), e._replace(simpson=m))[
+            0, :3
+        ]
         errors.append(np.abs(found / [1.0, 1.0, e.radius] - expected).max() / judge.scale)
-    assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), errors
+    assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), (
+        errors
+    )
 
 
 @pytest.mark.parametrize("e", HELD)
@@ -55,7 +67,9 @@ def test_derivatives_against_central_differences(e, soil):
     """Also outside what a soil can be: the plain iteration goes there."""
     at = model.forces(soil, *MEASURED[:2], e)[:, 3:6] * [math.pi / 180.0, 1.0, 1.0]
     for k, step in enumerate(1e-5 * np.diag(soil)):
-        ahead, behind = (model.forces(np.add(soil, s * step), *MEASURED[:2], e)[:, 0] for s in (1, -1))
+        ahead, behind = (
+            model.forces(np.add(soil, s * step), *MEASURED[:2], e)[:, 0] for s in (1, -1)
+        )
         np.testing.assert_allclose(at[:, k], (ahead - behind) / (2.0 * step[k]), rtol=1e-5)
 
 
@@ -84,7 +98,9 @@ def test_drawbar_pull_and_cohesion_to_the_last_digit():
     """
     w = P.working_point
     assert compare.pull(WONG_REECE) == pytest.approx(w.drawbar_pull, abs=0.005)
-    assert compare.alone(WONG_REECE, "cohesion", 1200.0) == pytest.approx(w.then_identified_cohesion, abs=0.15)
+    assert compare.alone(WONG_REECE, "cohesion", 1200.0) == pytest.approx(
+        w.then_identified_cohesion, abs=0.15
+    )
     assert abs(compare.alone(WONG_REECE, "cohesion", 1150.0) - w.then_identified_cohesion) > 1000.0
 
 
@@ -123,7 +139,9 @@ def rounding(e):
     effects.append(-0.005 * np.eye(3))
     A = np.hstack(effects)
     n = A.shape[1]
-    within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])  # |error| <= the largest
+    within = np.block(
+        [[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)]
+    )  # |error| <= the largest
     fits = np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0]
     return linprog(np.eye(n + 1)[n], within, np.zeros(2 * n), *fits, bounds=(None, None)).x[n]
 
@@ -131,7 +149,9 @@ def rounding(e):
 def test_table_3_is_a_root_with_wong_and_reeces_peak():
     """Within the rounding of the printed digits; as printed it is none, by 150 N at the first of them."""
     assert rounding(HELD[1]) < 1.0 and rounding(HELD[0]) > 10.0
-    np.testing.assert_allclose(model.forces(PRINTED_SET, *MEASURED[:2], HELD[1])[:, 0], MEASURED.pull, atol=1.0)
+    np.testing.assert_allclose(
+        model.forces(PRINTED_SET, *MEASURED[:2], HELD[1])[:, 0], MEASURED.pull, atol=1.0
+    )
     predicted = model.forces(PRINTED_SET, *MEASURED[:2], HELD[0])[:, 0]
     np.testing.assert_allclose(predicted, [20.7, 703.0, 1134.0], atol=0.2)
     np.testing.assert_allclose(compare.root(HELD[0]), [31.967, 0.03170, 498358.0], rtol=1e-4)
@@ -141,12 +161,16 @@ def test_table_4_range_of_K(results):
     """Within 6 % of the printed range with Wong & Reece's peak; the paper does not say what it held fixed."""
     low, high = (row.ours[1] for row in results.rows["table4"] if row.name.startswith("K"))
     printed_low, printed_high = P.table4["shear_modulus"]
-    assert [low, high] == pytest.approx([printed_low, printed_high], abs=0.06 * (printed_high - printed_low))
+    assert [low, high] == pytest.approx(
+        [printed_low, printed_high], abs=0.06 * (printed_high - printed_low)
+    )
 
 
 def test_guesses_that_converge():
     """A large S is forgotten; a guess in a corner of Table 4 is lost by the plain iteration, not within bounds."""
-    np.testing.assert_allclose(model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), HELD[0]), compare.root(HELD[0]))
+    np.testing.assert_allclose(
+        model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), HELD[0]), compare.root(HELD[0])
+    )
     assert np.isnan(model.newton_raphson(MEASURED, (5.0, 0.015, 7e4), HELD[0])).all()
     assert bounded((5.0, 0.015, 7e4))[1] == pytest.approx(compare.root(HELD[0])[1], rel=1e-4)
 
@@ -163,7 +187,11 @@ def test_soils_of_fig_9_are_not_those_of_the_paper():
     assert np.isnan(compare.torque(rows["snow"])).all()
     excluded = dataclasses.replace(rows["clayey_soil"], cohesion=P.high_cohesion_excluded)
     assert np.nanmax(compare.torque(excluded)) < P.fig9_about["clayey_soil"]
-    high = {name for name, row in rows.items() if compare.torque_at_37_deg(row).max() > P.available_torque}
+    high = {
+        name
+        for name, row in rows.items()
+        if compare.torque_at_37_deg(row).max() > P.available_torque
+    }
     assert high == {"sandy_loam"} and set(P.fig9_about) == {"clayey_soil"}
 
 

@@ -20,14 +20,20 @@ def site(tmp_path_factory):
     if (ROOT / "site" / "search" / "search_index.js").is_file():  # written last
         return ROOT / "site"
     folder = tmp_path_factory.mktemp("site")
-    subprocess.run([sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)], cwd=ROOT, check=True)
+    subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)],
+        cwd=ROOT,
+        check=True,
+    )
     return folder
 
 
 def test_nothing_is_loaded_from_elsewhere(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
-    loading = re.compile(r'<(?:script|img|iframe|source)[^>]*src="([^"]*)"|<link rel="?stylesheet"?[^>]*href="([^"]*)"')
+    loading = re.compile(
+        r'<(?:script|img|iframe|source)[^>]*src="([^"]*)"|<link rel="?stylesheet"?[^>]*href="([^"]*)"'
+    )
     for page in pages:
         for source in (a or b for a, b in loading.findall(page.read_text(encoding="utf-8"))):
             target = source.partition("?")[0]

@@ -18,35 +18,46 @@ import soil_env
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-ALLOWED = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+ALLOWED = {
+    line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")
+}
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     """Built without network from a copy of what the Dockerfile copies: a build leaves products beside the sources."""
     pytest.importorskip("setuptools", "77", reason="setuptools is in the extra test")
-    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    source = tmp_path_factory.mktemp("source")
+    target = tmp_path_factory.mktemp("wheel")
     for name in ALLOWED:
         if (ROOT / name).is_dir():
-            shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(
+                ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__")
+            )
         else:
             shutil.copy(ROOT / name, source)
     program = f"from setuptools import build_meta; build_meta.build_wheel({str(target)!r})"
-    done = subprocess.run([sys.executable, "-c", program], cwd=source, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=source, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "is absent from the `packages` configuration" not in done.stderr
     return next(target.iterdir())
 
 
 def sources(folder):
-    found = (p.relative_to(ROOT / folder).as_posix() for p in (ROOT / folder).rglob("*.*") if p.is_file())
+    found = (
+        p.relative_to(ROOT / folder).as_posix() for p in (ROOT / folder).rglob("*.*") if p.is_file()
+    )
     return {name for name in found if "__pycache__" not in name}
 
 
 def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if ".dist-info/" not in n}
-        scripts = next(archive.read(n).decode() for n in archive.namelist() if n.endswith("entry_points.txt"))
+        scripts = next(
+            archive.read(n).decode() for n in archive.namelist() if n.endswith("entry_points.txt")
+        )
     folders = {"soil_env": "soil_env", "agents": "soil_env_agents"}
     folders |= {name: f"soil_env/{name}" for name in ("configs", "examples")}
     assert names == {f"{there}/{name}" for here, there in folders.items() for name in sources(here)}
@@ -58,7 +69,9 @@ def test_the_wheel_holds_the_packages_configs_and_examples_and_nothing_else(whee
 def test_versions_that_are_written_twice_agree():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert soil_env.__version__ == citation["version"]
-    major, minor = re.search(r"^numba==(\d+)\.(\d+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE).groups()
+    major, minor = re.search(
+        r"^numba==(\d+)\.(\d+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE
+    ).groups()
     (numba,) = (d for d in PROJECT["dependencies"] if d.startswith("numba"))
     assert numba.endswith(f"<{major}.{int(minor) + 1}")  # the newest that was run
 
@@ -92,14 +105,22 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
     That of one prediction: the environment's is compiled and kept in the same way, in 30 s. Files in the place of the
     folders that caches would go to stop even root, as whom containers run.
     """
-    home, nowhere = tmp_path / "site", tmp_path / "home"
+    home = tmp_path / "site"
+    nowhere = tmp_path / "home"
     nowhere.touch()
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(home)
     for folder in [p for p in home.rglob("*") if p.is_dir()]:
         (folder / "__pycache__").touch()
-    env = {name: v for name, v in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTEST"))}
-    env |= {"PYTHONPATH": str(home), "HOME": str(nowhere), "USERPROFILE": str(nowhere), "LOCALAPPDATA": str(nowhere)}
+    env = {
+        name: v for name, v in os.environ.items() if not name.startswith(("NUMBA", "XDG", "PYTEST"))
+    }
+    env |= {
+        "PYTHONPATH": str(home),
+        "HOME": str(nowhere),
+        "USERPROFILE": str(nowhere),
+        "LOCALAPPDATA": str(nowhere),
+    }
     program = (
         "import sys, soil_env; assert 'soil_env.env' not in sys.modules; soil_env.SoilWheelEnv, soil_env.SoilRoverEnv;"
         "import soil_env_agents.controllers;"
@@ -109,7 +130,9 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
         "model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()['lete_sand'], {});"
         "print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, soil_env.__file__)"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.split() == ["True", str(home / "soil_env" / "__init__.py")]
     assert "soil_env: compiling" in done.stderr

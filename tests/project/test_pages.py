@@ -26,11 +26,17 @@ from soil_env.simulation.task import Cause
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 GUIDE = sorted((DOCS / "guide").glob("*.md"))
-OUTSIDE = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "examples" / "README.md"]
+OUTSIDE = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "SECURITY.md",
+    ROOT / "examples" / "README.md",
+]
 PAGES = [*sorted(DOCS.rglob("*.md")), *OUTSIDE]
 EFFECTS = DOCS / "physics" / "effects.md"
 FENCE = re.compile(
-    r"^(?:<!-- not run: (?P<reason>.+?) -->\n)?```(?P<language>\w*)[^\n]*\n(?P<code>.*?)^```", re.M | re.S
+    r"^(?:<!-- not run: (?P<reason>.+?) -->\n)?```(?P<language>\w*)[^\n]*\n(?P<code>.*?)^```",
+    re.M | re.S,
 )
 SECONDS = 300  # a page may take, on a slow machine with nothing compiled
 
@@ -42,7 +48,11 @@ def name_of(page: Path) -> str:
 
 
 def blocks(page: Path, *languages: str) -> list[re.Match]:
-    return [block for block in FENCE.finditer(page.read_text(encoding="utf-8")) if block["language"] in languages]
+    return [
+        block
+        for block in FENCE.finditer(page.read_text(encoding="utf-8"))
+        if block["language"] in languages
+    ]
 
 
 def tables(page: Path) -> dict[str, list[dict[str, str]]]:
@@ -50,14 +60,21 @@ def tables(page: Path) -> dict[str, list[dict[str, str]]]:
     found = {}
     for section in re.split(r"^#+ ", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
         if table := re.search(r"^\| .*\n\|-.*\n((\| .*\n)+)", section + "\n", re.MULTILINE):
-            rows = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table[0].splitlines()]
-            found[section.splitlines()[0]] = [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
+            rows = [
+                [cell.strip() for cell in line.strip("| ").split(" | ")]
+                for line in table[0].splitlines()
+            ]
+            found[section.splitlines()[0]] = [
+                dict(zip(rows[0], row, strict=True)) for row in rows[2:]
+            ]
     return found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", [p for p in [ROOT / "README.md", *GUIDE] if any(not b["reason"] for b in blocks(p, "python"))], ids=name_of
+    "page",
+    [p for p in [ROOT / "README.md", *GUIDE] if any(not b["reason"] for b in blocks(p, "python"))],
+    ids=name_of,
 )
 def test_the_python_of_a_page_runs(page, tmp_path):
     """All blocks in order, in one process, in a folder that has examples/ and nothing else."""
@@ -65,7 +82,12 @@ def test_the_python_of_a_page_runs(page, tmp_path):
     code = "\n".join(block["code"] for block in blocks(page, "python") if not block["reason"])
     (tmp_path / "page.py").write_text(code, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "page.py"], cwd=tmp_path, capture_output=True, text=True, timeout=SECONDS, check=False
+        [sys.executable, "page.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
 
@@ -75,7 +97,9 @@ def test_the_ros_node_of_the_page_identifies(monkeypatch):
     rclpy = mock.MagicMock()
     for name in ("rclpy", "nav_msgs", "nav_msgs.msg", "sensor_msgs", "sensor_msgs.msg"):
         monkeypatch.setitem(sys.modules, name, rclpy)
-    code = next(b["code"] for b in blocks(DOCS / "guide" / "online.md", "python") if "rclpy" in b["code"])
+    code = next(
+        b["code"] for b in blocks(DOCS / "guide" / "online.md", "python") if "rclpy" in b["code"]
+    )
     exec(compile(code, "online.md", "exec"), {})
     node = rclpy.create_node.return_value
     receive = {call.args[1]: call.args[2] for call in node.create_subscription.call_args_list}
@@ -99,9 +123,18 @@ def commands(page: Path) -> list[list[str]]:
 @functools.cache
 def help_of(*command: str) -> str:
     """Help text of a Python command."""
-    environment = {**os.environ, "COLUMNS": "200", "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
+    environment = {
+        **os.environ,
+        "COLUMNS": "200",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+    }
     done = subprocess.run(
-        [sys.executable, *command, "--help"], cwd=ROOT, capture_output=True, text=True, env=environment, check=False
+        [sys.executable, *command, "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-1000:]
     return done.stdout
@@ -113,20 +146,29 @@ def check_options(words: list[str], text: str) -> None:
         if word.startswith("--"):
             option = word.partition("=")[0]
             group = option.partition(".")[0] + "." if "." in option else ""
-            known = re.search(re.escape(option) + r"(?![\w-])", text) or (group and re.search(group + "[A-Z]", text))
+            known = re.search(re.escape(option) + r"(?![\w-])", text) or (
+                group and re.search(group + "[A-Z]", text)
+            )
             assert known, word
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
 def test_the_commands_of_a_page_exist(page):
     """Programs and modules exist; subcommands and options are in the help."""
-    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    targets = re.findall(
+        r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
     for words in commands(page):
         while "=" in words[0]:
             words = words[1:]
         if words[0] == "make":
             assert words[1] in targets, words
-        elif words[:2] == ["python", "-m"] and words[2].split(".")[0] in ("soil_env", "agents", "benchmarks", "tests"):
+        elif words[:2] == ["python", "-m"] and words[2].split(".")[0] in (
+            "soil_env",
+            "agents",
+            "benchmarks",
+            "tests",
+        ):
             assert importlib.util.find_spec(words[2]) is not None, words
         elif words[0] == "python" and words[1].startswith(("examples/", "train.py", "benchmarks/")):
             check_options(words[2:], help_of(words[1]))
@@ -139,7 +181,9 @@ def test_the_commands_of_a_page_exist(page):
 def entries(env_id: str, **keywords) -> list[tuple[str, float, float, float, float]]:
     """(name, min, max, centre, scale) of each entry of the observation."""
     plain = gymnasium.make(env_id, scaled=False, **keywords)
-    low, high = (np.float64(bound) for bound in (plain.observation_space.low, plain.observation_space.high))
+    low, high = (
+        np.float64(bound) for bound in (plain.observation_space.low, plain.observation_space.high)
+    )
     scaled = gymnasium.make(env_id, **keywords).observation_space
     scale = (high - low) / (np.float64(scaled.high) - np.float64(scaled.low))
     centre = low - np.float64(scaled.low) * scale
@@ -152,25 +196,43 @@ def agree(rows: list[dict[str, str]], expected: list[tuple]) -> None:
     for row in rows:
         name, *numbers = expected[int(row["#"])]
         assert row["name"] == name
-        assert [float(row[key]) for key in ("min", "max", "centre", "scale")] == pytest.approx(numbers, abs=1e-4), name
+        assert [float(row[key]) for key in ("min", "max", "centre", "scale")] == pytest.approx(
+            numbers, abs=1e-4
+        ), name
 
 
 @pytest.mark.parametrize(
     ("page", "env_id", "variant", "once", "twice"),
     [
-        ("environment.md", "SoilWheel-v0", "identified", ["Sensors", "Identified soil", "Camera"],
-         ["Camera and identified soil"]),
-        ("environment.md", "SoilWheel-v0", "true_soil", ["Sensors", "True soil", "Camera"], ["Camera and true soil"]),
+        (
+            "environment.md",
+            "SoilWheel-v0",
+            "identified",
+            ["Sensors", "Identified soil", "Camera"],
+            ["Camera and identified soil"],
+        ),
+        (
+            "environment.md",
+            "SoilWheel-v0",
+            "true_soil",
+            ["Sensors", "True soil", "Camera"],
+            ["Camera and true soil"],
+        ),
         ("rover.md", "SoilRover-v0", "identified", ["Body"], ["Axles", "Identified soil"]),
         ("rover.md", "SoilRover-v0", "true_soil", ["Body"], ["Axles", "True soil"]),
     ],
-)  # fmt: skip
+)
 def test_the_observation_tables(page, env_id, variant, once, twice):
     """Entries of the tables `twice` come again, for the line beside or the other axle."""
-    found, expected = tables(DOCS / "guide" / page), entries(f"soil_env:{env_id}", observation=variant)
-    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(variant, ())  # numbered as with "identified"
+    found = tables(DOCS / "guide" / page)
+    expected = entries(f"soil_env:{env_id}", observation=variant)
+    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(
+        variant, ()
+    )  # numbered as with "identified"
     agree([row for name in (*once, *twice) if name not in sensors for row in found[name]], expected)
-    assert sum(len(found[name]) for name in once) + 2 * sum(len(found[name]) for name in twice) == len(expected)
+    assert sum(len(found[name]) for name in once) + 2 * sum(
+        len(found[name]) for name in twice
+    ) == len(expected)
 
 
 def test_actions_rewards_causes_and_info_of_the_environment():
@@ -184,10 +246,17 @@ def test_actions_rewards_causes_and_info_of_the_environment():
         term: getattr(weights, term) for term in info["reward_terms"]
     }
     for row in found["Action space"]:
-        control = gymnasium.make("soil_env:SoilWheel-v0", action=row["action"].split()[0]).unwrapped.scenario.control
+        control = gymnasium.make(
+            "soil_env:SoilWheel-v0", action=row["action"].split()[0]
+        ).unwrapped.scenario.control
         assert control.held == int(row["repeat"])
-    assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {c.name: c.value for c in Cause}
-    keys = {row["key"].strip("`") for row in tables(DOCS / "guide" / "traversability.md")["Traversability and warning"]}
+    assert {row["cause"]: int(row["number"]) for row in found["Start and end"]} == {
+        c.name: c.value for c in Cause
+    }
+    keys = {
+        row["key"].strip("`")
+        for row in tables(DOCS / "guide" / "traversability.md")["Traversability and warning"]
+    }
     assert keys == set(info["traversability"])
 
 
@@ -200,7 +269,9 @@ def test_links_of_a_page_outside_the_site(page):
 def test_code_that_pages_name_exists():
     hooks = pytest.importorskip("mkdocs_hooks")
     lines = [
-        line for page in PAGES for line in re.findall(r"^Code: .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        line
+        for page in PAGES
+        for line in re.findall(r"^Code: .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
     ]
     lines += [row["names"] for row in tables(ROOT / "CONTRIBUTING.md")["Where to look"]]
     assert len(lines) > 20
@@ -215,7 +286,9 @@ def test_every_equation_number_in_the_code_is_on_a_page():
         tagged |= set(range(int(first), int(last or first) + 1))
     used = set()
     for source in (*(ROOT / "soil_env").rglob("*.py"), *(ROOT / "agents").rglob("*.py")):
-        for group in re.findall(r"Eqs?\.\s*((?:\(\d+\)(?:\s*(?:,|and|-)\s*)*)+)", source.read_text(encoding="utf-8")):
+        for group in re.findall(
+            r"Eqs?\.\s*((?:\(\d+\)(?:\s*(?:,|and|-)\s*)*)+)", source.read_text(encoding="utf-8")
+        ):
             used |= {int(n) for n in re.findall(r"\((\d+)\)", group)}
     assert {1, 10} <= used  # the pattern finds them
     assert used <= tagged
@@ -227,13 +300,18 @@ def effects_page() -> str:
 
     table = f"<!-- effects -->\n{markdown().strip()}\n<!-- end -->"
     return re.sub(
-        r"<!-- effects -->.*<!-- end -->", lambda _: table, EFFECTS.read_text(encoding="utf-8"), flags=re.DOTALL
+        r"<!-- effects -->.*<!-- end -->",
+        lambda _: table,
+        EFFECTS.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
     )
 
 
 def test_the_page_of_effects_has_the_catalogue():
     pytest.importorskip("soil_env.terramechanics.effects.text")
-    assert EFFECTS.read_text(encoding="utf-8") == effects_page(), "run python -m tests.project.test_pages"
+    assert EFFECTS.read_text(encoding="utf-8") == effects_page(), (
+        "run python -m tests.project.test_pages"
+    )
 
 
 if __name__ == "__main__":

@@ -67,8 +67,12 @@ print("late:", late)
 @pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
 def test_what_is_documented_compiles_nothing_after_the_warm_up(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", CODE, str(tmp_path)], cwd=ROOT, capture_output=True, text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))},
-    )  # fmt: skip
+        [sys.executable, "-c", CODE, str(tmp_path)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        env=os.environ
+        | {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))},
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip().splitlines()[-1] == "late: []"

@@ -55,7 +55,8 @@ def ground(simulation):
 def hubs(simulation):
     """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
     left, top, width, height = SCENE
-    scale, wheels = width / width_of(simulation), shown_wheels(simulation, 0)
+    scale = width / width_of(simulation)
+    wheels = shown_wheels(simulation, 0)
     up = hubs_of(simulation, wheels, ground(simulation)) - ground(simulation).at(
         0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     )
@@ -65,8 +66,12 @@ def hubs(simulation):
 def ring(picture, x, y, radius):
     """Share of a wheel's rim, by angle, that is drawn in the colour of the rim."""
     a = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-    places = [(y + share * radius * np.sin(a), x + share * radius * np.cos(a)) for share in (0.94, 0.97)]
-    return np.any([near(picture[tuple(np.rint(p).astype(int))], canvas.RIM, 40) for p in places], axis=0).mean()
+    places = [
+        (y + share * radius * np.sin(a), x + share * radius * np.cos(a)) for share in (0.94, 0.97)
+    ]
+    return np.any(
+        [near(picture[tuple(np.rint(p).astype(int))], canvas.RIM, 40) for p in places], axis=0
+    ).mean()
 
 
 @VEHICLES
@@ -95,14 +100,17 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     simulation, view = start(rover)
     drive(simulation, view, 15, command)
     world = simulation.numbers.world.wheel
-    r, area = world.radius, world.radius * world.width
+    r = world.radius
+    area = world.radius * world.width
     for w in shown_wheels(simulation, 0):
         angle, normal, shear = stresses_under(w, r, world.width)
         side = math.copysign(1.0, w["speed"])
         load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
         pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
         assert load == pytest.approx(w["load"], rel=0.02)
-        assert r * area * integral(shear, angle) == pytest.approx(w["torque"], abs=0.03 * w["load"] * r)
+        assert r * area * integral(shear, angle) == pytest.approx(
+            w["torque"], abs=0.03 * w["load"] * r
+        )
         assert pull == pytest.approx(w["drawbar_pull"], abs=0.03 * w["load"])
 
 
@@ -111,21 +119,34 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     """By their depth; ahead of the wheels the picture is as without."""
     simulation, view = start(rover, {"course": {"grade_deg": [-1.0, 0.0]}})
     drive(simulation, view, 60)
-    with_rut, worlds = view.draw(simulation, 0), simulation.worlds
+    with_rut = view.draw(simulation, 0)
+    worlds = simulation.worlds
     places, scale = hubs(simulation)
-    last, row, left = shown_wheels(simulation, 0)[-1], 0, [worlds.courses.rut]
+    last = shown_wheels(simulation, 0)[-1]
+    row = 0
+    left = [worlds.courses.rut]
     if rover is not None:  # behind the rear wheel: its own rut in that of the front wheel
-        row, left = int(simulation.wheels[0][-1]), [worlds.ruts.rut, worlds.ruts.floor]
-    x, place = last["x"], ground(simulation).at(last["x"])
+        row = int(simulation.wheels[0][-1])
+        left = [worlds.ruts.rut, worlds.ruts.floor]
+    x = last["x"]
+    place = ground(simulation).at(last["x"])
     deep = simulation.numbers.world.wheel.radius - last["sinkage"] - last["rut"]
-    assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(deep, rel=1e-9)
+    assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(
+        deep, rel=1e-9
+    )
     depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
     for array in left:
         array[:] = 0.0
-    without, radius = view.draw(simulation, 0), simulation.numbers.world.wheel.radius * scale
-    sky = [near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum() for p in (with_rut, without)]
+    without = view.draw(simulation, 0)
+    radius = simulation.numbers.world.wheel.radius * scale
+    sky = [
+        near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum()
+        for p in (with_rut, without)
+    ]
     assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
-    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]]  # below the key of the stresses
+    ahead = np.s_[
+        200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]
+    ]  # below the key of the stresses
     assert np.array_equal(with_rut[ahead], without[ahead])
 
 
@@ -171,7 +192,8 @@ def test_a_window_shows_the_picture(monkeypatch):
         drive(simulation, a, 1)
         assert a.draw(simulation, 0) is None and b.draw(simulation, 0) is None
     shown = pygame.surfarray.array3d(a._window.get_surface()).transpose(1, 0, 2)
-    off_screen._history, off_screen._angles = a._history, a._angles
+    off_screen._history = a._history
+    off_screen._angles = a._angles
     assert np.array_equal(shown, off_screen.draw(simulation, 0))
     a.close()
     assert b.draw(simulation, 0) is None
@@ -182,14 +204,18 @@ def test_a_window_shows_the_picture(monkeypatch):
 
 @pytest.mark.parametrize("name", ["SoilWheel-v0", "SoilRover-v0"])
 def test_drawing_changes_neither_the_episode_nor_an_earlier_picture(name):
-    drawn, plain = (gymnasium.make(name, render_mode=mode, action="wheel_speed") for mode in ("rgb_array", None))
+    drawn, plain = (
+        gymnasium.make(name, render_mode=mode, action="wheel_speed") for mode in ("rgb_array", None)
+    )
     for env in (drawn, plain):
         env.reset(seed=5)
     first = drawn.render()
     kept = first.copy()
     np.testing.assert_array_equal(drawn.render(), first)
     for k in range(30):
-        a, b = (env.step(np.full(env.action_space.shape, 0.5, np.float32)) for env in (drawn, plain))
+        a, b = (
+            env.step(np.full(env.action_space.shape, 0.5, np.float32)) for env in (drawn, plain)
+        )
         np.testing.assert_array_equal(a[0], b[0])
         assert a[1:] == b[1:]
         if k % 10 == 0:

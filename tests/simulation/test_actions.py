@@ -8,7 +8,10 @@ from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from tests.simulation.wheels import started
 
 COLUMN = {entry.name: i for i, entry in enumerate(layout("blind"))}
-FLAT = {"course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]}, "noise": {"wheel_speed": 0.0}}
+FLAT = {
+    "course": {"grade_deg": [-1.0, 0.0], "halt_interval": [1e5, 1e5]},
+    "noise": {"wheel_speed": 0.0},
+}
 
 
 def simulation(action, repeat=1, seeds=(0,), **changes):
@@ -32,16 +35,22 @@ def test_rim_acceleration_moves_a_commanded_speed_that_the_wheel_follows():
 
 
 def test_halts_take_the_commanded_speed_back_to_zero():
-    sim, starts = simulation("rim_acceleration", course={"grade_deg": [-1.0, 0.0]}), 0
-    state, halted = sim.worlds.state, False
+    sim = simulation("rim_acceleration", course={"grade_deg": [-1.0, 0.0]})
+    starts = 0
+    state = sim.worlds.state
+    halted = False
     for _ in range(200):
-        before, halted = halted, state["halt_left"][0] > 0.0
+        before = halted
+        halted = state["halt_left"][0] > 0.0
         sim.step(0, 0.4)
         if halted:
             assert state["rim_command"][0] == state["last_action"][0] == 0.0
         elif before:
             starts += 1
-            assert state["rim_command"][0] == pytest.approx(0.4 * 0.03 / 0.75) and state["last_action"][0] == 0.4
+            assert (
+                state["rim_command"][0] == pytest.approx(0.4 * 0.03 / 0.75)
+                and state["last_action"][0] == 0.4
+            )
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
     assert starts >= 2
@@ -50,17 +59,26 @@ def test_halts_take_the_commanded_speed_back_to_zero():
 @pytest.mark.parametrize("mode", HELD)
 def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
     """Equal to the bit: world, sensors, identifier, warning; rewards are summed, the step ends with the episode."""
-    changes = {"course": {"length": 2.0}, "reward": {"information": 1.5, "information_discount": 0.9}}
-    ends, halves, wheels, repeat = set(), 0, 6, 5
+    changes = {
+        "course": {"length": 2.0},
+        "reward": {"information": 1.5, "information_discount": 0.9},
+    }
+    ends = set()
+    halves = 0
+    wheels = 6
+    repeat = 5
     held, single = (simulation(mode, n, range(4, 10), **changes) for n in (repeat, 1))
-    rng, what = np.random.default_rng(1), np.zeros(wheels, dtype=np.int8)
+    rng = np.random.default_rng(1)
+    what = np.zeros(wheels, dtype=np.int8)
     for step in range(80):
         if step % 3 == 0:
             commands = rng.uniform(-0.3, 1.0, wheels)
         commands[0] = 0.0  # stands until it has stood too long
         held.step_all(commands, what)
-        sums, solved = np.zeros((wheels, len(REWARD_TERMS))), np.zeros(wheels, dtype=bool)
-        going, lasted = what.copy(), np.zeros(wheels)
+        sums = np.zeros((wheels, len(REWARD_TERMS)))
+        solved = np.zeros(wheels, dtype=bool)
+        going = what.copy()
+        lasted = np.zeros(wheels)
         for _ in range(repeat):
             single.step_all(commands, going)
             on = going == 0
@@ -71,10 +89,16 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
         driven = what == 0
         np.testing.assert_array_equal(held.worlds.state.data, single.worlds.state.data)
         for name in ("observation", "cause", "streams", "recent"):
-            np.testing.assert_array_equal(getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name)
+            np.testing.assert_array_equal(
+                getattr(held.worlds, name), getattr(single.worlds, name), err_msg=name
+            )
         np.testing.assert_array_equal(held.worlds.changed[driven], solved[driven])
-        np.testing.assert_allclose(held.worlds.terms[driven, :3], sums[driven, :3], rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(held.worlds.reward, held.worlds.terms.sum(axis=1), rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(
+            held.worlds.terms[driven, :3], sums[driven, :3], rtol=1e-12, atol=1e-14
+        )
+        np.testing.assert_allclose(
+            held.worlds.reward, held.worlds.terms.sum(axis=1), rtol=1e-12, atol=1e-14
+        )
         ended = held.worlds.cause != Cause.RUNNING
         ends |= set(held.worlds.cause[ended & driven].tolist())
         halves += int((ended & driven & (lasted < repeat)).sum())
@@ -84,18 +108,22 @@ def test_a_held_action_is_the_same_action_over_as_many_periods(mode):
 
 def test_information_is_discounted_once_a_step():
     """Not once a control period: over a course that goes on it is worth what was known at its end."""
-    sim = simulation("rim_acceleration", 5, reward={"information": 2.0, "information_discount": 0.9}, **FLAT)
+    sim = simulation(
+        "rim_acceleration", 5, reward={"information": 2.0, "information_discount": 0.9}, **FLAT
+    )
     prior = np.sqrt(1.0 / sim.belief.identifier.precision)
 
     def known():
         return float(np.log(np.maximum(prior / sim.worlds.ids.sd[0], 1.0)).sum())
 
-    before, most = known(), 0.0
+    before = known()
+    most = 0.0
     for step in range(20):
         sim.step(0, 0.5 if step < 6 else 0.0)
         after = known() if sim.worlds.cause[0] == Cause.RUNNING else 0.0
         assert sim.worlds.terms[0, 3] == pytest.approx(2.0 * (0.9 * after - before), abs=1e-9)
-        before, most = after, max(most, after)
+        before = after
+        most = max(most, after)
         if sim.worlds.cause[0] != Cause.RUNNING:
             break
     assert most > 1.0

@@ -11,7 +11,8 @@ from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from tests.simulation.wheels import started
 
-WHEELS, CLONES = 5, 11
+WHEELS = 5
+CLONES = 11
 
 
 def memory(part, wheel, wheels, name="worlds"):
@@ -33,26 +34,33 @@ def memory(part, wheel, wheels, name="worlds"):
 
 def driven(scenario, variant, steps=60, seed=4):
     """Five wheels on their way, those that have ended on a new course."""
-    sim, rng = started(scenario, variant, [[seed, k] for k in range(WHEELS)]), np.random.default_rng(seed)
+    sim = started(scenario, variant, [[seed, k] for k in range(WHEELS)])
+    rng = np.random.default_rng(seed)
     for _ in range(steps):
-        sim.step_all(rng.uniform(0.2, 0.6, WHEELS), (sim.worlds.cause != Cause.RUNNING.value).view(np.int8))
+        sim.step_all(
+            rng.uniform(0.2, 0.6, WHEELS), (sim.worlds.cause != Cause.RUNNING.value).view(np.int8)
+        )
     return sim
 
 
 def equal(a, b):
     """True if two memories hold the same bits."""
-    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name], equal_nan=True) for name in a)
+    return a.keys() == b.keys() and all(
+        np.array_equal(a[name], b[name], equal_nan=True) for name in a
+    )
 
 
 @pytest.mark.parametrize("variant", ["blind", "identified", "true_soil"])
 def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
     scenario = load_scenario("mixed")
-    sim, other = driven(scenario, variant), Simulation(CLONES, scenario, variant, threads=1)
+    sim = driven(scenario, variant)
+    other = Simulation(CLONES, scenario, variant, threads=1)
     pairs = {0: 3, 7: 1, 10: 3, 2: 4}  # place: wheel
     clone(sim, list(pairs.values()), other, list(pairs))
     for place, wheel in pairs.items():
         assert equal(memory(sim.worlds, wheel, WHEELS), memory(other.worlds, place, CLONES))
-    rng, going = np.random.default_rng(1), np.full(CLONES, -1, dtype=np.int64)
+    rng = np.random.default_rng(1)
+    going = np.full(CLONES, -1, dtype=np.int64)
     going[list(pairs)] = list(pairs.values())
     halts = 0
     for _ in range(150):
@@ -67,7 +75,8 @@ def test_a_clone_stepped_alike_gives_the_same_bit_for_bit(variant):
 
 def test_cloning_leaves_the_original_and_other_places_as_they_are():
     scenario = load_scenario("mixed")
-    sim, other = driven(scenario, "blind"), driven(scenario, "blind", seed=9)
+    sim = driven(scenario, "blind")
+    other = driven(scenario, "blind", seed=9)
     before = [memory(s.worlds, k, WHEELS) for s in (sim, other) for k in range(WHEELS)]
     clone(sim, [2], other, [3])
     for _ in range(20):
@@ -78,7 +87,8 @@ def test_cloning_leaves_the_original_and_other_places_as_they_are():
 
 
 def test_worlds_of_another_scenario_and_lists_that_do_not_match_are_refused():
-    scenario, longer = load_scenario("mixed"), load_scenario("mixed", {"course": {"length": 30.0}})
+    scenario = load_scenario("mixed")
+    longer = load_scenario("mixed", {"course": {"length": 30.0}})
     sim = started(scenario, "blind")
     for other in (Simulation(2, longer, "blind"), Simulation(2, scenario, "identified")):
         with pytest.raises(ParameterError, match="expected the same scenario"):

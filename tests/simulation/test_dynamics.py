@@ -15,7 +15,10 @@ from soil_env.terramechanics.motor import motor
 from tests.simulation.wheels import on_random_courses, on_uniform_ground
 from tests.terramechanics.cases import TOGETHER, WHEEL
 
-EASY = {"margin": [0.15, 0.25], "grade_deg": [-5.0, 10.0]}  # a course on which half the torque gets through
+EASY = {
+    "margin": [0.15, 0.25],
+    "grade_deg": [-5.0, 10.0],
+}  # a course on which half the torque gets through
 
 
 def start(mode="torque", soil="dry_sand", grade_deg=0.0):
@@ -23,12 +26,15 @@ def start(mode="torque", soil="dry_sand", grade_deg=0.0):
     return on_uniform_ground(soils()[soil].state(0.15), math.radians(grade_deg), mode)
 
 
-@pytest.mark.parametrize(("model", "level"), [(None, 0.22), (WheelSoilModel(WHEEL, None, TOGETHER), 0.5)])
+@pytest.mark.parametrize(
+    ("model", "level"), [(None, 0.22), (WheelSoilModel(WHEEL, None, TOGETHER), 0.5)]
+)
 def test_the_steps_converge(model, level):
     """Each halving must shrink the change of (x, sinkage, speed), averaged over eight courses."""
     runs = []
     for times in (1, 2, 4, 8):
-        wheels, rows = on_random_courses(range(8), course=EASY, model=model).refined(times), []
+        wheels = on_random_courses(range(8), course=EASY, model=model).refined(times)
+        rows = []
         wheels.state.next_halt = 1e9
         for k in range(300):
             wheels.step(level + 0.06 * math.sin(0.1 * k))
@@ -44,12 +50,15 @@ def test_the_steps_converge(model, level):
 @pytest.mark.parametrize(("every", "error"), [(1, 0.06), (2, 0.04), (5, 0.03)])
 def test_reversals_of_the_torque_are_followed(every, error):
     """Full reversals every 0.1 to 0.5 s: distance and work against steps 32 times as short, median of 16 courses."""
-    rng, runs = np.random.default_rng(1), []
+    rng = np.random.default_rng(1)
+    runs = []
     size = rng.uniform(0.2, 1.0, (60, 16))
     for refine in (1, 32):
         wheels = on_random_courses(range(16)).refined(refine)
         wheels.state.next_halt = 1e9
-        x, motor_work, lost = [], np.zeros(16), np.zeros(16)
+        x = []
+        motor_work = np.zeros(16)
+        lost = np.zeros(16)
         for k in range(60):
             wheels.step((-1.0 if k // every % 2 else 1.0) * size[k // every * every])
             x.append(wheels.state.x.copy())
@@ -88,12 +97,19 @@ def test_motor_slope(speed_command):
     rng = np.random.default_rng(0)
     for command, w in zip(rng.uniform(-1, 1, 200), rng.uniform(-5, 5, 200), strict=True):
         up, down = (motor(command, float(speed_command), w + d, world)[0] for d in (1e-6, -1e-6))
-        assert motor(command, float(speed_command), w, world)[1] == pytest.approx((up - down) / 2e-6, abs=1e-4)
+        assert motor(command, float(speed_command), w, world)[1] == pytest.approx(
+            (up - down) / 2e-6, abs=1e-4
+        )
 
 
-@pytest.mark.parametrize(("mode", "grades", "fastest", "furthest"), [
-    ("wheel_speed", (-10.0, -5.0, 0.0, 5.0, 10.0), 0.01, 0.1), ("torque", (-2.0, 0.0, 2.0), reaction.REST_SPEED, 0.03),
-], ids=["held", "idle"])  # fmt: skip
+@pytest.mark.parametrize(
+    ("mode", "grades", "fastest", "furthest"),
+    [
+        ("wheel_speed", (-10.0, -5.0, 0.0, 5.0, 10.0), 0.01, 0.1),
+        ("torque", (-2.0, 0.0, 2.0), reaction.REST_SPEED, 0.03),
+    ],
+    ids=["held", "idle"],
+)
 @pytest.mark.parametrize("soil", ["dry_sand", "lete_sand", "grenville_loam", "lunar_nominal"])
 def test_a_wheel_without_a_command_stays_nearly_at_rest(soil, mode, grades, fastest, furthest):
     """Held by its speed loop on a grade the wheel creeps, downhill if anywhere; idle it stays on gentle ground."""
@@ -123,7 +139,9 @@ def test_rolling_out_and_back_keeps_the_rut():
     wheels = start(soil="grenville_loam", mode="wheel_speed")
     out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
-    courses, cell, first = wheels.courses, wheels.now().cell, terrain.cell_at(wheels.courses, 0.0)
+    courses = wheels.courses
+    cell = wheels.now().cell
+    first = terrain.cell_at(wheels.courses, 0.0)
     cells = slice(first + 2, cell - 2)
     once = courses.rut_factors[0, cells].copy()
     assert once.size > 5 and np.all(once > 1.0)
@@ -142,7 +160,9 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
     wheels = start(soil="dry_sand", mode="wheel_speed")
     wheels.drive([0.3] * 30)
     wheels.state.sinkage[0] = wheels.state.rut_depth[0] = 0.1
-    here, way, forward = wheels.now().x, 0.0, True
+    here = wheels.now().x
+    way = 0.0
+    forward = True
     for _ in range(200):
         if abs(wheels.now().x - here) > amplitude:
             forward = wheels.now().x < here
@@ -156,8 +176,11 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
 def test_a_rut_is_left_by_digging_and_not_by_lag():
     """From soft to firm ground at little slip: the wheel comes out of its depth and does not loosen the firm ground."""
     wheels = start(soil="dry_sand_loose", mode="wheel_speed")
-    courses, firm = wheels.courses, soils()["grenville_loam"].state(0.15)
-    courses.edges[0, :3], courses.patches[0], courses.grades[0, :] = (0.0, 1.0, 1e3), 2, 0.0
+    courses = wheels.courses
+    firm = soils()["grenville_loam"].state(0.15)
+    courses.edges[0, :3] = (0.0, 1.0, 1e3)
+    courses.patches[0] = 2
+    courses.grades[0, :] = 0.0
     courses.soils[0, 1] = firm
     rows = wheels.drive([0.4] * 100)
     assert rows[-1, 0] > 2.0

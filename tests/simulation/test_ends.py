@@ -7,21 +7,38 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.task.rules import judge
 from tests.simulation.test_task import simulation
 
-STUCK, STALLED = {"speed": 0.0, "wheel_speed": 2.0}, {"speed": 0.0, "wheel_speed": 0.0}
+STUCK = {"speed": 0.0, "wheel_speed": 2.0}
+STALLED = {"speed": 0.0, "wheel_speed": 0.0}
 
 
-@pytest.mark.parametrize(("state", "steps", "cause"), [
-    (STUCK, 99, "RUNNING"), (STUCK, 100, "ENTRAPPED"), (STALLED, 99, "RUNNING"), (STALLED, 100, "STALLED"),  # 10 s
-    ({"x": -0.49}, 1, "RUNNING"), ({"x": -0.51}, 1, "ENTRAPPED"),
-    ({"sinkage": 0.799 * 0.15}, 1, "RUNNING"), ({"sinkage": 0.801 * 0.15}, 1, "BOGGED"),
-    ({"x": 9.999}, 1, "RUNNING"), ({"x": 10.0}, 1, "FINISHED"), ({"x": 10.1, "sinkage": 0.14}, 1, "FINISHED"),
-    ({"steps": 898}, 1, "RUNNING"), ({"steps": 898}, 2, "TIME_LIMIT"),
-    ({"steps": 898, "halt_left": 5.0}, 2, "TIME_LIMIT"), ({"steps": 899, "sinkage": 0.14}, 1, "BOGGED"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("state", "steps", "cause"),
+    [
+        (STUCK, 99, "RUNNING"),
+        (STUCK, 100, "ENTRAPPED"),
+        (STALLED, 99, "RUNNING"),
+        (STALLED, 100, "STALLED"),  # 10 s
+        ({"x": -0.49}, 1, "RUNNING"),
+        ({"x": -0.51}, 1, "ENTRAPPED"),
+        ({"sinkage": 0.799 * 0.15}, 1, "RUNNING"),
+        ({"sinkage": 0.801 * 0.15}, 1, "BOGGED"),
+        ({"x": 9.999}, 1, "RUNNING"),
+        ({"x": 10.0}, 1, "FINISHED"),
+        ({"x": 10.1, "sinkage": 0.14}, 1, "FINISHED"),
+        ({"steps": 898}, 1, "RUNNING"),
+        ({"steps": 898}, 2, "TIME_LIMIT"),
+        ({"steps": 898, "halt_left": 5.0}, 2, "TIME_LIMIT"),
+        ({"steps": 899, "sinkage": 0.14}, 1, "BOGGED"),
+    ],
+)
 def test_each_end_has_its_threshold(state, steps, cause):
-    sim, causes = simulation("blind"), []
-    w, counts = sim.worlds.state, sim.worlds.counts
-    w["speed"], w["wheel_speed"], w["last_action"] = 0.3, 3.0, 0.3
+    sim = simulation("blind")
+    causes = []
+    w = sim.worlds.state
+    counts = sim.worlds.counts
+    w["speed"] = 0.3
+    w["wheel_speed"] = 3.0
+    w["last_action"] = 0.3
     for name, value in state.items():
         (counts if name == "steps" else w)[name] = value
     for _ in range(steps):
@@ -35,7 +52,8 @@ def test_each_end_has_its_threshold(state, steps, cause):
 def onward(way, halted=()):
     """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those in a halt."""
     sim = simulation("blind")
-    w, causes = sim.worlds.state, []
+    w = sim.worlds.state
+    causes = []
     w["wheel_speed"] = 3.0
     for k, x in enumerate(way):
         w["x"], w["best_x"] = x, max(x, w["best_x"][0])
@@ -47,7 +65,8 @@ def onward(way, halted=()):
 def test_slow_is_not_stuck():
     """18 mm/s gets 0.1 m further in 10 s, and 9 mm/s does not, wherever the wheel rocks meanwhile."""
     assert set(onward(0.03 * np.arange(300))) == {Cause.RUNNING}
-    slow, slower = 0.0018 * np.arange(1, 500), 0.0009 * np.arange(1, 500)
+    slow = 0.0018 * np.arange(1, 500)
+    slower = 0.0009 * np.arange(1, 500)
     assert set(onward(slow)) == {Cause.RUNNING}
     assert onward(slower).index(Cause.ENTRAPPED) < 200
     assert onward(slower + 0.2 * np.sin(np.arange(1, 500))).index(Cause.ENTRAPPED) < 400
@@ -75,7 +94,11 @@ EVASIONS = {  # what a stuck wheel can do, as commands over control periods
 def test_a_stuck_wheel_cannot_evade_its_end(evasion):
     """Before a slope that it cannot climb it has dug in; whatever it does then, it is immobilised, and that costs."""
     for seed in range(4):
-        changes = {"soils": {"dry_sand": 1}, "course": {"halt_time": 0.0}, "limits": {"bogged_sinkage": 1.4}}
+        changes = {
+            "soils": {"dry_sand": 1},
+            "course": {"halt_time": 0.0},
+            "limits": {"bogged_sinkage": 1.4},
+        }
         sim = simulation("blind", seed, changes)
         sim.complete(0)
         sim.worlds.courses.grades[:] = 0.3

@@ -29,11 +29,18 @@ def drawn(scenario):
 
 
 def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, scenario):
-    spec, forks, dead, first = scenario.course, 0, 0, 0
+    spec = scenario.course
+    forks = 0
+    dead = 0
+    first = 0
     for courses, mass in drawn:
-        lines, n = courses.lines, courses.patches[0]
+        lines = courses.lines
+        n = courses.patches[0]
         for p in range(n):
-            m = [margin(lines.soils[0, p, i], lines.grades[0, p, i], mass, scenario) for i in range(2)]
+            m = [
+                margin(lines.soils[0, p, i], lines.grades[0, p, i], mass, scenario)
+                for i in range(2)
+            ]
             assert max(m) >= spec.margin[0] - 1e-9
             if min(m) < spec.margin[0] - 1e-9:
                 assert -spec.deficit[1] - 1e-9 <= min(m) <= -spec.deficit[0] + 1e-9
@@ -44,19 +51,25 @@ def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, sc
             assert np.all(np.degrees(lines.grades[0, p]) >= spec.grade_deg[0] - 1e-9)
     assert forks > 100
     # dead ends whose deficit the steepest grade does not allow are drawn again, as other patches are
-    assert abs(dead / forks - spec.dead_ends) < 3.5 * math.sqrt(spec.dead_ends * (1.0 - spec.dead_ends) / forks)
+    assert abs(dead / forks - spec.dead_ends) < 3.5 * math.sqrt(
+        spec.dead_ends * (1.0 - spec.dead_ends) / forks
+    )
     assert abs(first - 0.5 * dead) < 2.0 * math.sqrt(dead)
 
 
 def test_every_border_between_passable_lines_is_passable(drawn, scenario):
     for courses, mass in drawn:
-        lines, checked = courses.lines, 0
+        lines = courses.lines
+        checked = 0
         for p in range(1, courses.patches[0]):
             for a in range(2):
                 for b in range(2):
                     grades = lines.grades[0, p - 1, a], lines.grades[0, p, b]
                     soils = SoilState(*lines.soils[0, p - 1, a]), SoilState(*lines.soils[0, p, b])
-                    if all(margin(s, g, mass, scenario) > 0.0 for s, g in zip(soils, grades, strict=True)):
+                    if all(
+                        margin(s, g, mass, scenario) > 0.0
+                        for s, g in zip(soils, grades, strict=True)
+                    ):
                         middle = margin(blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
                         assert middle >= scenario.course.margin[0] - 1e-3
                         checked += 1
@@ -66,14 +79,21 @@ def test_every_border_between_passable_lines_is_passable(drawn, scenario):
 def test_patches_of_a_class_scatter_about_its_soil(drawn):
     """The first patches show each class once; the classes of two courses are different soils."""
     for (courses, _), (other, _) in zip(drawn[:10], drawn[1:11], strict=True):
-        lines, n = courses.lines, courses.patches[0]
+        lines = courses.lines
+        n = courses.patches[0]
         assert sorted(lines.classes[0, :3, 0]) == [0, 1, 2] and np.all(lines.count[0, :3] == 1)
-        assert np.all(lines.count[0, 3:n] == 2) and np.all(lines.classes[0, 3:n, 0] != lines.classes[0, 3:n, 1])
+        assert np.all(lines.count[0, 3:n] == 2) and np.all(
+            lines.classes[0, 3:n, 0] != lines.classes[0, 3:n, 1]
+        )
         for c in range(3):
             of_class = lines.soils[0, :n][lines.classes[0, :n] == c]
             assert np.all(np.abs(of_class[:, 0] / lines.library[0, c, 0] - 1.0) < 0.04)
-            assert len(np.unique(of_class[:, 2])) > 1 or len(of_class) == 2  # a patch with one line has it twice
-        assert not np.any(lines.library[0, :, :6] == other.lines.library[0, :, :6])  # the recovery of digging is one
+            assert (
+                len(np.unique(of_class[:, 2])) > 1 or len(of_class) == 2
+            )  # a patch with one line has it twice
+        assert not np.any(
+            lines.library[0, :, :6] == other.lines.library[0, :, :6]
+        )  # the recovery of digging is one
 
 
 def test_what_is_in_sight_is_final(scenario):
@@ -83,10 +103,13 @@ def test_what_is_in_sight_is_final(scenario):
         (courses, mass, numbers), x = course(seed, scenario, whole=False), 0.0
         while x < scenario.course.length:
             drawing.extend_course(0, courses, mass, x + numbers.drawn.ahead, numbers)
-            edges, patches = courses.edges[0], courses.patches[0]
+            edges = courses.edges[0]
+            patches = courses.patches[0]
             seen = [p for p in range(patches) if edges[p] <= x + scenario.camera.range]
             grades = courses.lines.grades[0].copy()
-            drawing.extend_course(0, courses, mass, np.inf if x > 5.0 else courses.ready[0] + 1e-9, numbers)
+            drawing.extend_course(
+                0, courses, mass, np.inf if x > 5.0 else courses.ready[0] + 1e-9, numbers
+            )
             np.testing.assert_array_equal(courses.lines.grades[0, seen], grades[seen])
             changed += np.any(courses.lines.grades[0, :patches] != grades[:patches])
             x += 0.5
@@ -98,7 +121,8 @@ def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
     for seed in SEEDS:
         courses, mass, numbers = course(seed, scenario, whole=False)
         drawing.extend_course(0, courses, mass, 5.0, numbers)
-        mud, p = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0)), courses.patches[0]
+        mud = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0))
+        p = courses.patches[0]
         assert not drawing.extend_course(0, courses, mass, np.inf, mud)
         for q in range(p, courses.patches[0]):
             repeated += courses.lines.taken[0, p - 1] == 0 and courses.margins[0, p - 1] < 0.0
@@ -111,8 +135,11 @@ def creep(chosen, seed, steps=900):
 
     `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes now and then.
     """
-    sim = simulation(seed=seed, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0})
-    names, what = [e.name for e in layout("blind", sim.scenario.course)], np.zeros(8, dtype=np.int8)
+    sim = simulation(
+        seed=seed, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0}
+    )
+    names = [e.name for e in layout("blind", sim.scenario.course)]
+    what = np.zeros(8, dtype=np.int8)
     slowly = 0.2 / (sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed) + 0.05
     for step in range(steps):
         asked = sim.worlds.observation[:, names.index("choice")] > 0.5
@@ -123,7 +150,8 @@ def creep(chosen, seed, steps=900):
 def test_the_sign_of_the_action_at_the_halt_chooses():
     """Before every fork there is a halt at which it does; what lies under and behind the wheel stays as it is."""
     for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
-        passed, asked_at = 0, [set() for _ in range(8)]
+        passed = 0
+        asked_at = [set() for _ in range(8)]
         for sim, asked in creep(chosen, 2):
             for k in np.flatnonzero(asked):
                 assert sim.worlds.state["halt_left"][k] > 0.0
@@ -142,18 +170,25 @@ def test_the_sign_of_the_action_at_the_halt_chooses():
 
 
 def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
-    started, seen = np.zeros(8, dtype=bool), {}
+    started = np.zeros(8, dtype=bool)
+    seen = {}
     for sim, _ in creep(0.0, 4):
-        state, courses, spec = sim.worlds.state, sim.worlds.courses, sim.scenario.course
+        state = sim.worlds.state
+        courses = sim.worlds.courses
+        spec = sim.scenario.course
         begins = (state["halt_left"] > 0.0) & ~started
         started = state["halt_left"] > 0.0
         for k in np.flatnonzero(begins):
             p = int(sim.worlds.counts["patch"][k]) + 1
             left = courses.edges[k, p] - state["x"][k]
             if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1]:
-                seen.setdefault((k, p), left)  # the first so near; there may be another, as every metre or so
+                seen.setdefault(
+                    (k, p), left
+                )  # the first so near; there may be another, as every metre or so
     seen = list(seen.values())
-    assert len(seen) > 15  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
+    assert (
+        len(seen) > 15
+    )  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
 
@@ -171,15 +206,19 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     sim = simulation(seed=6, wheels=400, camera={"label_error": 0.2})
     for k in range(400):
         sim.complete(k)
-    lines, n = sim.worlds.courses.lines, sim.worlds.courses.patches
+    lines = sim.worlds.courses.lines
+    n = sim.worlds.courses.patches
     error = np.concatenate([lines.grade_errors[k, 3 : n[k]].ravel() for k in range(400)])
-    wrong = np.concatenate([(lines.labels != lines.classes)[k, 3 : n[k]].ravel() for k in range(400)])
+    wrong = np.concatenate(
+        [(lines.labels != lines.classes)[k, 3 : n[k]].ravel() for k in range(400)]
+    )
     assert abs(error.mean()) < 4.0 * 0.01 / math.sqrt(error.size)
     assert error.std() == pytest.approx(0.01, rel=0.05)
     assert wrong.mean() == pytest.approx(0.2, abs=0.03) and wrong.size > 2000
     names = [e.name for e in layout("blind", sim.scenario.course)]
     shown = [i for i, name in enumerate(names) if name.startswith(("ahead_", "beside_"))]
-    at, images = before_the_fork(sim, 0.7), []
+    at = before_the_fork(sim, 0.7)
+    images = []
     for _ in range(3):
         sim.step_all(np.zeros(400), np.zeros(400, dtype=np.int8))
         images.append(sim.worlds.observation.copy())
@@ -192,12 +231,21 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
 
 def test_averaging_images_leaves_the_fixed_error_of_a_border():
     sim = simulation(seed=7, wheels=300)
-    numbers, worlds, noise = sim.numbers.task.camera, sim.worlds, sim.scenario.camera.border_noise
+    numbers = sim.numbers.task.camera
+    worlds = sim.worlds
+    noise = sim.scenario.camera.border_noise
     worlds.state["x"] = 0.5
     images = np.array(
-        [[camera.look(worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers).left for k in range(300)]
-         for _ in range(40)]
-    )  # fmt: skip
+        [
+            [
+                camera.look(
+                    worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers
+                ).left
+                for k in range(300)
+            ]
+            for _ in range(40)
+        ]
+    )
     true = worlds.courses.edges[:300, 1] - 0.5
     assert images.std(axis=0).mean() == pytest.approx(noise, rel=0.05)
     assert (images.mean(axis=0) - true).std() == pytest.approx(noise, rel=0.15)
@@ -232,4 +280,6 @@ def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
     for i, line in enumerate(("ahead", "beside")):
         grade = lines.grades[0, 3, i] + lines.grade_errors[0, 3, i]
         expected = margin(lines.soils[0, 3, i], grade, sim.worlds.state["mass"][0], sim.scenario)
-        assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(expected, abs=1e-5)
+        assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(
+            expected, abs=1e-5
+        )

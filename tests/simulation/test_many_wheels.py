@@ -24,7 +24,9 @@ def test_a_wheel_that_fails_goes_on_alone():
     """A wheel in a state that no iteration gets through leaves its neighbours as they are, and goes on by itself."""
     alone, among, free = (on_random_courses(range(WHEELS)) for _ in range(3))
     for w in (alone, among):
-        w.state.sinkage[3], w.state.speed[3], w.state.wheel_speed[3] = 0.15, 40.0, -400.0
+        w.state.sinkage[3] = 0.15
+        w.state.speed[3] = 40.0
+        w.state.wheel_speed[3] = -400.0
         w.state.pull_by_speed[3] = 1e9
     for k in range(WHEELS):
         alone.step(0.4, [k])
@@ -38,15 +40,21 @@ def test_a_wheel_that_fails_goes_on_alone():
 
 
 _x, _w = np.polynomial.legendre.leggauss(60)
-NODES, WEIGHTS = (0.5 * (_x + 1.0)) ** 2, 0.5 * _w * (_x + 1.0)
+NODES = (0.5 * (_x + 1.0)) ** 2
+WEIGHTS = 0.5 * _w * (_x + 1.0)
 
 
 def stresses(theta1, n, r):
     """Angles [rad], weights and normal stress for S = 1 at nodes of the arc of Eqs. (7)-(9)."""
     half = 0.5 * theta1
-    front, rear = theta1 - half * NODES, half * NODES
+    front = theta1 - half * NODES
+    rear = half * NODES
     p = (r * (np.cos(front) - math.cos(theta1))) ** n
-    return np.concatenate([front, rear]), half * np.concatenate([WEIGHTS, WEIGHTS]), np.concatenate([p, p])
+    return (
+        np.concatenate([front, rear]),
+        half * np.concatenate([WEIGHTS, WEIGHTS]),
+        np.concatenate([p, p]),
+    )
 
 
 def reaction(v, u, sinkage, load, soil, r, b):
@@ -65,15 +73,23 @@ def reaction(v, u, sinkage, load, soil, r, b):
         pull = r * b * np.sum(w * (tau * np.cos(theta) - direction * sigma * np.sin(theta)))
         return up, pull, r * r * b * np.sum(w * tau)
 
-    without, by_S = forces(0.0)[0], forces(1.0)[0] - forces(0.0)[0]
-    S = max((load - without) / by_S, 0.0) if by_S > 0.0 else 0.0  # 0: cohesion alone carries more than the load
+    without = forces(0.0)[0]
+    by_S = forces(1.0)[0] - forces(0.0)[0]
+    S = (
+        max((load - without) / by_S, 0.0) if by_S > 0.0 else 0.0
+    )  # 0: cohesion alone carries more than the load
     return *forces(S)[1:], S
 
 
 def one_step(before, command, soil, world, guess):
     """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r w)."""
-    wheel, h, weight, g = world.wheel, world.period, before.mass * world.wheel.gravity, 1.0 - math.sqrt(0.5)
-    r, b, stall = wheel.radius, wheel.width, world.stall_torque
+    wheel = world.wheel
+    h = world.period
+    weight = before.mass * world.wheel.gravity
+    g = 1.0 - math.sqrt(0.5)
+    r = wheel.radius
+    b = wheel.width
+    stall = world.stall_torque
 
     def motor(u):
         line = stall / world.no_load_speed * u / r
@@ -81,9 +97,19 @@ def one_step(before, command, soil, world, guess):
 
     v0 = v = before.speed
     u0 = u = before.wheel_speed * r
-    z, rut, place, sinking, motor_work, soil_work, at = before.sinkage, before.rut_depth, before.x, 0.0, 0.0, 0.0, None
-    for duration, first, lead in ((g * h, 0.0, 0.0), (h - g * h, h - 2.0 * g * h, (1.0 - g) / g - 1.0)):
-        begin, felt = (v + lead * (v - v0), u + lead * (u - u0)), z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
+    z = before.sinkage
+    rut = before.rut_depth
+    place = before.x
+    sinking = 0.0
+    motor_work = 0.0
+    soil_work = 0.0
+    at = None
+    for duration, first, lead in (
+        (g * h, 0.0, 0.0),
+        (h - g * h, h - 2.0 * g * h, (1.0 - g) / g - 1.0),
+    ):
+        begin = (v + lead * (v - v0), u + lead * (u - u0))
+        felt = z + min(max(sinking * duration, -0.1 * z), 0.1 * z)
 
         def forces(v, u, felt=felt):
             return reaction(v, u, felt, weight * math.cos(before.grade), soil, r, b)
@@ -98,51 +124,79 @@ def one_step(before, command, soil, world, guess):
         assert np.abs(residuals(found.x)).max() < 1e-8
         v1, u1, (v, u), (pull, torque, S) = v, u, found.x, forces(*found.x)
         now = (motor(u) * u / r, torque * u / r - pull * v)
-        motor_work, soil_work = motor_work + g * h * now[0], soil_work + g * h * now[1]
+        motor_work = motor_work + g * h * now[0]
+        soil_work = soil_work + g * h * now[1]
         if first:
-            motor_work, soil_work = motor_work + first * at[0], soil_work + first * at[1]
-        moved, slid, at = first * v1 + g * h * v, first * abs(u1 - v1) + g * h * abs(u - v), now
+            motor_work = motor_work + first * at[0]
+            soil_work = soil_work + first * at[1]
+        moved = first * v1 + g * h * v
+        slid = first * abs(u1 - v1) + g * h * abs(u - v)
+        at = now
         bearing = felt * min((S / soil.sinkage_coefficient) ** (1.0 / soil.sinkage_exponent), 10.0)
-        low, high, place = min(before.x, place), max(before.x, place), place + moved
+        low = min(before.x, place)
+        high = max(before.x, place)
+        place = place + moved
         fresh = min((max(place - high, 0.0) + max(low - place, 0.0)) / max(abs(moved), 1e-12), 1.0)
-        travel, slip = abs(moved) / duration / world.relaxation, slid / duration / world.relaxation
+        travel = abs(moved) / duration / world.relaxation
+        slip = slid / duration / world.relaxation
         settle = 10.0 if bearing > z else 0.0
         rate = travel + soil.dig_recovery * slip + settle
         goal = bearing * ((soil.dig_gain + soil.dig_recovery) * slip + settle)
         goal = (goal + travel * (fresh * bearing + (1.0 - fresh) * rut)) / rate
         deeper = goal + (z - goal) * math.exp(-rate * duration)
         rut = max(rut, deeper) if deeper > z else rut
-        sinking, z = (deeper - z) / duration, deeper
+        sinking = (deeper - z) / duration
+        z = deeper
     return {
-        "x": place, "speed": v, "wheel_speed": u / r, "drawbar_pull": pull, "torque": torque, "motor_torque": motor(u),
-        "motor_work": motor_work, "soil_work": soil_work, "bearing_sinkage": bearing, "sinkage": z, "rut_depth": rut,
-    }  # fmt: skip
+        "x": place,
+        "speed": v,
+        "wheel_speed": u / r,
+        "drawbar_pull": pull,
+        "torque": torque,
+        "motor_torque": motor(u),
+        "motor_work": motor_work,
+        "soil_work": soil_work,
+        "bearing_sinkage": bearing,
+        "sinkage": z,
+        "rut_depth": rut,
+    }
 
 
 def test_one_step_as_scipy_solves_it():
     """Driving, braking, spinning, rolling back: every number of the state, by another quadrature and solver."""
     wheels = on_random_courses(range(40))
     wheels = wheels._replace(world=wheels.world._replace(period=0.02, substeps=1))
-    rng, names = np.random.default_rng(3), sorted(soils())
+    rng = np.random.default_rng(3)
+    names = sorted(soils())
     ground = [soils()[str(name)].state(0.15) for name in rng.choice(names, 40)]
-    wheels.courses.soils[:], wheels.courses.grades[:] = np.array(ground)[:, None], rng.uniform(-0.2, 0.2, 40)[:, None]
+    wheels.courses.soils[:] = np.array(ground)[:, None]
+    wheels.courses.grades[:] = rng.uniform(-0.2, 0.2, 40)[:, None]
     wheels.state.speed = rng.uniform(-0.2, 0.5, 40)
     wheels.state.wheel_speed = wheels.state.speed / 0.15 * rng.uniform(0.7, 3.0, 40)
     wheels.state.sinkage = rng.uniform(0.01, 0.06, 40)
     wheels.state.grade = wheels.courses.grades[:, 0]
     wheels.state.next_halt = math.inf
-    commands, starts = rng.uniform(-0.3, 0.8, 40), [wheels.now(k) for k in range(40)]
+    commands = rng.uniform(-0.3, 0.8, 40)
+    starts = [wheels.now(k) for k in range(40)]
     wheels.step(commands)
     judged = 0
     for k, before in enumerate(starts):
         if wheels.counts.converged[k] == 0:
             continue
         after = wheels.now(k)
-        stated = one_step(before, commands[k], ground[k], wheels.world, (after.speed, 0.15 * after.wheel_speed))
+        stated = one_step(
+            before, commands[k], ground[k], wheels.world, (after.speed, 0.15 * after.wheel_speed)
+        )
         scale = {
-            "drawbar_pull": before.mass * 9.81, "torque": before.mass * 9.81 * 0.15, "motor_torque": 15.0,
-            "motor_work": 1.0, "soil_work": 1.0, "wheel_speed": 1.0, "speed": 0.15, "x": 0.01,
-        }  # fmt: skip
+            "drawbar_pull": before.mass * 9.81,
+            "torque": before.mass * 9.81 * 0.15,
+            "motor_torque": 15.0,
+            "motor_work": 1.0,
+            "soil_work": 1.0,
+            "wheel_speed": 1.0,
+            "speed": 0.15,
+            "x": 0.01,
+        }
         for name, value in stated.items():
             size = scale.get(name, before.sinkage)
             assert wheels.state[name][k] == pytest.approx(value, abs=5e-4 * size), (k, name)

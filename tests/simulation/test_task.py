@@ -26,7 +26,11 @@ NOTHING_SEEN = Sight(0, 0.0, 0.0)
 
 def simulation(variant="identified", seed=0, changes=None):
     """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
-    return started(load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes), variant, [seed])
+    return started(
+        load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes),
+        variant,
+        [seed],
+    )
 
 
 def driven(scenario="mixed", wheels=16, steps=120, **options):
@@ -52,7 +56,10 @@ def test_observation_is_of_order_one_and_neither_constant_nor_aliased(variant):
         assert a.low <= rows[:, i].min() and rows[:, i].max() <= a.high
         # cut to the bounds now and then at most, or information is lost
         if a.unit != "0 or 1" and a.name not in ("slip", "last_action", "rim_command"):
-            assert np.mean((rows[:, i] == np.float32(a.low)) | (rows[:, i] == np.float32(a.high))) < 0.05, a.name
+            assert (
+                np.mean((rows[:, i] == np.float32(a.low)) | (rows[:, i] == np.float32(a.high)))
+                < 0.05
+            ), a.name
         for j in range(i):
             assert not np.array_equal(rows[:, i], rows[:, j]), (a.name, entries[j].name)
 
@@ -60,14 +67,19 @@ def test_observation_is_of_order_one_and_neither_constant_nor_aliased(variant):
 @pytest.mark.parametrize("variant", VARIANTS[1:])
 def test_all_variants_share_the_first_entries(variant):
     """Bit for bit, for the same seed and actions: the variant changes nothing but what is added."""
-    blind, other = (driven(observation=v, scaled=False, action="torque")[1] for v in ("blind", variant))
+    blind, other = (
+        driven(observation=v, scaled=False, action="torque")[1] for v in ("blind", variant)
+    )
     np.testing.assert_array_equal(blind, other[..., : blind.shape[-1]])
 
 
 def observed_again(sim, ground=None, estimate=None):
     """The observation written anew from the present state, the random stream untouched."""
-    worlds, numbers = sim.worlds, sim.numbers.task
-    courses, streams, out = worlds.courses, worlds.streams.copy(), np.zeros_like(worlds.observation[0])
+    worlds = sim.worlds
+    numbers = sim.numbers.task
+    courses = worlds.courses
+    streams = worlds.streams.copy()
+    out = np.zeros_like(worlds.observation[0])
     if ground is not None:
         courses = courses._replace(soils=courses.soils * ground)
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
@@ -86,7 +98,8 @@ def test_only_true_soil_shows_the_soil(variant):
     sim = simulation(variant)
     for _ in range(20):
         sim.step(0, 0.3)
-    before, after = observed_again(sim), observed_again(sim, ground=np.full(7, 1.3))
+    before = observed_again(sim)
+    after = observed_again(sim, ground=np.full(7, 1.3))
     changed = before != after
     expected = np.zeros(len(before), dtype=bool)
     if variant == "true_soil":
@@ -108,12 +121,17 @@ def test_estimate_in_the_observation():
     rows = []
     for k in range(200):
         sim.step(0, 0.3 + 0.2 * math.sin(0.5 * k))
-        ids, seen = sim.worlds.ids, sim.worlds.observation[0, SENSORS:]
+        ids = sim.worlds.ids
+        seen = sim.worlds.observation[0, SENSORS:]
         x = ids.estimate[0]
-        np.testing.assert_allclose(seen[:3], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6)
+        np.testing.assert_allclose(
+            seen[:3], [x[0], x[1] / math.log(10), x[2] / math.log(10)], rtol=1e-6
+        )
         np.testing.assert_allclose(seen[3:6], ids.sd[0, :3], rtol=1e-6)
         belief = load_scenario("mixed").belief
-        np.testing.assert_allclose(seen[7:9], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6)
+        np.testing.assert_allclose(
+            seen[7:9], [x[3] / 1000.0, belief.dig_gain * math.exp(x[4])], rtol=1e-6
+        )
         np.testing.assert_allclose(seen[9:11], [ids.sd[0, 3] / 1000.0, ids.sd[0, 4]], rtol=1e-6)
         np.testing.assert_allclose(seen[11:], ids.best_pull[0], rtol=1e-6)
         assert seen[6] == (ids.status[0] == Status.CONVERGED)
@@ -126,23 +144,48 @@ def test_estimate_in_the_observation():
 def test_readings_scatter_as_stated():
     """Mean and standard deviation of 20 000 readings of one state, in the units of the observation."""
     sim = simulation("blind")
-    for name, value in {"slip": 0.4, "speed": 0.3, "wheel_speed": 3.3, "drawbar_pull": 20.0, "torque": 8.0,
-                        "motor_torque": 9.0}.items():  # fmt: skip
+    for name, value in {
+        "slip": 0.4,
+        "speed": 0.3,
+        "wheel_speed": 3.3,
+        "drawbar_pull": 20.0,
+        "torque": 8.0,
+        "motor_torque": 9.0,
+    }.items():
         sim.worlds.state[name] = value
-    w, n, radius, worlds = sim.wheel(0), sim.scenario.noise, sim.scenario.wheel.radius, sim.worlds
-    weight, top = sim.scenario.weight, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out, rows, streams, numbers = np.zeros(SENSORS, np.float32), [], worlds.streams.copy(), sim.numbers.task
+    w = sim.wheel(0)
+    n = sim.scenario.noise
+    radius = sim.scenario.wheel.radius
+    worlds = sim.worlds
+    weight = sim.scenario.weight
+    top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    out = np.zeros(SENSORS, np.float32)
+    rows = []
+    streams = worlds.streams.copy()
+    numbers = sim.numbers.task
     for _ in range(20_000):
         reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-        write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers)
+        write_observation(
+            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
+        )
         rows.append(out[[*range(8), 11, 12]].astype(float))
-    truth, sd = np.array([
-        (w["slip"], n.slip), (w["sinkage"] / radius, n.sinkage / radius), (w["drawbar_pull"] / weight, n.drawbar_pull),
-        (w["load"] / weight, n.load), (w["torque"] / weight / radius, n.torque), (w["speed"] / top, n.speed / top),
-        (w["wheel_speed"] * radius / top, n.wheel_speed * radius / top), (w["grade"], n.pitch),
-        (w["motor_torque"] / weight / radius, n.motor_torque),
-        (w["drawbar_pull"] / w["mass"] / sim.scenario.gravity, n.acceleration / sim.scenario.gravity),
-    ]).T  # fmt: skip
+    truth, sd = np.array(
+        [
+            (w["slip"], n.slip),
+            (w["sinkage"] / radius, n.sinkage / radius),
+            (w["drawbar_pull"] / weight, n.drawbar_pull),
+            (w["load"] / weight, n.load),
+            (w["torque"] / weight / radius, n.torque),
+            (w["speed"] / top, n.speed / top),
+            (w["wheel_speed"] * radius / top, n.wheel_speed * radius / top),
+            (w["grade"], n.pitch),
+            (w["motor_torque"] / weight / radius, n.motor_torque),
+            (
+                w["drawbar_pull"] / w["mass"] / sim.scenario.gravity,
+                n.acceleration / sim.scenario.gravity,
+            ),
+        ]
+    ).T
     assert np.all(np.abs(np.mean(rows, axis=0) - truth) < 4.5 * sd / math.sqrt(20_000))
     np.testing.assert_allclose(np.std(rows, axis=0), sd, rtol=0.03)
     assert np.abs(np.corrcoef(np.transpose(rows)) - np.eye(10)).max() < 0.04
@@ -156,14 +199,18 @@ def test_the_observation_follows_from_readings_alone():
     sim = simulation("blind")
     for _ in range(30):
         sim.step(0, 0.3)
-    worlds, numbers, seen = sim.worlds, sim.numbers.task, []
+    worlds = sim.worlds
+    numbers = sim.numbers.task
+    seen = []
     reading = sensors.sense(worlds.state, 0, worlds.streams.copy(), numbers.sensors)
     for factor in (1.0, 1.7):
         for name in worlds.state.NAMES:
             if name not in ("last_action", "rim_command", "halt_left", "odometer"):
                 worlds.state[name] *= factor
         out = np.zeros_like(worlds.observation[0])
-        write_observation(out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers)
+        write_observation(
+            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
+        )
         seen.append(out)
     np.testing.assert_array_equal(*seen)
 
@@ -172,7 +219,8 @@ def test_odometry_is_off_as_stated():
     """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
     changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
     sim = started(load_scenario("mixed", changes), "blind", range(400))
-    length, top = sim.scenario.course.length, sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    length = sim.scenario.course.length
+    top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     assert not sim.worlds.observation[:, 9].any()
     moved = by_speed = 0.0
     for _ in range(3):
@@ -186,17 +234,28 @@ def test_odometry_is_off_as_stated():
 
 def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
     weights = {"progress": 7.0, "energy": 3.0, "immobilisation": 5.0}
-    causes, backwards, braking = set(), 0, 0
+    causes = set()
+    backwards = 0
+    braking = 0
     for seed in range(8):
         sim = simulation("blind", seed, {"reward": weights, "course": {"length": 3.0}})
         rng = np.random.default_rng(seed)
         for _ in range(900):
             x = sim.wheel(0)["x"]
-            sim.step(0, 0.9 if seed % 2 else 0.1 + 0.3 * rng.random() - (0.5 if rng.random() < 0.1 else 0.0))
-            cause, terms, w = Cause(sim.worlds.cause[0]), sim.worlds.terms[0], sim.wheel(0)
+            sim.step(
+                0,
+                0.9
+                if seed % 2
+                else 0.1 + 0.3 * rng.random() - (0.5 if rng.random() < 0.1 else 0.0),
+            )
+            cause = Cause(sim.worlds.cause[0])
+            terms = sim.worlds.terms[0]
+            w = sim.wheel(0)
             assert terms[0] == pytest.approx(7.0 * (w["x"] - x) / 3.0, abs=1e-12)
             work = max(w["motor_work"], 0.0)
-            assert terms[1] == pytest.approx(-3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12)
+            assert terms[1] == pytest.approx(
+                -3.0 * work / (w["mass"] * sim.scenario.gravity * 3.0), abs=1e-12
+            )
             assert terms[2] == (0.0 if cause in (Cause.RUNNING, Cause.FINISHED) else -5.0)
             assert terms[3] == 0.0
             assert sim.worlds.reward[0] == terms[0] + terms[1] + terms[2]
@@ -210,12 +269,20 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
     assert REWARD_TERMS == ("progress", "energy", "immobilisation", "information")
 
 
-@pytest.mark.parametrize(("shares", "nats"), [
-    ([1.0, 1.0, 1.0], 0.0), ([0.5, 1.0, 1.0], math.log(2.0)), ([0.1, 0.2, 0.5], math.log(100.0)),
-    ([7.0, 0.5, 1.0], math.log(2.0)), ([0.0, 1.0, 1.0], math.log(1e6)), ([math.inf, 1.0, 0.1], math.log(10.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("shares", "nats"),
+    [
+        ([1.0, 1.0, 1.0], 0.0),
+        ([0.5, 1.0, 1.0], math.log(2.0)),
+        ([0.1, 0.2, 0.5], math.log(100.0)),
+        ([7.0, 0.5, 1.0], math.log(2.0)),
+        ([0.0, 1.0, 1.0], math.log(1e6)),
+        ([math.inf, 1.0, 0.1], math.log(10.0)),
+    ],
+)
 def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
-    ids, precision = simulation().worlds.ids, np.array([4.0, 1.0, 0.01])
+    ids = simulation().worlds.ids
+    precision = np.array([4.0, 1.0, 0.01])
     ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
     assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
 
@@ -226,24 +293,34 @@ COURSE = load_scenario("two_lines").course
 
 
 def test_centres_and_scales_are_the_documented_ones():
-    rows = [(float(c), float(s), names.split(", ")) for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
-            if re.fullmatch(r"-?[\d.]+", c)]  # fmt: skip
+    rows = [
+        (float(c), float(s), names.split(", "))
+        for c, s, names in ROW.findall(SoilWheelEnv.__doc__)
+        if re.fullmatch(r"-?[\d.]+", c)
+    ]
     shown = {name: (c, s) for c, s, names in rows for name in names}
-    entries = {e.name.removeprefix("ahead_").removeprefix("beside_"): (e.centre, e.scale)
-               for variant in VARIANTS for e in layout(variant, COURSE)}  # fmt: skip
+    entries = {
+        e.name.removeprefix("ahead_").removeprefix("beside_"): (e.centre, e.scale)
+        for variant in VARIANTS
+        for e in layout(variant, COURSE)
+    }
     assert shown == {name: pair for name, pair in entries.items() if pair != (0.0, 1.0)}
 
 
 def documented(env):
     """Rows (number, name, low, high) of the tables in the docstring of an environment."""
-    return [(n + number, name, float(low), float(high)) for n, number, name, low, high in ENTRY.findall(env.__doc__)]
+    return [
+        (n + number, name, float(low), float(high))
+        for n, number, name, low, high in ENTRY.findall(env.__doc__)
+    ]
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
     """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers without a camera."""
     rows = documented(SoilWheelEnv)
-    bounds, numbered = {row[1:] for row in rows}, {row[:2] for row in rows}
+    bounds = {row[1:] for row in rows}
+    numbered = {row[:2] for row in rows}
     named = {name for name, *_ in bounds}
     for e in (*layout(variant, COURSE), *rover_layout(variant, 3)):
         shown = e.name.replace("beside", "ahead")
@@ -255,8 +332,12 @@ def test_entries_are_the_documented_ones(variant):
     assert {(str(number), e.name) for number, e in enumerate(layout(variant))} <= numbered
     env = SoilWheelEnv("mixed", observation=variant, scaled=False)
     assert env.observation_names == tuple(e.name for e in layout(variant))
-    np.testing.assert_array_equal(env.observation_space.low, np.float32([e.low for e in layout(variant)]))
-    np.testing.assert_array_equal(env.observation_space.high, np.float32([e.high for e in layout(variant)]))
+    np.testing.assert_array_equal(
+        env.observation_space.low, np.float32([e.low for e in layout(variant)])
+    )
+    np.testing.assert_array_equal(
+        env.observation_space.high, np.float32([e.high for e in layout(variant)])
+    )
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -269,6 +350,12 @@ def test_scaled_and_physical_are_the_same_drive(variant):
     np.testing.assert_allclose(env.physical(seen), values, rtol=1e-5, atol=2e-6)
     np.testing.assert_array_equal(other.physical(values), values)
     assert other.single_observation_space == observation_space(variant, COURSE, scaled=False)
-    assert env.single_observation_space == observation_space(variant, COURSE) != other.single_observation_space
+    assert (
+        env.single_observation_space
+        == observation_space(variant, COURSE)
+        != other.single_observation_space
+    )
     if variant == "identified":
-        assert (values[..., env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0).any()
+        assert (
+            values[..., env.observation_names.index("ahead_log10_sinkage_coefficient")] == 6.0
+        ).any()

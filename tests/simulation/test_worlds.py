@@ -38,15 +38,19 @@ def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=()):
 def settled(case, grade_deg):
     """Sinkage, pull and torque [3, 3] of a wheel driven far: as read, by `steady_with`, and without the effect."""
     effects = {name: dict(values) for name, values in CASES[case].items()}
-    soil = SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT  # the form takes the place of the soil's digging
+    soil = (
+        SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT
+    )  # the form takes the place of the soil's digging
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
-        wheels.courses.rut[0, :], passes = 1e-3, 2.0
+        wheels.courses.rut[0, :] = 1e-3
+        passes = 2.0
     wheels.drive([0.35] * 250)
     before = wheels.now().sinkage
     wheels.drive([0.35] * 5)
-    w, gravity = wheels.now(), wheels.world.wheel.gravity
+    w = wheels.now()
+    gravity = wheels.world.wheel.gravity
     sensors = task_numbers(load_scenario("mixed", STILL), "blind", model_of(effects)).sensors
     read = sense(wheels.state, 0, np.ones(1, dtype=np.uint64), sensors)
     assert w.x > 2.0 and w.speed > 0.05
@@ -55,13 +59,20 @@ def settled(case, grade_deg):
     if "grousers" in effects:
         effects["grousers"]["slip_at_rim"] = 1.0  # the slip of the world is that of the rim
     at = Conditions(w.speed, passes, math.sin(w.grade))
-    rim, pulled = Rim(WHEEL.radius, WHEEL.width, LUG), {"grade": {"share": 1.0}}
+    rim = Rim(WHEEL.radius, WHEEL.width, LUG)
+    pulled = {"grade": {"share": 1.0}}
     stated = [
         steady_with(read.slip, weight, soil, rim, at, 1500.0 * gravity, pack_effects(fx), 0.0)
         for fx in ({**effects, "grade": {**pulled["grade"], **effects.get("grade", {})}}, pulled)
     ]
-    rows = np.array([[x.sinkage, x.drawbar_pull, x.torque] for x in (read, *stated)]) / [0.15, weight, weight * 0.15]
-    rows[0, 1] -= at.sin_grade  # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
+    rows = np.array([[x.sinkage, x.drawbar_pull, x.torque] for x in (read, *stated)]) / [
+        0.15,
+        weight,
+        weight * 0.15,
+    ]
+    rows[0, 1] -= (
+        at.sin_grade
+    )  # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
     return rows
 
 
@@ -78,24 +89,37 @@ def test_a_driven_wheel_settles_at_the_steady_state(case):
 
 def test_a_residual_law_acts_as_it_predicts():
     """Its groups are those of the undisturbed soil and of the weight, whatever effects are on beside it."""
-    soil = Soil(friction_angle_deg=34.0, cohesion=1500.0, shear_modulus=0.012, sinkage_coefficient=4e5,
-                sinkage_exponent=0.8, dig_gain=1.0, dig_recovery=0.5)  # fmt: skip
-    residual = (ResidualTerm("drawbar_pull", -0.05, {"load": 1}), ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}))
+    soil = Soil(
+        friction_angle_deg=34.0,
+        cohesion=1500.0,
+        shear_modulus=0.012,
+        sinkage_coefficient=4e5,
+        sinkage_exponent=0.8,
+        dig_gain=1.0,
+        dig_recovery=0.5,
+    )
+    residual = (
+        ResidualTerm("drawbar_pull", -0.05, {"load": 1}),
+        ResidualTerm("torque", 0.2, {"load": 1, "speed": 1}),
+    )
     effects = {"penetration_rate": {"exponent": 0.4}, "grade": {"share": 1.0}}
     wheels = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
     wheels.drive([0.35] * 250)
     w = wheels.now()
     weight = w.mass * wheels.world.wheel.gravity
     conditions = {"slip": w.slip, "load": weight, "speed": w.speed, "grade_deg": -3.0}
-    stated, without = (np.array([p.drawbar_pull[0] / weight, p.torque[0] / weight / 0.15]) for p in (
-        model_of(effects, law, soil).predict(conditions) for law in (residual, ())))  # fmt: skip
+    stated, without = (
+        np.array([p.drawbar_pull[0] / weight, p.torque[0] / weight / 0.15])
+        for p in (model_of(effects, law, soil).predict(conditions) for law in (residual, ()))
+    )
     found = w.drawbar_pull / weight + math.sin(math.radians(3.0)), w.torque / weight / 0.15
     assert found == pytest.approx(stated, abs=1e-5) and np.all(np.abs(stated - without) > 1e-3)
 
 
 def test_a_wheel_at_rest_has_settled():
     """On ground that slopes weaken it starts as deep as it stays: 40 % deeper than on the level."""
-    soil, starts = soils()["lete_sand"].state(0.15), []
+    soil = soils()["lete_sand"].state(0.15)
+    starts = []
     for grade_deg in (0.0, 6.0):
         wheels = on_uniform_ground({"grade": {"weakening": 1.0}}, soil, math.radians(grade_deg))
         starts.append(wheels.now().sinkage)
@@ -110,18 +134,26 @@ def trajectories(model, wheels=8, steps=250):
     held = rng.uniform(-0.2, 1.2, (steps // 8 + 1, wheels, 1))
     held[rng.random(held.shape) < 0.1] = -1.0
     env = SoilWheelVectorEnv(wheels, observation="blind", action="torque", model=model, threads=1)
-    rows, rewards, states = [env.reset(seed=5)[0]], [], []
+    rows = [env.reset(seed=5)[0]]
+    rewards = []
+    states = []
     for a in np.repeat(held, 8, axis=0)[:steps]:
         observation, reward, *_ = env.step(a)
         rows.append(observation)
         rewards.append(reward)
-        states.append([env.simulation.worlds.state[name].copy() for name in ("x", "sinkage", "slip", "torque")])
+        states.append(
+            [
+                env.simulation.worlds.state[name].copy()
+                for name in ("x", "sinkage", "slip", "torque")
+            ]
+        )
     return np.array(rows), np.array(rewards), np.array(states)
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case not in ACTING])
 def test_sensor_effects_change_readings_only(case):
-    base, found = trajectories(None), trajectories(model_of(CASES[case]))
+    base = trajectories(None)
+    found = trajectories(model_of(CASES[case]))
     np.testing.assert_array_equal(base[1], found[1])
     np.testing.assert_array_equal(base[2], found[2])
     changed = np.flatnonzero((base[0] != found[0]).any(axis=(0, 1)))
@@ -130,7 +162,8 @@ def test_sensor_effects_change_readings_only(case):
 
 def test_multipass_acts_in_the_track_only():
     """Forward over fresh ground there is no track; on the way back there is."""
-    soil, runs = soils()["lete_sand"].state(0.15), []
+    soil = soils()["lete_sand"].state(0.15)
+    runs = []
     for effects in (None, {"multipass": {"hardening": 1.0}}):
         runs.append(on_uniform_ground(effects, soil, 0.0).drive([0.4] * 60 + [-0.4] * 50)[:, :3])
     base, found = runs
@@ -143,16 +176,23 @@ def test_multipass_acts_in_the_track_only():
 @pytest.mark.parametrize("case", [*CASES, "together", "residual"])
 def test_random_driving_converges(case):
     """32 wheels under bang-bang commands in each mode of action; soil that softens breaks away under a dug wheel."""
-    wheels, periods, failures = 32, 200 if "softening" in case else 60, 0
+    wheels = 32
+    periods = 200 if "softening" in case else 60
+    failures = 0
     effects = {"together": TOGETHER, "residual": {}}.get(case) or CASES.get(case, {})
     model = model_of(effects, RESIDUAL if case == "residual" else ())
     for seed, mode in enumerate(("torque", "wheel_speed")):
         scenario = load_scenario("mixed", {"control": {"action": mode}})
-        simulation = bench.started(scenario, "identified", [[seed, k] for k in range(wheels)], model=model)
-        rng, command = np.random.default_rng(seed), np.zeros(wheels)
+        simulation = bench.started(
+            scenario, "identified", [[seed, k] for k in range(wheels)], model=model
+        )
+        rng = np.random.default_rng(seed)
+        command = np.zeros(wheels)
         for _ in range(periods):
             new = rng.random(wheels) < 0.1
-            command[new] = rng.choice([-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum())
+            command[new] = rng.choice(
+                [-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum()
+            )
             simulation.step_all(command, np.zeros(wheels, dtype=np.int8))
             failures += np.sum(simulation.worlds.counts.converged == 0)
         assert np.ptp(simulation.worlds.state["x"]) > 0.1
@@ -162,20 +202,29 @@ def test_random_driving_converges(case):
 @pytest.mark.parametrize("case", ACTING)
 def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
     """Starting and at half speed; steepness is used up, so that the effect is seen in the grades and not as slack."""
-    scenario, model = load_scenario("mixed"), model_of(CASES[case])
+    scenario = load_scenario("mixed")
+    model = model_of(CASES[case])
     wheel, (low, high), found, grades = scenario.wheel, scenario.course.margin, [], []
     rate = CATALOGUE[case.split("-")[0]].speed_dependent is not None
-    speed, rim = 0.5 * wheel.no_load_speed * wheel.radius, Rim(wheel.radius, wheel.width, LUG)
+    speed = 0.5 * wheel.no_load_speed * wheel.radius
+    rim = Rim(wheel.radius, wheel.width, LUG)
     for seed in range(25):
         courses, mass, _ = bench.course(seed, scenario, model)
         load = mass * scenario.gravity
-        for soil, grade in zip(courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False):
+        for soil, grade in zip(
+            courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False
+        ):
             grades.append(math.degrees(grade))
             for v in (0.0, speed) if rate else (speed,):
                 best = best_working_point_with(
-                    load * math.cos(grade), SoilState(*soil), rim, Conditions(v, 1.0, math.sin(grade)),
-                    1500.0 * scenario.gravity, acting(model.numbers), wheel.stall_torque,
-                )  # fmt: skip
+                    load * math.cos(grade),
+                    SoilState(*soil),
+                    rim,
+                    Conditions(v, 1.0, math.sin(grade)),
+                    1500.0 * scenario.gravity,
+                    acting(model.numbers),
+                    wheel.stall_torque,
+                )
                 found.append(best.drawbar_pull / load - math.sin(grade))
     assert min(found) > 0.5 * low  # judged by W and tan(grade), here by W cos(grade) and sin(grade)
     assert rate or np.quantile(found, 0.2) < high
@@ -184,9 +233,13 @@ def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
 
 def test_a_residual_law_counts_on_the_grades():
     """A pull that lacks everywhere lowers every grade by as much."""
-    scenario, tangents = load_scenario("mixed"), []
+    scenario = load_scenario("mixed")
+    tangents = []
     for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
-        drawn = [bench.course(seed, scenario, model_of({}, residual))[0].grades[0, 0] for seed in range(20)]
+        drawn = [
+            bench.course(seed, scenario, model_of({}, residual))[0].grades[0, 0]
+            for seed in range(20)
+        ]
         tangents.append(np.tan(drawn))
     low, high = np.tan(np.radians(scenario.course.grade_deg))
     before, after = tangents
@@ -195,8 +248,15 @@ def test_a_residual_law_counts_on_the_grades():
 
 
 def test_patches_are_drawn_from_the_soil_of_the_model():
-    soil = Soil(friction_angle_deg=31.0, cohesion=900.0, shear_modulus=0.02, sinkage_coefficient=8e5,
-                sinkage_exponent=0.9, dig_gain=1.5, dig_recovery=0.5)  # fmt: skip
+    soil = Soil(
+        friction_angle_deg=31.0,
+        cohesion=900.0,
+        shear_modulus=0.02,
+        sinkage_coefficient=8e5,
+        sinkage_exponent=0.9,
+        dig_gain=1.5,
+        dig_recovery=0.5,
+    )
     model = model_of({}, soil=soil)
     courses = bench.course(0, load_scenario("mixed", {"spread": bench.EVEN}), model)[0]
     patches = courses.soils[0, : courses.patches[0]]

@@ -11,13 +11,21 @@ from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import Simulation
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
-from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle, world_numbers
+from soil_env.simulation.world.wheel import (
+    WheelCounts,
+    WheelState,
+    WorldNumbers,
+    settle,
+    world_numbers,
+)
 from soil_env.terramechanics.traversability import best_working_point
 from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
 #: `spread` of a scenario whose soils do not scatter.
-EVEN = dict.fromkeys(("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0)
+EVEN = dict.fromkeys(
+    ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0
+)
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
@@ -32,14 +40,20 @@ def started(scenario, variant="blind", seeds=(0,), **options):
 
 def course(seed, scenario, model=None, whole=True):
     """(courses, mass, numbers) of one course, or of its start only."""
-    courses, numbers = terrain.new_courses(1, scenario), drawing.course_numbers(scenario, model)
+    courses = terrain.new_courses(1, scenario)
+    numbers = drawing.course_numbers(scenario, model)
     words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    return courses, (drawing.draw_course if whole else drawing.start_course)(0, courses, words, numbers), numbers
+    return (
+        courses,
+        (drawing.draw_course if whole else drawing.start_course)(0, courses, words, numbers),
+        numbers,
+    )
 
 
 def margin(soil, grade, mass, scenario):
     """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
-    wheel, load = scenario.wheel, mass * scenario.gravity
+    wheel = scenario.wheel
+    load = mass * scenario.gravity
     best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
     assert best.torque <= wheel.stall_torque
     return best.drawbar_pull / load - math.tan(grade)
@@ -57,14 +71,23 @@ class Wheels(NamedTuple):
     def step(self, commands, which=None) -> None:
         """One control period of the wheels `which`, or of all, with one command for all or one for each wheel."""
         wheels = len(self.state)
-        what, given = np.full(wheels, IDLE, dtype=np.int8), np.zeros(wheels)
+        what = np.full(wheels, IDLE, dtype=np.int8)
+        given = np.zeros(wheels)
         what[slice(None) if which is None else which] = dynamics.STEP
         given[:] = commands
         for first in range(0, wheels, dynamics.MANY):
             count = min(dynamics.MANY, wheels - first)
             dynamics.advance(
-                self.state, self.counts, first, count, what, given, self.courses, self.streams, self.world
-            )  # fmt: skip
+                self.state,
+                self.counts,
+                first,
+                count,
+                what,
+                given,
+                self.courses,
+                self.streams,
+                self.world,
+            )
 
     def refined(self, times: int) -> "Wheels":
         """The same wheels with steps so many times as short."""
@@ -87,8 +110,11 @@ def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
     """One wheel for each seed at rest at the start of its own random course."""
     scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course or {}})
     count = len(seeds)
-    courses, world = terrain.new_courses(count, scenario), world_numbers(scenario, model)
-    streams = np.array([seed_stream(np.random.default_rng(seed)) for seed in seeds], dtype=np.uint64)
+    courses = terrain.new_courses(count, scenario)
+    world = world_numbers(scenario, model)
+    streams = np.array(
+        [seed_stream(np.random.default_rng(seed)) for seed in seeds], dtype=np.uint64
+    )
     wheels = Wheels(courses, WheelState(count), WheelCounts(count), streams, world)
     numbers = drawing.course_numbers(scenario, model)
     for k in range(count):
@@ -97,13 +123,26 @@ def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
     return wheels
 
 
-def on_uniform_ground(soil, grade=0.0, mode="torque", model=None, payload=2.0, **settings) -> Wheels:
+def on_uniform_ground(
+    soil, grade=0.0, mode="torque", model=None, payload=2.0, **settings
+) -> Wheels:
     """One wheel at rest on one soil (`SoilState`) and grade [rad], without commanded halts."""
     scenario = load_scenario("mixed", {"control": {"action": mode}, **settings})
-    courses, world = terrain.new_courses(1, scenario), world_numbers(scenario, model)
-    courses.edges[0, :2], courses.patches[0] = (0.0, 1e3), 1
-    courses.soils[0, :], courses.grades[0, :] = soil, grade
+    courses = terrain.new_courses(1, scenario)
+    world = world_numbers(scenario, model)
+    courses.edges[0, :2] = (0.0, 1e3)
+    courses.patches[0] = 1
+    courses.soils[0, :] = soil
+    courses.grades[0, :] = grade
     wheels = Wheels(courses, WheelState(1), WheelCounts(1), np.zeros(1, dtype=np.uint64), world)
-    settle(wheels.state, wheels.counts, 0, scenario.wheel.body_mass + payload, courses, wheels.streams, world)
+    settle(
+        wheels.state,
+        wheels.counts,
+        0,
+        scenario.wheel.body_mass + payload,
+        courses,
+        wheels.streams,
+        world,
+    )
     wheels.state.next_halt[0] = math.inf
     return wheels

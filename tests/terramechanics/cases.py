@@ -11,41 +11,65 @@ WHEEL = ModelWheel(0.15, 0.15, LUG)
 #: Range of each parameter for tests, by effect.
 SIZES = {
     "slip_sinkage": {
-        "gain": (0, 4), "recovery": (0.1, 1.5), "exponent_slope": (-0.3, 0.6), "length": (0, 0.02),
+        "gain": (0, 4),
+        "recovery": (0.1, 1.5),
+        "exponent_slope": (-0.3, 0.6),
+        "length": (0, 0.02),
     },
     "rear_contact": {"ratio": (0, 0.8)},
     "stress_peak_shift": {"offset": (-0.15, 0.15), "slope": (-0.3, 0.5)},
     "grousers": {"shear_share": (0, 1.2), "radius_share": (0, 1.2), "blades": (0, 8)},
     "bulldozing": {"rankine": (0, 2), "hegedus": (0, 2)},
     "multipass": {
-        "hardening": (-0.3, 0.8), "slip_gain": (-0.3, 0.5), "slip_scale": (0.05, 0.5), "per_pass": (-0.05, 0.3),
-        "cohesion": (-0.3, 0.5), "gain": (-0.3, 2), "passes": (0.5, 3),
-        "stiffening": (-0.3, 0.5), "strength": (-0.1, 0.1),
+        "hardening": (-0.3, 0.8),
+        "slip_gain": (-0.3, 0.5),
+        "slip_scale": (0.05, 0.5),
+        "per_pass": (-0.05, 0.3),
+        "cohesion": (-0.3, 0.5),
+        "gain": (-0.3, 2),
+        "passes": (0.5, 3),
+        "stiffening": (-0.3, 0.5),
+        "strength": (-0.1, 0.1),
     },
-    "penetration_rate": {"exponent": (-0.2, 0.3), "slope": (-0.1, 0.3), "reference_speed": (0.01, 0.3)},
+    "penetration_rate": {
+        "exponent": (-0.2, 0.3),
+        "slope": (-0.1, 0.3),
+        "reference_speed": (0.01, 0.3),
+    },
     "shear_rate": {
-        "exponent": (-0.1, 0.2), "slope": (-0.1, 0.2), "cohesion": (-0.1, 0.4), "onset_speed": (0.005, 0.1),
+        "exponent": (-0.1, 0.2),
+        "slope": (-0.1, 0.2),
+        "cohesion": (-0.1, 0.4),
+        "onset_speed": (0.005, 0.1),
         "reference_speed": (0.005, 0.1),
     },
-    "shear_softening": {"sharpness": (1, 8), "drop": (0, 0.6), "length": (0.02, 0.2), "onset": (0, 0.02)},
+    "shear_softening": {
+        "sharpness": (1, 8),
+        "drop": (0, 0.6),
+        "length": (0.02, 0.2),
+        "onset": (0, 0.02),
+    },
     "grade": {"share": (0, 1.2), "weakening": (-0.3, 1.2)},
     "drivetrain_friction": {"constant": (0, 5), "share": (0, 0.3), "viscous": (0, 3)},
     "slip_bias": {"offset": (-0.05, 0.05), "radius_error": (-0.05, 0.05)},
     "sinkage_offset": {"offset": (-0.01, 0.01)},
-}  # fmt: skip
+}
 
 
 #: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel soon settles.
 TUNED = {
-    "bulldozing": {"rankine": 1.0, "hegedus": 0.7}, "grade": {"share": 1.0, "weakening": 0.7},
+    "bulldozing": {"rankine": 1.0, "hegedus": 0.7},
+    "grade": {"share": 1.0, "weakening": 0.7},
     "shear_softening": {"sharpness": 4.0, "drop": 0.4, "length": 0.03, "onset": 0.001},
-}  # fmt: skip
+}
 
 
 def values(name, form, at=lambda low, high: low + 0.6 * (high - low)):
     """Parameters of one form of an effect, by default at 0.6 of their range."""
     sizes = SIZES[name]
-    drawn = {p: float(at(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes}
+    drawn = {
+        p: float(at(*sizes[p])) for p in (*form.free, "reference_speed", "onset") if p in sizes
+    }
     return {name: drawn | dict(form.fixed)}
 
 
@@ -56,10 +80,17 @@ for effects in CASES.values():
     for name, drawn in effects.items():
         drawn.update({p: v for p, v in TUNED.get(name, {}).items() if p in drawn})
 TOGETHER = {
-    "slip_sinkage": {"gain": 2.0, "length": 0.003}, "rear_contact": {"ratio": 0.2}, "bulldozing": {"rankine": 0.5},
-    "grousers": {"shear_share": 0.5, "blades": 2.0}, "multipass": {"hardening": 0.3},
-    "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2}, "slip_bias": {"offset": 0.03},
-}  # fmt: skip
+    "slip_sinkage": {"gain": 2.0, "length": 0.003},
+    "rear_contact": {"ratio": 0.2},
+    "bulldozing": {"rankine": 0.5},
+    "grousers": {"shear_share": 0.5, "blades": 2.0},
+    "multipass": {"hardening": 0.3},
+    "drivetrain_friction": {"constant": 1.0, "share": 0.3, "viscous": 0.2},
+    "slip_bias": {"offset": 0.03},
+}
 #: Those that act on the wheel in a simulated world, not on its sensors only.
 ACTING = [case for case, effects in CASES.items() if acting(pack_effects(effects)) != NO_EFFECTS]
-RESIDUAL = (ResidualTerm("drawbar_pull", -0.1, {"slip": 1}), ResidualTerm("torque", 0.05, {"speed": 1}))
+RESIDUAL = (
+    ResidualTerm("drawbar_pull", -0.1, {"slip": 1}),
+    ResidualTerm("torque", 0.05, {"speed": 1}),
+)

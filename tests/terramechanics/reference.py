@@ -66,7 +66,8 @@ def _turning_point(slip, r, theta1, theta2):
     """Angle inside the arc at which the shear displacement changes sign, if there is one."""
     if not -1.0 < slip < 0.0:
         return None
-    low, high = theta2, theta1 - 1e-6
+    low = theta2
+    high = theta1 - 1e-6
     if shear_displacement(low, slip, r, theta1) * shear_displacement(high, slip, r, theta1) >= 0.0:
         return None
     return brentq(shear_displacement, low, high, args=(slip, r, theta1))
@@ -95,7 +96,8 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     load = total(lambda theta, sigma, tau: sigma * math.cos(theta) + tau * math.sin(theta))  # (1)
     thrust = total(lambda theta, sigma, tau: tau * math.cos(theta))
     resistance = total(lambda theta, sigma, tau: sigma * math.sin(theta))  # (11)
-    z0, n = r * (1.0 - math.cos(theta1)), soil.sinkage_exponent
+    z0 = r * (1.0 - math.cos(theta1))
+    n = soil.sinkage_exponent
     resistance_paper = r * b * soil.sinkage_coefficient * z0 ** (n + 1.0) / (r * (n + 1.0))  # (12)
     torque = r * total(lambda theta, sigma, tau: tau)  # (3)
     scale = total(lambda theta, sigma, tau: sigma + abs(tau))
@@ -136,7 +138,9 @@ def mobilised_share(j, K, softening):
         K *= 4.0 * sharpness / (1.0 + sharpness)  # e = j/K at the start, as Janosi & Hanamoto
     x = math.exp(-j / K)
     if sharpness > 0.0:
-        top = 0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0  # x where the law is stationary
+        top = (
+            0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0
+        )  # x where the law is stationary
         return (1.0 - x) * (1.0 + sharpness * x) / ((1.0 - top) * (1.0 + sharpness * top))
     drop = softening.get("drop", 0.0)
     beyond = max(j - softening.get("onset", 0.0), 0.0)
@@ -147,14 +151,18 @@ def passive_pressure(tan_phi, cohesion, depth, unit_weight, surcharge=0.0):
     """Force [N/m] of Rankine's passive wedge on a wall of height `depth` [m] under `surcharge` [Pa]."""
     sine = tan_phi / math.hypot(1.0, tan_phi)
     kp = (1.0 + sine) / (1.0 - sine)
-    return (0.5 * unit_weight * depth + surcharge) * depth * kp + 2.0 * cohesion * depth * math.sqrt(kp)
+    return (
+        0.5 * unit_weight * depth + surcharge
+    ) * depth * kp + 2.0 * cohesion * depth * math.sqrt(kp)
 
 
 def hegedus(tan_phi, cohesion, depth, unit_weight):
     """Bulldozing resistance [N/m] of Hegedus, as Ishigami et al. (2007) Eq. (20) write it, on level ground."""
     phi = math.atan(tan_phi)
     x = math.pi / 4.0 - phi / 2.0
-    wedge = depth * cohesion + 0.5 * unit_weight * depth**2 * (1.0 / math.tan(x) + math.tan(phi) / math.tan(x) ** 2)
+    wedge = depth * cohesion + 0.5 * unit_weight * depth**2 * (
+        1.0 / math.tan(x) + math.tan(phi) / math.tan(x) ** 2
+    )
     return (1.0 / math.tan(x) + math.tan(x + phi)) * wedge
 
 
@@ -164,12 +172,28 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     `effects` is {name: {parameter: value}}, each effect as in the equation of its source. The sinkage is the first root
     of Eq. (1). `digging` is the (gain, recovery) of the soil itself.
     """
-    fx = {name: effects.get(name, {}) for name in (
-        "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
-        "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
-    )}  # fmt: skip
+    fx = {
+        name: effects.get(name, {})
+        for name in (
+            "slip_sinkage",
+            "rear_contact",
+            "stress_peak_shift",
+            "grousers",
+            "bulldozing",
+            "multipass",
+            "penetration_rate",
+            "shear_rate",
+            "shear_softening",
+            "grade",
+            "drivetrain_friction",
+            "slip_bias",
+            "sinkage_offset",
+        )
+    }
     bias = fx["slip_bias"]
-    travelled = (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)) * (1.0 - bias.get("radius_error", 0.0))
+    travelled = (1.0 - slip if slip >= 0.0 else 1.0 / (1.0 + slip)) * (
+        1.0 - bias.get("radius_error", 0.0)
+    )
     i = (1.0 - travelled if travelled <= 1.0 else 1.0 / travelled - 1.0) + bias.get("offset", 0.0)
     size = abs(i)
     ahead = travel_over_rim(i)  # V/(r w)
@@ -177,30 +201,52 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
     sliding = abs(site.speed / ahead - site.speed)
 
     # the soil that the wheel meets
-    dig, track = fx["slip_sinkage"], fx["multipass"]
+    dig = fx["slip_sinkage"]
+    track = fx["multipass"]
     gain, recovery = (dig["gain"], dig.get("recovery", 0.5)) if "gain" in dig else digging
     k = 1.0 + gain * size / ((1.0 - size if i > 0.0 else 1.0) + recovery * size)
     extra = dig.get("length", 0.0) * size / (1.0 - size)
     n = soil.sinkage_exponent + dig.get("exponent_slope", 0.0) * size
-    S, K, done = soil.sinkage_coefficient, soil.shear_modulus, site.passes - 1.0
-    tan_phi, c = math.tan(math.radians(soil.friction_angle_deg)), soil.cohesion
+    S = soil.sinkage_coefficient
+    K = soil.shear_modulus
+    done = site.passes - 1.0
+    tan_phi = math.tan(math.radians(soil.friction_angle_deg))
+    c = soil.cohesion
     S *= (1.0 - abs(site.grade) / math.atan(tan_phi)) ** (2.0 * fx["grade"].get("weakening", 0.0))
     S *= site.passes ** track.get("hardening", 0.0)
     if done > 0.0:
         grown = 1.0 + track.get("gain", 0.0) * (1.0 - math.exp(-done / track.get("passes", 1.0)))
         grown += track.get("per_pass", 0.0) * done
-        S *= grown + track.get("slip_gain", 0.0) * (1.0 - math.exp(-size / track.get("slip_scale", 0.2)))
+        S *= grown + track.get("slip_gain", 0.0) * (
+            1.0 - math.exp(-size / track.get("slip_scale", 0.2))
+        )
     c *= site.passes ** track.get("cohesion", 0.0)
     rate = fx["penetration_rate"]
-    S *= rate_law(site.speed, rate.get("reference_speed", 0.05), rate.get("exponent", 0.0), rate.get("slope", 0.0))
+    S *= rate_law(
+        site.speed,
+        rate.get("reference_speed", 0.05),
+        rate.get("exponent", 0.0),
+        rate.get("slope", 0.0),
+    )
     rate = fx["shear_rate"]
-    strength = rate_law(sliding, rate.get("reference_speed", 0.02), rate.get("exponent", 0.0), rate.get("slope", 0.0))
-    tan_phi, c = tan_phi * strength * site.passes ** track.get("strength", 0.0), c * strength
-    c *= max(1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)), 0.1)
+    strength = rate_law(
+        sliding,
+        rate.get("reference_speed", 0.02),
+        rate.get("exponent", 0.0),
+        rate.get("slope", 0.0),
+    )
+    tan_phi = tan_phi * strength * site.passes ** track.get("strength", 0.0)
+    c = c * strength
+    c *= max(
+        1.0 + rate.get("cohesion", 0.0) * math.log(1.0 + sliding / rate.get("onset_speed", 0.02)),
+        0.1,
+    )
     K *= site.passes ** -track.get("stiffening", 0.0)
 
     # the wheel
-    lugs, shift, rear = fx["grousers"], fx["stress_peak_shift"], fx["rear_contact"]
+    lugs = fx["grousers"]
+    shift = fx["stress_peak_shift"]
+    rear = fx["rear_contact"]
     R = site.r + lugs.get("radius_share", 0.0) * site.lug  # carries the normal stress
     Q = R + lugs.get("shear_share", 0.0) * site.lug  # shears the soil
     lag = ahead * (site.r if lugs.get("slip_at_rim", 0.0) else Q)  # V/w
@@ -215,7 +261,9 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return theta1, theta2, min(max(middle, theta2 + margin), theta1 - margin)
 
     def displacement(theta, theta1):
-        start = math.acos(min(R * math.cos(theta1) / Q, 1.0))  # where the lug tips enter, Ding et al. (2011)
+        start = math.acos(
+            min(R * math.cos(theta1) / Q, 1.0)
+        )  # where the lug tips enter, Ding et al. (2011)
         return Q * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):
@@ -230,9 +278,14 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         def stresses(theta):
             sigma = normal_stress(theta, ground, R, theta1, theta2, thetam)
             j = displacement(theta, theta1)
-            return sigma, math.copysign((c + sigma * tan_phi) * mobilised_share(abs(j), K, fx["shear_softening"]), j)
+            return sigma, math.copysign(
+                (c + sigma * tan_phi) * mobilised_share(abs(j), K, fx["shear_softening"]), j
+            )
 
-        return [integrate(lambda theta, f=f: f(theta, *stresses(theta)), sorted(points), 1e-7) for f in shapes]
+        return [
+            integrate(lambda theta, f=f: f(theta, *stresses(theta)), sorted(points), 1e-7)
+            for f in shapes
+        ]
 
     def upward(theta, sigma, tau):
         return R * site.b * sigma * math.cos(theta) + Q * site.b * tau * math.sin(theta)
@@ -267,7 +320,11 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         torque += thrust * (site.r + 0.5 * site.lug)
     drive = fx["drivetrain_friction"]
     torque += (
-        drive.get("constant", 0.0) + drive.get("share", 0.0) * abs(torque) + drive.get("viscous", 0.0) * wheel_speed
+        drive.get("constant", 0.0)
+        + drive.get("share", 0.0) * abs(torque)
+        + drive.get("viscous", 0.0) * wheel_speed
     )
-    measured = min(z * (k if dig.get("apparent", 0.0) else 1.0), 1.5 * site.r) + fx["sinkage_offset"].get("offset", 0.0)
+    measured = min(z * (k if dig.get("apparent", 0.0) else 1.0), 1.5 * site.r) + fx[
+        "sinkage_offset"
+    ].get("offset", 0.0)
     return SteadyResult(measured, pull, torque, up / normal)

@@ -19,13 +19,19 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
     """`contact.Forces` of a wheel travelling forward at the given slip."""
     thetam = 0.5 * (theta1 + theta2) if thetam is None else thetam
     motion = motion_from_slip(slip)
-    q = quadrature.arc_integrals(theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r)[0]
+    q = quadrature.arc_integrals(
+        theta1, theta2, thetam, *motion, soil.shear_modulus, soil.sinkage_exponent, r
+    )[0]
     return contact.forces(q, soil.sinkage_coefficient, tan_phi(soil), soil.cohesion, r, b, 1.0)
 
 
 def relative_error(found, judge, r):
     """Largest difference of the three forces, relative to the sum of the sizes of all stresses under the rim."""
-    differences = (found.load - judge.load, found.drawbar_pull - judge.drawbar_pull, (found.torque - judge.torque) / r)
+    differences = (
+        found.load - judge.load,
+        found.drawbar_pull - judge.drawbar_pull,
+        (found.torque - judge.torque) / r,
+    )
     return max(map(abs, differences)) / judge.scale
 
 
@@ -34,13 +40,19 @@ def random_case(rng, softest_k):
     r = 10.0 ** rng.uniform(-1.5, 0.3)
     k = r * 10.0 ** rng.uniform(math.log10(softest_k), 0.0)
     soil = reference.Ground(
-        rng.uniform(5.0, 45.0), 10.0 ** rng.uniform(1, 4.5), k, 10.0 ** rng.uniform(4.5, 7), rng.uniform(0.1, 1.6)
+        rng.uniform(5.0, 45.0),
+        10.0 ** rng.uniform(1, 4.5),
+        k,
+        10.0 ** rng.uniform(4.5, 7),
+        rng.uniform(0.1, 1.6),
     )
     return soil, rng.uniform(0.1, 1.5), r, r * rng.uniform(0.2, 1.5)
 
 
 @pytest.mark.parametrize("seed", range(40))
-@pytest.mark.parametrize(("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)])
+@pytest.mark.parametrize(
+    ("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)]
+)
 def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
     """The bound is wider where the shear reverses within the arc: de/dj has a kink that the nodes do not see.
 
@@ -49,7 +61,8 @@ def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
     rng = np.random.default_rng(seed)
     soil, theta1, r, b = random_case(rng, softest_k)
     theta2 = rng.uniform(-0.4, 0.5) * theta1
-    thetam, slip = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7), rng.uniform(*slips)
+    thetam = theta2 + (theta1 - theta2) * rng.uniform(0.3, 0.7)
+    slip = rng.uniform(*slips)
     for at in (slip, slips[0]):  # -1 is a locked wheel: all strength points backward, whatever K is
         judge = reference.forces(soil, at, theta1, r, b, theta2, thetam)
         assert relative_error(forces(soil, at, theta1, r, b, theta2, thetam), judge, r) < bound
@@ -64,12 +77,16 @@ def test_resting_wheel_has_no_shear():
 @pytest.mark.parametrize(("slip", "sign"), [(1.0, 1.0), (0.5, 1.0), (-1.0, -1.0)])
 def test_small_shear_modulus_mobilises_everything(slip, sign):
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, *motion_from_slip(slip), 1e-9, 1.0, 0.15)[0]
-    assert (q.e, q.pe_cos, q.pe_sin) == pytest.approx((sign * 0.8, sign * q.p_cos, sign * q.p_sin), rel=1e-6)
+    assert (q.e, q.pe_cos, q.pe_sin) == pytest.approx(
+        (sign * 0.8, sign * q.p_cos, sign * q.p_sin), rel=1e-6
+    )
 
 
 def test_spinning_wheel_shears_over_the_whole_arc():
     """At slip 1 the shear displacement is r (theta1 - theta): Int e has a closed form."""
-    k, r, theta1 = 0.03, 0.15, 0.8
+    k = 0.03
+    r = 0.15
+    theta1 = 0.8
     q = quadrature.arc_integrals(theta1, 0.0, 0.4, *motion_from_slip(1.0), k, 1.0, r)[0]
     assert q.e == pytest.approx(theta1 - k / r * (1.0 - math.exp(-r * theta1 / k)), rel=1e-6)
 
@@ -77,7 +94,10 @@ def test_spinning_wheel_shears_over_the_whole_arc():
 def test_exponent_zero_is_constant_stress():
     q = quadrature.arc_integrals(0.8, 0.0, 0.4, 1.0, 0.8, 0.01, 0.0, 0.15)[0]
     assert (q.p_cos, q.p_sin) == pytest.approx((math.sin(0.8), 1.0 - math.cos(0.8)), rel=1e-9)
-    assert contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0 and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
+    assert (
+        contact.relative_stress(0.0, 1.0, 0.0, 0.1) == 1.0
+        and contact.relative_stress(0.0, 1.0, 0.5, 0.1) == 0.0
+    )
 
 
 speeds = st.floats(-5.0, 5.0)
@@ -98,9 +118,14 @@ def test_reversal_mirrors_the_forces(rim_speed, speed, theta1, k):
 @example(theta1=1e-4, back=0.0, rim=0.0, travel=0.0, k=1e-4, n=0.0, r=0.01)
 @example(theta1=math.pi, back=-1.0, rim=1.0, travel=1e9, k=1e-4, n=3.0, r=3.0)
 @given(
-    theta1=st.floats(1e-6, math.pi), back=st.floats(-1.0, 0.999), rim=st.floats(-1.0, 1.0),
-    travel=st.floats(-1e9, 1e9), k=st.floats(1e-4, 0.3), n=st.floats(0.0, 3.0), r=st.floats(0.01, 3.0),
-)  # fmt: skip
+    theta1=st.floats(1e-6, math.pi),
+    back=st.floats(-1.0, 0.999),
+    rim=st.floats(-1.0, 1.0),
+    travel=st.floats(-1e9, 1e9),
+    k=st.floats(1e-4, 0.3),
+    n=st.floats(0.0, 3.0),
+    r=st.floats(0.01, 3.0),
+)
 def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
     theta2 = back * theta1
     out = quadrature.arc_integrals(theta1, theta2, 0.5 * (theta1 + theta2), rim, travel, k, n, r)
@@ -111,9 +136,14 @@ def test_everything_is_finite(theta1, back, rim, travel, k, n, r):
 @pytest.mark.parametrize("seed", range(12))
 def test_rates_against_central_differences(seed):
     rng = np.random.default_rng(seed)
-    theta1, k, n, r = rng.uniform(0.2, 1.3), rng.uniform(0.02, 0.2), rng.uniform(0.2, 1.5), 0.3
-    rim, travel = rng.uniform(-1.0, 1.0), rng.uniform(-1.5, 1.5)
-    at, d = np.array([rim, travel, k]), 1e-6
+    theta1 = rng.uniform(0.2, 1.3)
+    k = rng.uniform(0.02, 0.2)
+    n = rng.uniform(0.2, 1.5)
+    r = 0.3
+    rim = rng.uniform(-1.0, 1.0)
+    travel = rng.uniform(-1.5, 1.5)
+    at = np.array([rim, travel, k])
+    d = 1e-6
 
     def integrals(at):
         return quadrature.arc_integrals(theta1, -0.1, 0.4 * theta1, *at, n, r)

@@ -27,9 +27,11 @@ def on(name, **parameters):
 
 #: Parameters whose prior scale comes from the table; a rig's size for them.
 RIG = {
-    ("drivetrain_friction", "constant"): 2.0, ("drivetrain_friction", "viscous"): 2.0,
-    ("sinkage_offset", "offset"): 0.003, ("shear_softening", "onset"): 0.02,
-}  # fmt: skip
+    ("drivetrain_friction", "constant"): 2.0,
+    ("drivetrain_friction", "viscous"): 2.0,
+    ("sinkage_offset", "offset"): 0.003,
+    ("shear_softening", "onset"): 0.02,
+}
 #: Parameters of a law that change nothing alone, beside those with a centre of their own.
 NUISANCES = {("shear_softening", "onset")}
 #: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift; apparent
@@ -38,7 +40,9 @@ NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent")
 
 
 def steady(parameters, name, conditions=DRIVEN):
-    return steady_with(0.3, 100.0, SOIL, WHEEL, conditions, UNIT_WEIGHT, pack_effects({name: parameters}), 0.0)
+    return steady_with(
+        0.3, 100.0, SOIL, WHEEL, conditions, UNIT_WEIGHT, pack_effects({name: parameters}), 0.0
+    )
 
 
 def strengths(effect, form):
@@ -53,12 +57,21 @@ def strengths(effect, form):
 def test_entries_are_consistent(effect, form):
     known = {p.name for p in effect.parameters}
     assert form.source and effect.moves and set(effect.moves) <= set(CHANNELS)
-    assert form.free and set(form.free) <= known and {name for name, _ in form.fixed} <= known - set(form.free)
+    assert (
+        form.free
+        and set(form.free) <= known
+        and {name for name, _ in form.fixed} <= known - set(form.free)
+    )
     for p in effect.parameters:
         assert p.low <= p.neutral <= p.high and p.low < p.high
         assert p.centre is None or p.low <= p.centre <= p.high
-    assert all(effect.parameter(name).low <= value <= effect.parameter(name).high for name, value in form.fixed)
-    assert all(effect.parameter(name).scale > 0.0 or (effect.name, name) in RIG for name in form.free)
+    assert all(
+        effect.parameter(name).low <= value <= effect.parameter(name).high
+        for name, value in form.fixed
+    )
+    assert all(
+        effect.parameter(name).scale > 0.0 or (effect.name, name) in RIG for name in form.free
+    )
     assert pack_effects({effect.name: {p.name: p.neutral for p in effect.parameters}}) == NO_EFFECTS
 
 
@@ -73,13 +86,20 @@ def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, for
     fresh = Conditions(0.1, 1.0, 0.0)
     for name, value in free:
         found = steady(idle | {name: value}, effect.name)
-        moved = {channel for channel in CHANNELS if getattr(found, channel) != getattr(base, channel)}
+        moved = {
+            channel for channel in CHANNELS if getattr(found, channel) != getattr(base, channel)
+        }
         assert moved == NARROWER.get((effect.name, form.name), set(effect.moves)), name
         if effect.varies in ("pass", "grade_deg"):
-            assert steady(idle | {name: value}, effect.name, fresh) == steady(idle, effect.name, fresh)
+            assert steady(idle | {name: value}, effect.name, fresh) == steady(
+                idle, effect.name, fresh
+            )
 
 
-R, B, LOAD, LENGTH = 0.15, 0.15, 150.0, 0.3
+R = 0.15
+B = 0.15
+LOAD = 150.0
+LENGTH = 0.3
 
 
 @pytest.mark.parametrize("slip", [-1.0, -0.6, -0.1, 0.0, 0.1, 0.5, 0.9, 1.0])
@@ -93,7 +113,9 @@ def test_steady_state_of_the_digging_rate_is_the_ratio(slip, gain, recovery):
 
 def test_bearing_on_a_slope_is_even_and_stays_above_0():
     for sine in np.sin(np.radians([10.0, 40.0])):  # the latter steeper than phi
-        uphill, downhill = (grade.slope_factor(SOIL, x, on("grade", weakening=1.0)) for x in (sine, -sine))
+        uphill, downhill = (
+            grade.slope_factor(SOIL, x, on("grade", weakening=1.0)) for x in (sine, -sine)
+        )
         assert uphill == downhill > 0.0
 
 
@@ -109,19 +131,27 @@ def test_measured_slip_inverts_true_slip(slip, offset, error):
 def test_friction_takes_power_either_way(torque, speed, size):
     fx = on("drivetrain_friction", constant=10.0 * size, share=size, viscous=5.0 * size)
     found = effects.drive_torque(torque, speed, 1e-3, fx)
-    assert (found - torque) * speed >= -1e-9 and effects.drive_torque(-torque, -speed, 1e-3, fx) == -found
+    assert (found - torque) * speed >= -1e-9 and effects.drive_torque(
+        -torque, -speed, 1e-3, fx
+    ) == -found
 
 
 @settings(deadline=None)
 @given(
-    theta1=st.floats(1e-3, 3.0), slip=st.floats(-1.0, 1.0), ratio=st.floats(0.0, 0.95), follows=st.floats(0.0, 1.0),
-    offset=st.floats(-0.4, 0.4), slope=st.floats(-0.6, 0.9),
-)  # fmt: skip
+    theta1=st.floats(1e-3, 3.0),
+    slip=st.floats(-1.0, 1.0),
+    ratio=st.floats(0.0, 0.95),
+    follows=st.floats(0.0, 1.0),
+    offset=st.floats(-0.4, 0.4),
+    slope=st.floats(-0.6, 0.9),
+)
 def test_the_peak_lies_inside_the_arc(theta1, slip, ratio, follows, offset, slope):
-    fx = pack_effects({
-        "rear_contact": {"ratio": ratio, "peak_follows": follows},
-        "stress_peak_shift": {"offset": offset, "slope": slope},
-    })  # fmt: skip
+    fx = pack_effects(
+        {
+            "rear_contact": {"ratio": ratio, "peak_follows": follows},
+            "stress_peak_shift": {"offset": offset, "slope": slope},
+        }
+    )
     theta2, thetam = effects.arc_ends(theta1, slip, fx)
     assert -theta1 < theta2 <= 0.0
     assert theta2 + 0.049 * (theta1 - theta2) < thetam < theta1 - 0.049 * (theta1 - theta2)
@@ -141,21 +171,33 @@ def test_wongs_law_is_of_the_family(residual):
     np.testing.assert_allclose(found, wong / wong.max(), rtol=1e-4, atol=1e-7)
 
 
-softening = st.fixed_dictionaries({
-    "sharpness": st.floats(1.0, 30.0), "drop": st.floats(0.0, 0.9), "length": st.floats(2e-3, 1.0),
-    "onset": st.floats(0.0, 0.5),
-})  # fmt: skip
+softening = st.fixed_dictionaries(
+    {
+        "sharpness": st.floats(1.0, 30.0),
+        "drop": st.floats(0.0, 0.9),
+        "length": st.floats(2e-3, 1.0),
+        "onset": st.floats(0.0, 0.5),
+    }
+)
 
 
 @settings(max_examples=200, deadline=None)
-@given(parameters=softening, relative=st.floats(0.01, 8.0), k=st.floats(1e-3, 0.3), sign=st.sampled_from([-1.0, 1.0]))
+@given(
+    parameters=softening,
+    relative=st.floats(0.01, 8.0),
+    k=st.floats(1e-3, 0.3),
+    sign=st.sampled_from([-1.0, 1.0]),
+)
 def test_slope_of_the_shear_law(parameters, relative, k, sign):
     """de/dj against central differences; e is odd in j, its slope even."""
-    law, j = shear_softening.shear_law(on("shear_softening", **parameters)), sign * relative * k
+    law = shear_softening.shear_law(on("shear_softening", **parameters))
+    j = sign * relative * k
     h = 1e-4 * min(k, abs(j), parameters["length"])
     assume(abs(abs(j) - parameters["onset"]) > h)  # a kink
     e, slope = contact.mobilised(j, k, law)
-    difference = (contact.mobilised(j + h, k, law)[0] - contact.mobilised(j - h, k, law)[0]) / (2.0 * h)
+    difference = (contact.mobilised(j + h, k, law)[0] - contact.mobilised(j - h, k, law)[0]) / (
+        2.0 * h
+    )
     scale = 1.0 / k + 1.0 / parameters["length"]
     assert slope == pytest.approx(difference, rel=1e-4, abs=1e-5 * scale)
     assert contact.mobilised(-j, k, law) == (-e, slope)

@@ -8,24 +8,69 @@ import pytest
 from soil_env.parameters import SoilState
 from soil_env.terramechanics import effects
 from soil_env.terramechanics.contact import mobilised
-from soil_env.terramechanics.effects import bulldozing, grade, grousers, pack_effects, shear_softening, text
+from soil_env.terramechanics.effects import (
+    bulldozing,
+    grade,
+    grousers,
+    pack_effects,
+    shear_softening,
+    text,
+)
 from tests.terramechanics.cases import CASES, of_every_form
 
 SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
-GAMMA, WIDTH, HEIGHT, RADIUS = 15000.0, 0.12, 0.012, 0.15
-AT = {"i": 0.3, "z": 0.03, "z_w": 0.02, "theta1": 0.7, "r": RADIUS, "h": HEIGHT, "b": WIDTH, "N": 3.0, "S": 3e5,
-      "K": 0.02, "c": 900.0, "phi": math.atan(0.6), "gamma": GAMMA, "V": 0.08, "v": 0.04, "j": 0.09, "tau_max": 1.0,
-      "n": 0.8, "T": 4.0, "T_0": 0.0, "DP_0": 0.0, "w": 0.7, "W": 120.0, "i_measured": 0.25,
-      "Kp": math.tan(math.pi / 4 + math.atan(0.6) / 2) ** 2, "X": math.pi / 4 - math.atan(0.6) / 2}  # fmt: skip
-FUNCTIONS = {"exp": math.exp, "ln": math.log, "sqrt": math.sqrt, "tan": math.tan, "sin": math.sin, "cos": math.cos,
-             "tanh": math.tanh, "cot": lambda x: 1.0 / math.tan(x)}  # fmt: skip
+GAMMA = 15000.0
+WIDTH = 0.12
+HEIGHT = 0.012
+RADIUS = 0.15
+AT = {
+    "i": 0.3,
+    "z": 0.03,
+    "z_w": 0.02,
+    "theta1": 0.7,
+    "r": RADIUS,
+    "h": HEIGHT,
+    "b": WIDTH,
+    "N": 3.0,
+    "S": 3e5,
+    "K": 0.02,
+    "c": 900.0,
+    "phi": math.atan(0.6),
+    "gamma": GAMMA,
+    "V": 0.08,
+    "v": 0.04,
+    "j": 0.09,
+    "tau_max": 1.0,
+    "n": 0.8,
+    "T": 4.0,
+    "T_0": 0.0,
+    "DP_0": 0.0,
+    "w": 0.7,
+    "W": 120.0,
+    "i_measured": 0.25,
+    "Kp": math.tan(math.pi / 4 + math.atan(0.6) / 2) ** 2,
+    "X": math.pi / 4 - math.atan(0.6) / 2,
+}
+FUNCTIONS = {
+    "exp": math.exp,
+    "ln": math.log,
+    "sqrt": math.sqrt,
+    "tan": math.tan,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tanh": math.tanh,
+    "cot": lambda x: 1.0 / math.tan(x),
+}
 
 
 def evaluated(effect, form, values, **more):
     """Left sides of the printed equation with numbers in, evaluated as ordinary algebra."""
-    out, parts = dict(AT | more), text.fitted(effect, form, values, units=False, digits=17).split("; ")
+    out = dict(AT | more)
+    parts = text.fitted(effect, form, values, units=False, digits=17).split("; ")
     order = ("D1", "D2", "k", "x")  # what others need comes first
-    for part in sorted(parts, key=lambda part: order.index(part[:2].strip()) if part[:2].strip() in order else 9):
+    for part in sorted(
+        parts, key=lambda part: order.index(part[:2].strip()) if part[:2].strip() in order else 9
+    ):
         left, right = part.split(", ")[0].split(" = ", 1)
         code = right.replace("[", "(").replace("]", ")").replace("^", "**")
         code = re.sub(r"\|([^|]+)\|", r"abs(\1)", code)
@@ -36,20 +81,28 @@ def evaluated(effect, form, values, **more):
 
 def model(name, form, values):
     """{left side: value} by the compiled laws."""
-    fx, at = pack_effects({name: values}), AT
+    fx = pack_effects({name: values})
+    at = AT
     ground = effects.soil_in_contact(SOIL, fx, at["i"], at["V"], at["v"], at["N"], 0.0)
     if name == "slip_sinkage":
         ratio = effects.slip_sinkage_ratio(at["i"], *effects.digging(SOIL, fx))
         if form == "apparent":
             return {"z_measured": ratio * at["z"]}
-        return {"exponent": {"n(i)": ground.sinkage_exponent}, "ratio": {"z": ratio * at["z_w"]},
-                "excavation": {"z": at["z_w"] + effects.excavated_depth(at["i"], fx)}}[form]  # fmt: skip
+        return {
+            "exponent": {"n(i)": ground.sinkage_exponent},
+            "ratio": {"z": ratio * at["z_w"]},
+            "excavation": {"z": at["z_w"] + effects.excavated_depth(at["i"], fx)},
+        }[form]
     if name in ("rear_contact", "stress_peak_shift"):
-        ends = dict(zip(("theta2", "thetam"), effects.arc_ends(at["theta1"], at["i"], fx), strict=True))
+        ends = dict(
+            zip(("theta2", "thetam"), effects.arc_ends(at["theta1"], at["i"], fx), strict=True)
+        )
         return ends if name == "rear_contact" else {"thetam": ends["thetam"]}
     if name == "grousers":
         if form == "blades":
-            force = grousers.blade_force(at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx)
+            force = grousers.blade_force(
+                at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx
+            )
             return {"F": force, "DP": force, "T": force * (RADIUS + HEIGHT / 2)}
         if form.startswith("shear"):
             return {"r_s": RADIUS * grousers.shear_radius_ratio(RADIUS, HEIGHT, fx)}
@@ -65,12 +118,18 @@ def model(name, form, values):
     if name == "shear_rate":
         return {"c_v": ground.cohesion, "tan(phi_v)": ground.tan_phi}
     if name == "shear_softening":
-        K, law = at["K"] * shear_softening.shear_length_ratio(fx), shear_softening.shear_law(fx)
+        K = at["K"] * shear_softening.shear_length_ratio(fx)
+        law = shear_softening.shear_law(fx)
         return {"tau": mobilised(at["j"], K, law)[0]}
     if name == "grade":
         sine = math.sin(0.1)
-        out = {"W_n": at["W"] * (1 - fx.grade_share * (1 - math.cos(0.1))), "DP": -fx.grade_share * at["W"] * sine}
-        return out | ({"S_b": at["S"] * grade.slope_factor(SOIL, sine, fx)} if fx.grade_weakening else {})
+        out = {
+            "W_n": at["W"] * (1 - fx.grade_share * (1 - math.cos(0.1))),
+            "DP": -fx.grade_share * at["W"] * sine,
+        }
+        return out | (
+            {"S_b": at["S"] * grade.slope_factor(SOIL, sine, fx)} if fx.grade_weakening else {}
+        )
     if name == "drivetrain_friction":
         return {"T_measured": effects.drive_torque(at["T"], at["w"], 1e-15, fx)}
     if name == "slip_bias":
@@ -95,7 +154,9 @@ def test_an_equation_has_all_that_its_form_frees_and_every_symbol_is_explained(e
     used = text.used(form)
     assert set(form.free) <= set(used) <= set(form.free) | {"reference_speed"}
     printed = text.published(effect, form)
-    assert "{" not in printed + text.fitted(effect, form, CASES[f"{effect.name}-{form.name}"][effect.name])
+    assert "{" not in printed + text.fitted(
+        effect, form, CASES[f"{effect.name}-{form.name}"][effect.name]
+    )
     printed = printed.split(", slip")[0].split(", the bracket")[0]
     words = set(re.findall(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)?", printed))
     known = {*text.legend(effect, form), *(p.symbol for p in effect.parameters)}

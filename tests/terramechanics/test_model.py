@@ -22,9 +22,11 @@ SOIL = Soil(32.0, 800.0, 0.015, 0.9, sinkage_coefficient=9e5, density=1600.0, di
 BEKKER = dataclasses.replace(SOIL, sinkage_coefficient=None, k_c=3e4, k_phi=6e5)
 WHEEL = ModelWheel(0.15, 0.12, 0.01)
 EFFECTS = {
-    "slip_sinkage": {"gain": 1.2, "recovery": 0.4}, "bulldozing": {"rankine": 1},
-    "drivetrain_friction": {"constant": 0.5, "viscous": 0.2}, "multipass": {"hardening": 0.2},
-}  # fmt: skip
+    "slip_sinkage": {"gain": 1.2, "recovery": 0.4},
+    "bulldozing": {"rankine": 1},
+    "drivetrain_friction": {"constant": 0.5, "viscous": 0.2},
+    "multipass": {"hardening": 0.2},
+}
 TERMS = (
     ResidualTerm("sinkage", 0.01, {"slip": 2.0}, {"slip": [0.0, 0.5]}),
     ResidualTerm("drawbar_pull", -0.05, {"load": 1.0, "pass": 1.0}),
@@ -41,7 +43,9 @@ def conditions(count=5, **more):
 def single(model, slip, load, wheel=WHEEL, conditions=LEVEL):
     """`steady_with` of one point."""
     rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
-    return steady_with(slip, load, model.soil.state(wheel.width), rim, conditions, UNIT_WEIGHT, model.numbers, 0.0)
+    return steady_with(
+        slip, load, model.soil.state(wheel.width), rim, conditions, UNIT_WEIGHT, model.numbers, 0.0
+    )
 
 
 def stacked(prediction):
@@ -50,18 +54,25 @@ def stacked(prediction):
 
 def test_a_table_and_a_mapping_are_predicted_row_by_row(tmp_path):
     given = {
-        "slip": [0.1, 0.3, -0.2], "load": [80.0, 100.0, 90.0], "speed": [0.05, 0.1, 0.2], "pass": [1, 2, 3],
+        "slip": [0.1, 0.3, -0.2],
+        "load": [80.0, 100.0, 90.0],
+        "speed": [0.05, 0.1, 0.2],
+        "pass": [1, 2, 3],
         "grade_deg": [0.0, 6.0, -6.0],
-    }  # fmt: skip
+    }
     found = MODEL.predict(given)
     assert found.supported and not MODEL.predict(given | {"load": [80.0, 1e6, 90.0]}).supported
     for k in range(3):
-        at = Conditions(given["speed"][k], given["pass"][k], math.sin(math.radians(given["grade_deg"][k])))
+        at = Conditions(
+            given["speed"][k], given["pass"][k], math.sin(math.radians(given["grade_deg"][k]))
+        )
         expected = single(MODEL, given["slip"][k], given["load"][k], conditions=at)
         assert tuple(stacked(found)[k]) == pytest.approx(expected[:3], rel=1e-12)
     rows = [",".join(map(str, row)) for row in zip(*given.values(), [0.01] * 3, strict=True)]
     (tmp_path / "data.csv").write_text("\n".join([",".join([*given, "sinkage"]), *rows]))
-    np.testing.assert_array_equal(stacked(MODEL.predict(read_table(tmp_path / "data.csv"))), stacked(found))
+    np.testing.assert_array_equal(
+        stacked(MODEL.predict(read_table(tmp_path / "data.csv"))), stacked(found)
+    )
 
 
 def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
@@ -70,7 +81,9 @@ def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
     found = plain.predict({"slip": 0.3, "load": 90.0})
     assert tuple(stacked(found)[0]) == pytest.approx(single(plain, 0.3, 90.0)[:3], rel=1e-12)
     for same in ({"speed": math.nan}, {"pass": 1}, {"grade_deg": 0.0}, {"wheel_radius": 0.15}):
-        np.testing.assert_array_equal(stacked(plain.predict({"slip": 0.3, "load": 90.0} | same)), stacked(found))
+        np.testing.assert_array_equal(
+            stacked(plain.predict({"slip": 0.3, "load": 90.0} | same)), stacked(found)
+        )
     with_friction = WheelSoilModel(WHEEL, SOIL, {"drivetrain_friction": {"constant": 0.5}})
     given = {"slip": [0.0, 0.3, -0.3], "load": 90.0}
     assert with_friction.predict(given).torque - plain.predict(given).torque == pytest.approx(0.5)
@@ -80,20 +93,31 @@ def test_a_missing_condition_is_level_fresh_soil_and_the_wheel_of_the_model():
 def test_a_row_may_have_another_wheel(soil):
     """With k_c and k_phi, its width changes S = k_c/b + k_phi too."""
     model = WheelSoilModel(WHEEL, soil)
-    found = model.predict({"slip": 0.3, "load": 90.0, "wheel_radius": [0.15, 0.2], "wheel_width": [0.12, 0.06]})
+    found = model.predict(
+        {"slip": 0.3, "load": 90.0, "wheel_radius": [0.15, 0.2], "wheel_width": [0.12, 0.06]}
+    )
     for k, wheel in enumerate((WHEEL, ModelWheel(0.2, 0.06, 0.01))):
-        assert tuple(stacked(found)[k]) == pytest.approx(single(model, 0.3, 90.0, wheel)[:3], rel=1e-12)
+        assert tuple(stacked(found)[k]) == pytest.approx(
+            single(model, 0.3, 90.0, wheel)[:3], rel=1e-12
+        )
     assert found.sinkage[1] > found.sinkage[0]
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"sped": 1.0}, "did you mean 'speed'"),
-    ({"slip": None}, "conditions: missing slip"),
-    ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
-    ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
-    ({"grouser_height": 0.15}, "conditions: grouser_height: expected metres, less than the wheel radius"),
-    ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sped": 1.0}, "did you mean 'speed'"),
+        ({"slip": None}, "conditions: missing slip"),
+        ({"slip": [0.1, math.nan]}, "conditions: slip: expected finite numbers"),
+        ({"slip": 1.1}, r"expected slip in \[-1, 1\]"),
+        (
+            {"grouser_height": 0.15},
+            "conditions: grouser_height: expected metres, less than the wheel radius",
+        ),
+        ({"load": [90.0, 90.0, 90.0]}, "conditions: .*same length"),
+    ],
+    ids=str,
+)
 def test_wrong_conditions_are_refused_in_one_line(change, message):
     given = {k: v for k, v in (conditions() | change).items() if v is not None}
     with pytest.raises(ParameterError, match=message) as error:
@@ -108,38 +132,71 @@ def test_residual_terms_are_added():
     i = np.minimum(conditions()["slip"], 0.5)
     assert found.sinkage == pytest.approx(plain.sinkage + 0.15 * 0.01 * i**2)
     bearing = 9e5 * 0.12 * 0.15**1.9
-    assert found.drawbar_pull == pytest.approx(plain.drawbar_pull - 90.0 * 0.05 * 2.0 * 90.0 / bearing)
+    assert found.drawbar_pull == pytest.approx(
+        plain.drawbar_pull - 90.0 * 0.05 * 2.0 * 90.0 / bearing
+    )
     assert found.torque == pytest.approx(plain.torque + 90.0 * 0.15 * 0.02)
 
 
-@pytest.mark.parametrize("model", [
-    WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
-    WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
-    WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
-], ids=["plain", "bekker", "residual"])  # fmt: skip
+@pytest.mark.parametrize(
+    "model",
+    [
+        WheelSoilModel(ModelWheel(0.15, 0.12), SOIL),
+        WheelSoilModel(WHEEL, BEKKER, {"slip_bias": {"offset": 1e-7}}),
+        WheelSoilModel(WHEEL, SOIL, EFFECTS, TERMS, gravity=1.62, validity={"slip": (0.0, 0.6)}),
+    ],
+    ids=["plain", "bekker", "residual"],
+)
 def test_save_and_load(tmp_path, model):
     path = tmp_path / "model.yaml"
     model.save(path)
     again = WheelSoilModel.load(path)
     assert again == model == pickle.loads(pickle.dumps(model))
-    np.testing.assert_array_equal(stacked(again.predict(conditions())), stacked(model.predict(conditions())))
+    np.testing.assert_array_equal(
+        stacked(again.predict(conditions())), stacked(model.predict(conditions()))
+    )
     assert yaml.safe_load(path.read_text())["format"] == "soil_env model 1"
 
 
-BARE = {"wheel": {"radius": 0.15, "width": 0.12}, "soil": SOIL.__dict__ | {"k_c": None, "k_phi": None}}
+BARE = {
+    "wheel": {"radius": 0.15, "width": 0.12},
+    "soil": SOIL.__dict__ | {"k_c": None, "k_phi": None},
+}
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
-    ({"format": "soil_env model 2"}, "expected format: 'soil_env model 1'"),
-    ({"wheel": {"radius": 15, "width": 0.12}}, r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m"),
-    ({"effects": {"buldozing": {"rankine": 1.0}}}, "effects: unknown key 'buldozing'; did you mean 'bulldozing'"),
-    ({"effects": {"bulldozing": {"rankin": 1.0}}}, "bulldozing: unknown key 'rankin'; did you mean 'rankine'"),
-    ({"effects": {"bulldozing": {"rankine": 99.0}}}, r"effects: bulldozing: rankine = 99.0: expected a number in"),
-    ({"residual": {"channel": "torque"}}, "residual = .*: expected a list"),
-    ({"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]}, "did you mean 'slip'"),
-    ({"validity": {"slip": [1, 0]}}, r"validity.slip = \(1.0, 0.0\): expected \[lowest, highest\]"),
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"wheels": {}}, "unknown key 'wheels'; did you mean 'wheel'"),
+        ({"format": "soil_env model 2"}, "expected format: 'soil_env model 1'"),
+        (
+            {"wheel": {"radius": 15, "width": 0.12}},
+            r"wheel.radius = 15.0: expected a number in \[0.01, 3\] m",
+        ),
+        (
+            {"effects": {"buldozing": {"rankine": 1.0}}},
+            "effects: unknown key 'buldozing'; did you mean 'bulldozing'",
+        ),
+        (
+            {"effects": {"bulldozing": {"rankin": 1.0}}},
+            "bulldozing: unknown key 'rankin'; did you mean 'rankine'",
+        ),
+        (
+            {"effects": {"bulldozing": {"rankine": 99.0}}},
+            r"effects: bulldozing: rankine = 99.0: expected a number in",
+        ),
+        ({"residual": {"channel": "torque"}}, "residual = .*: expected a list"),
+        (
+            {"residual": [{"channel": "torque", "coefficient": 1.0, "powers": {"slp": 1}}]},
+            "did you mean 'slip'",
+        ),
+        (
+            {"validity": {"slip": [1, 0]}},
+            r"validity.slip = \(1.0, 0.0\): expected \[lowest, highest\]",
+        ),
+    ],
+    ids=str,
+)
 def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
     path = tmp_path / "model.yaml"
     path.write_text(yaml.safe_dump(BARE | change))
@@ -152,11 +209,14 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, change, message):
 RANGE = {"slip": (0.05, 0.6), "load": (100.0, 200.0), "speed": (0.02, 0.1)}
 
 
-@pytest.mark.parametrize(("conditions", "word"), [
-    ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
-    ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
-    ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("conditions", "word"),
+    [
+        ({"slip": 0.7, "load": 150}, r"slip 0.7 \(fitted to 0.05 to 0.6\)"),
+        ({"slip": [0.1, 0.2], "load": [150, 250]}, r"load 150 to 250 \(fitted to 100 to 200 N\)"),
+        ({"slip": 0.1, "load": 150, "speed": 0.3}, r"speed 0.3 \(fitted to 0.02 to 0.1 m/s\)"),
+    ],
+)
 def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(conditions, word):
     model = WheelSoilModel(WHEEL, SOIL, validity=RANGE)
     with pytest.warns(OutsideValidity, match=word):
@@ -166,4 +226,6 @@ def test_beyond_its_range_a_model_warns_once_and_predicts_all_the_same(condition
         assert np.array_equal(model.predict(conditions).sinkage, there.sinkage)
         model.predict({"slip": [0.05, 0.6], "load": [100, 200], "speed": [0.02, 0.1]})  # the ends
     plain = replace(model, validity={}).predict(conditions)
-    assert np.array_equal(plain.sinkage, there.sinkage) and np.array_equal(plain.torque, there.torque)
+    assert np.array_equal(plain.sinkage, there.sinkage) and np.array_equal(
+        plain.torque, there.torque
+    )

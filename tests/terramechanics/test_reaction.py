@@ -17,20 +17,34 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
 
-R, GRAVITY = 0.15, 9.81
+R = 0.15
+GRAVITY = 9.81
 EVERY = [*ACTING, "together", "none"]
 
 
 @compiled_root
 def react(ground, v, u, load, wheel):
     """`Reaction` at the axle of a wheel on its `Ground`, at travel speed v and rim speed u [m/s], carrying `load`."""
-    rim, soil = wheel.rim_ratio * u, ground.soil
+    rim = wheel.rim_ratio * u
+    soil = ground.soil
     motion = contact.motion_from_speeds(rim, v, reaction.REST_SPEED)
-    integrals = integrals_of(ground.arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, wheel.law)
+    integrals = integrals_of(
+        ground.arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, wheel.law
+    )
     f = reaction.reaction_from(
-        integrals, motion, v, rim, load, soil.tan_phi, soil.cohesion, wheel.contact_radius, wheel.width
-    )  # fmt: skip
-    return reaction.at_the_axle(f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel)
+        integrals,
+        motion,
+        v,
+        rim,
+        load,
+        soil.tan_phi,
+        soil.cohesion,
+        wheel.contact_radius,
+        wheel.width,
+    )
+    return reaction.at_the_axle(
+        f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel
+    )
 
 
 def wheel_with(case):
@@ -50,12 +64,15 @@ def motion(rng):
 @pytest.mark.parametrize("case", EVERY)
 def test_rates_of_the_reaction_against_central_differences(case):
     """Quantities that depend on slip at the start of a substep are held."""
-    wheel, d = wheel_with(case), 1e-7
-    names, rng = sorted(soils()), np.random.default_rng(0)
+    wheel = wheel_with(case)
+    d = 1e-7
+    names = sorted(soils())
+    rng = np.random.default_rng(0)
     for _ in range(90):
         soil = soils()[str(rng.choice(names))].state(R)
         v, u = motion(rng)
-        sinkage, load = rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
+        sinkage = rng.uniform(0.005, 0.12)
+        load = rng.uniform(50.0, 250.0)
         ground = reaction.ground_under(sinkage, v, u, 160.0, soil, math.sin(0.1), 2.0, wheel)
 
         def forces(v, u, load=load, ground=ground):
@@ -72,10 +89,13 @@ def test_rates_of_the_reaction_against_central_differences(case):
 @pytest.mark.parametrize("name", sorted(soils()))
 def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
     """Driving forward j keeps its sign: there `reaction_from` meets differences of higher order to seven digits."""
-    soil, rng = soils()[name].state(R), np.random.default_rng(1)
+    soil = soils()[name].state(R)
+    rng = np.random.default_rng(1)
     for _ in range(20):
         u = rng.uniform(0.05, 0.6)
-        v, sinkage, load = u * rng.uniform(0.1, 0.9), rng.uniform(0.01, 0.06), rng.uniform(80.0, 250.0)
+        v = u * rng.uniform(0.1, 0.9)
+        sinkage = rng.uniform(0.01, 0.06)
+        load = rng.uniform(80.0, 250.0)
 
         def forces(v, u, sinkage=sinkage, load=load):
             return np.array(reaction.reaction(v, u, sinkage, load, soil, R, R)[:4])
@@ -95,11 +115,14 @@ def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
 
 
 def test_a_reaction_moved_is_its_tangent():
-    soil, wheel = soils()["lete_sand"].state(R), wheel_with("together")
+    soil = soils()["lete_sand"].state(R)
+    wheel = wheel_with("together")
     ground = reaction.ground_under(0.02, 0.2, 0.35, 160.0, soil, 0.0, 1.0, wheel)
-    f, errors = react(ground, 0.2, 0.35, 160.0, wheel), []
+    f = react(ground, 0.2, 0.35, 160.0, wheel)
+    errors = []
     for h in (1e-2, 1e-3, 1e-4):
-        there, ahead = react(ground, 0.2 + h, 0.35 - 2.0 * h, 160.0, wheel), reaction.moved(f, h, -2.0 * h)
+        there = react(ground, 0.2 + h, 0.35 - 2.0 * h, 160.0, wheel)
+        ahead = reaction.moved(f, h, -2.0 * h)
         errors.append(np.abs(np.array(ahead[1:4]) - there[1:4]) / np.abs(there[1:4]))
         assert ahead[4:] == f[4:]
     assert np.all(errors[1] < 0.02 * errors[0]) and np.all(errors[2] < 0.02 * errors[1])
@@ -118,15 +141,26 @@ def test_bulldozing_resists_the_travel(v, sign):
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull - 12.0 * sign, abs=1e-3)
     assert found.torque == FLAT.torque
     if v == 0.0:
-        assert found.dp_v == pytest.approx(FLAT.dp_v - 12.0 / reaction.REST_SPEED)  # the slope of V/sqrt(V^2 + rest^2)
+        assert found.dp_v == pytest.approx(
+            FLAT.dp_v - 12.0 / reaction.REST_SPEED
+        )  # the slope of V/sqrt(V^2 + rest^2)
 
 
-@pytest.mark.parametrize(("v", "u", "slip"), [
-    (0.3, 0.4, 0.25), (0.4, 0.3, -0.25), (-0.3, -0.4, -0.25), (0.3, 0.3, 0.0), (0.0, 0.3, 1.0), (-0.2, 0.4, 1.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("v", "u", "slip"),
+    [
+        (0.3, 0.4, 0.25),
+        (0.4, 0.3, -0.25),
+        (-0.3, -0.4, -0.25),
+        (0.3, 0.3, 0.0),
+        (0.0, 0.3, 1.0),
+        (-0.2, 0.4, 1.0),
+    ],
+)
 def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
     """A wheel in reverse that spins pushes itself backward; at no slip the blades do nothing."""
-    found, wheel = axle("grousers-blades", v=v, u=u, blades=30.0), wheel_with("grousers-blades")
+    found = axle("grousers-blades", v=v, u=u, blades=30.0)
+    wheel = wheel_with("grousers-blades")
     thrust = 30.0 * math.tanh(slip / grousers.BLADE_SLIP)
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull + thrust)
     assert found.torque == pytest.approx(FLAT.torque + thrust * (R + 0.5 * LUG))
@@ -134,7 +168,9 @@ def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
 
 
 def test_a_base_reaction_is_that_of_the_whole_without_effects():
-    soil, wheel, rng = soils()["lete_sand"].state(R), wheel_with("none"), np.random.default_rng(3)
+    soil = soils()["lete_sand"].state(R)
+    wheel = wheel_with("none")
+    rng = np.random.default_rng(3)
     for _ in range(50):
         (v, u), sinkage, load = motion(rng), rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
         ground = reaction.ground_under(sinkage, v, u, load, soil, 0.0, 1.0, wheel)

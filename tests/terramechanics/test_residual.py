@@ -29,9 +29,14 @@ def test_groups_by_hand():
     found = dimensionless_groups(-0.3, 0.03, 90.0, 0.1, 2.0, 0.1, SOIL, 0.15, 0.12, 1.62)
     bearing = 8e5 * 0.12 * 0.15**1.8  # S b r^(n+1)
     expected = {
-        "slip": 0.3, "grip": 0.7, "sinkage": 0.2, "load": 90.0 / bearing, "speed": 0.1 / math.sqrt(1.62 * 0.15),
-        "pass": 2.0, "grade": 0.1,
-    }  # fmt: skip
+        "slip": 0.3,
+        "grip": 0.7,
+        "sinkage": 0.2,
+        "load": 90.0 / bearing,
+        "speed": 0.1 / math.sqrt(1.62 * 0.15),
+        "pass": 2.0,
+        "grade": 0.1,
+    }
     assert tuple(expected) == GROUPS
     assert found == pytest.approx(tuple(expected.values()))
 
@@ -58,5 +63,9 @@ powers = st.dictionaries(st.sampled_from(GROUPS), st.floats(-2.0, 2.0), max_size
 @given(coefficient=st.floats(-5.0, 5.0), powers=powers, channel=st.sampled_from(CHANNELS))
 def test_a_term_is_a_product_and_terms_add_up(coefficient, powers, channel):
     term = ResidualTerm(channel, coefficient, powers, {name: [0.01, 3.0] for name in powers})
-    expected = 0.1 + coefficient * math.prod(POINT[GROUPS.index(name)] ** p for name, p in powers.items())
-    assert value([term, ResidualTerm(channel, 0.1)])[CHANNELS.index(channel)] == pytest.approx(expected)
+    expected = 0.1 + coefficient * math.prod(
+        POINT[GROUPS.index(name)] ** p for name, p in powers.items()
+    )
+    assert value([term, ResidualTerm(channel, 0.1)])[CHANNELS.index(channel)] == pytest.approx(
+        expected
+    )

@@ -19,7 +19,12 @@ R = B = 0.15
 def test_balance_alone_sinks_less_at_more_slip_and_digging_turns_that_round(name):
     dug = soils()[name].state(B)
     alone = dug._replace(dig_gain=0.0)
-    z = np.array([[steady.steady_state(i, 100.0, s, R, B).sinkage for i in (0.1, 0.3, 0.6)] for s in (alone, dug)])
+    z = np.array(
+        [
+            [steady.steady_state(i, 100.0, s, R, B).sinkage for i in (0.1, 0.3, 0.6)]
+            for s in (alone, dug)
+        ]
+    )
     assert np.all(np.diff(z[0]) <= 0.0) and np.all(np.diff(z[1]) >= 0.0) and np.all(z[1] > z[0])
 
 
@@ -30,7 +35,9 @@ def excess(slip, load, soil, depths):
     rim, travel = motion_from_slip(slip)
 
     def carried(theta1):
-        q, *_ = arc_integrals(theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, R)
+        q, *_ = arc_integrals(
+            theta1, 0.0, 0.5 * theta1, rim, travel, soil.shear_modulus, soil.sinkage_exponent, R
+        )
         return forces(q, left, soil.tan_phi, soil.cohesion, R, B, 1.0).load
 
     return np.array([carried(entry_angle(z, R)) - load for z in depths])
@@ -45,10 +52,16 @@ def test_root_by_brute_force(seed):
     """
     rng = np.random.default_rng(seed)
     soil = SoilState(
-        math.tan(math.radians(rng.uniform(2.0, 45.0))), 10.0 ** rng.uniform(1.0, 4.7), 10.0 ** rng.uniform(-2.5, -1.0),
-        10.0 ** rng.uniform(4.3, 7.5), rng.uniform(0.1, 1.6), rng.uniform(0.0, 6.0), rng.uniform(0.1, 1.0),
-    )  # fmt: skip
-    slip, load = rng.uniform(-1.0, 1.0), 10.0 ** rng.uniform(1.3, 3.0)
+        math.tan(math.radians(rng.uniform(2.0, 45.0))),
+        10.0 ** rng.uniform(1.0, 4.7),
+        10.0 ** rng.uniform(-2.5, -1.0),
+        10.0 ** rng.uniform(4.3, 7.5),
+        rng.uniform(0.1, 1.6),
+        rng.uniform(0.0, 6.0),
+        rng.uniform(0.1, 1.0),
+    )
+    slip = rng.uniform(-1.0, 1.0)
+    load = 10.0 ** rng.uniform(1.3, 3.0)
     found = steady.steady_state(slip, load, soil, R, B)
     depths = np.geomspace(1e-5, 1.499, 400) * R
     carried = excess(slip, load, soil, depths) >= 0.0

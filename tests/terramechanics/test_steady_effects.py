@@ -25,15 +25,24 @@ def random_effects(rng, count):
 def random_place(rng):
     """(soil, site, load) of a random wheel, half of the soils with digging of their own."""
     soil = SoilState(
-        math.tan(math.radians(rng.uniform(22.0, 42.0))), 10.0 ** rng.uniform(1.5, 3.5), rng.uniform(0.008, 0.04),
-        10.0 ** rng.uniform(5.0, 6.3), rng.uniform(0.4, 1.2), rng.choice([0.0, rng.uniform(0.0, 3.0)]),
+        math.tan(math.radians(rng.uniform(22.0, 42.0))),
+        10.0 ** rng.uniform(1.5, 3.5),
+        rng.uniform(0.008, 0.04),
+        10.0 ** rng.uniform(5.0, 6.3),
+        rng.uniform(0.4, 1.2),
+        rng.choice([0.0, rng.uniform(0.0, 3.0)]),
         rng.uniform(0.2, 1.0),
-    )  # fmt: skip
+    )
     r = rng.uniform(0.08, 0.3)
     site = reference.Site(
-        r, r * rng.uniform(0.5, 1.2), r * rng.uniform(0.03, 0.12), 10.0 ** rng.uniform(-2.0, 0.0),
-        float(rng.integers(1, 5)), math.radians(rng.uniform(-12.0, 12.0)), rng.uniform(1e4, 2e4),
-    )  # fmt: skip
+        r,
+        r * rng.uniform(0.5, 1.2),
+        r * rng.uniform(0.03, 0.12),
+        10.0 ** rng.uniform(-2.0, 0.0),
+        float(rng.integers(1, 5)),
+        math.radians(rng.uniform(-12.0, 12.0)),
+        rng.uniform(1e4, 2e4),
+    )
     return soil, site, 2e4 * site.r * site.b * 10.0 ** rng.uniform(-0.7, 0.4)
 
 
@@ -41,7 +50,9 @@ def steady(soil, slip, load, site, effects, guess=0.0):
     """`steady_with` of a `reference.Site` with effects by name."""
     wheel = Rim(site.r, site.b, site.lug)
     conditions = Conditions(site.speed, site.passes, math.sin(site.grade))
-    return steady_with(slip, load, soil, wheel, conditions, site.unit_weight, pack_effects(effects), guess)
+    return steady_with(
+        slip, load, soil, wheel, conditions, site.unit_weight, pack_effects(effects), guess
+    )
 
 
 def compare(soil, slip, load, site, effects):
@@ -79,7 +90,9 @@ def test_many_effects_and_none_against_quadrature(first, effects):
         rng = np.random.default_rng(seed)
         soil, site, load = random_place(rng)
         slip = random_slip(rng)
-        carried += compare(soil, slip, load, site, random_effects(rng, rng.integers(2, 6)) if effects else {})
+        carried += compare(
+            soil, slip, load, site, random_effects(rng, rng.integers(2, 6)) if effects else {}
+        )
     assert carried > 35
 
 
@@ -95,20 +108,34 @@ def test_apparent_sinkage_stays_between_the_surface_and_a_buried_wheel(gain, sli
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 10**6), length=st.floats(0.3, 3.0), force=st.floats(0.1, 10.0), speed=st.floats(0.2, 5.0))
+@given(
+    seed=st.integers(0, 10**6),
+    length=st.floats(0.3, 3.0),
+    force=st.floats(0.1, 10.0),
+    speed=st.floats(0.2, 5.0),
+)
 def test_units_do_not_matter(seed, length, force, speed):
     """Metres, newtons and seconds can be changed together: every law is right in its dimensions."""
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
-    slip, effects = random_slip(rng), random_effects(rng, len(CATALOGUE))
+    slip = random_slip(rng)
+    effects = random_effects(rng, len(CATALOGUE))
     pressure = force / length**2
     units = {
-        "slip_sinkage": {"length": length}, "sinkage_offset": {"offset": length},
-        "shear_softening": {"length": length, "onset": length}, "penetration_rate": {"reference_speed": speed},
+        "slip_sinkage": {"length": length},
+        "sinkage_offset": {"offset": length},
+        "shear_softening": {"length": length, "onset": length},
+        "penetration_rate": {"reference_speed": speed},
         "shear_rate": {"reference_speed": speed, "onset_speed": speed},
-        "drivetrain_friction": {"constant": force * length, "viscous": force * length * length / speed},
-    }  # fmt: skip
-    other = {name: {p: v * units.get(name, {}).get(p, 1.0) for p, v in effects[name].items()} for name in effects}
+        "drivetrain_friction": {
+            "constant": force * length,
+            "viscous": force * length * length / speed,
+        },
+    }
+    other = {
+        name: {p: v * units.get(name, {}).get(p, 1.0) for p, v in effects[name].items()}
+        for name in effects
+    }
     true = true_slip(slip, pack_effects({"slip_bias": effects["slip_bias"]}))
     n = soil.sinkage_exponent + effects["slip_sinkage"].get("exponent_slope", 0.0) * abs(true)
     scaled = soil._replace(
@@ -117,9 +144,14 @@ def test_units_do_not_matter(seed, length, force, speed):
         sinkage_coefficient=soil.sinkage_coefficient * pressure * length**-n,
     )
     place = reference.Site(
-        site.r * length, site.b * length, site.lug * length, site.speed * speed, site.passes, site.grade,
+        site.r * length,
+        site.b * length,
+        site.lug * length,
+        site.speed * speed,
+        site.passes,
+        site.grade,
         site.unit_weight * force / length**3,
-    )  # fmt: skip
+    )
     found = steady(soil, slip, load, site, effects)
     same = steady(scaled, slip, load * force, place, other)
     assert same.supported == found.supported
@@ -134,11 +166,24 @@ def table(seed, count=162):
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
     effects = random_effects(rng, 3)
-    wheels = np.stack([site.r * rng.uniform(0.9, 1.1, count), np.full(count, site.b), np.full(count, site.lug)], axis=1)
+    wheels = np.stack(
+        [site.r * rng.uniform(0.9, 1.1, count), np.full(count, site.b), np.full(count, site.lug)],
+        axis=1,
+    )
     grade = np.sin(np.radians(rng.uniform(-8.0, 8.0, count)))
-    conditions = np.stack([10.0 ** rng.uniform(-2.0, 0.0, count), rng.integers(1, 4, count), grade], axis=1)
+    conditions = np.stack(
+        [10.0 ** rng.uniform(-2.0, 0.0, count), rng.integers(1, 4, count), grade], axis=1
+    )
     loads = load * rng.choice([0.5, 1.0, 1.5], count)
-    return rng.uniform(-0.5, 0.95, count), loads, wheels, conditions, soil, site.unit_weight, pack_effects(effects)
+    return (
+        rng.uniform(-0.5, 0.95, count),
+        loads,
+        wheels,
+        conditions,
+        soil,
+        site.unit_weight,
+        pack_effects(effects),
+    )
 
 
 def rows(case, guess):
@@ -153,27 +198,42 @@ def test_rows_are_single_points_whatever_the_guess(seed):
     guess = np.zeros(slip.size)
     carried, cold = rows(case, guess)
     single = [
-        steady_with(slip[k], load[k], soil, Rim(*wheels[k]), Conditions(*conditions[k]), weight, fx, 0.0)
+        steady_with(
+            slip[k], load[k], soil, Rim(*wheels[k]), Conditions(*conditions[k]), weight, fx, 0.0
+        )
         for k in range(slip.size)
     ]
     np.testing.assert_array_equal(cold, np.array([s[:3] for s in single]))
     assert carried == sum(s.supported for s in single)
-    r, rng = wheels[:, 0], np.random.default_rng(seed)
+    r = wheels[:, 0]
+    rng = np.random.default_rng(seed)
     size = np.stack([r, load, load * r], axis=1)
     # `guess` is renewed by the depth that was found; 1e3 is deeper than any wheel
-    for start in (guess, 10.0 ** rng.uniform(-6.0, 1.0, r.size) * r, np.full(r.size, 1e-300), np.full(r.size, 1e3)):
+    for start in (
+        guess,
+        10.0 ** rng.uniform(-6.0, 1.0, r.size) * r,
+        np.full(r.size, 1e-300),
+        np.full(r.size, 1e3),
+    ):
         again, out = rows(case, start)
         assert again == carried
         np.testing.assert_array_less(np.abs(out - cold) / size, 2e-6)
 
 
 @settings(max_examples=150, deadline=None)
-@given(seed=st.integers(0, 10**6), slip=st.floats(-1.0, 1.0), load=st.floats(-1.0, 5.0), guess=st.floats(0.0, 10.0))
+@given(
+    seed=st.integers(0, 10**6),
+    slip=st.floats(-1.0, 1.0),
+    load=st.floats(-1.0, 5.0),
+    guess=st.floats(0.0, 10.0),
+)
 def test_admissible_effects_give_finite_numbers(seed, slip, load, guess):
     rng = np.random.default_rng(seed)
     soil, site, _ = random_place(rng)
     effects = {}
     for name, effect in CATALOGUE.items():
-        effects[name] = {p.name: float(rng.choice([p.low, p.high, p.neutral])) for p in effect.parameters}
+        effects[name] = {
+            p.name: float(rng.choice([p.low, p.high, p.neutral])) for p in effect.parameters
+        }
     found = steady(soil, slip, 10.0**load, site, effects, guess)
     assert all(map(math.isfinite, found)), found

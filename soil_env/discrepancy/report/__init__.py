@@ -55,13 +55,18 @@ def write(report: Report, folder: Path) -> None:
 
 def page(report: Report, values: dict[str, Any]) -> str:
     """Return report.html, which needs no other file; `values` is `content(report)`."""
-    images = {name: Markup(html_image(svg, CAPTIONS[name], "svg+xml")) for name, svg in pictures(report).items()}
+    images = {
+        name: Markup(html_image(svg, CAPTIONS[name], "svg+xml"))
+        for name, svg in pictures(report).items()
+    }
     names = ", ".join(sentences.title(e.name) for e in report.effects)
     mathematics = {
         "equation": lambda text: Markup(equations.mathematics(text)),
         "meaning": lambda text: Markup(equations.leading_mathematics(text)),
     }
-    body = render(f"{__name__}:report.html", images=images, values=values, **mathematics, **_common(report))
+    body = render(
+        f"{__name__}:report.html", images=images, values=values, **mathematics, **_common(report)
+    )
     style = render(f"{__name__}:report.css")
     return html_page(f"{report.verdict}: {names}" if names else report.verdict, body, style)
 
@@ -81,7 +86,10 @@ def _common(report: Report) -> dict[str, Any]:
         "blocks": equations.blocks(report),
         "cautions": sentences.cautions(report),
         "where": [
-            (sentences.disagreement(report, d), "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}")
+            (
+                sentences.disagreement(report, d),
+                "< 1e-6" if d.p_value < 1e-6 else f"{d.p_value:.2g}",
+            )
             for d in report.where
         ],
         "next_tests": [sentences.next_test(report, t) for t in report.next_tests],
@@ -103,72 +111,123 @@ def show(report: Report, console: Console) -> None:
 def content(report: Report) -> dict[str, Any]:
     """Plain values for JSON, null where there is no number; every key is always present."""
     shown = [block.content() for block in equations.blocks(report)]
-    first, noise = list(report.doubts), report.noise
-    return plain({
-        "verdict": report.verdict,
-        "conclusion": words.conclusion(report),
-        "summary": sentences.summary(report),
-        "next_step": words.next_step(report),
-        "candidates": report.finding.candidates,
-        "effects": [
-            {"name": e.name, "form": e.form, "parameters": {k: v._asdict() for k, v in e.parameters.items()},
-             "in_model": report.model.effects.get(e.name), "probability": e.probability, "share": e.share,
-             "alternatives": e.alternatives, "explained": words.EXPLAINED[e.name],
-             "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol}, **block}
-            for e, block in zip(report.effects, shown, strict=False)
-        ],
-        "where": [
-            {"channel": d.channel, "region": d.region, "size": d.size, "size_sd": d.size_sd, "p_value": d.p_value,
-             "words": sentences.disagreement(report, d)}
-            for d in report.where
-        ],
-        "ranking": [r._asdict() for r in report.finding.ranking],
-        "gap": {name: g._asdict() for name, g in report.gap.items()},
-        "remainder": {n: dict(zip(("rms", "share"), g.remainder, strict=True)) for n, g in report.gap.items()},
-        "closed": report.closed,
-        "closed_interval": report.closed_interval,
-        "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
-        "detectable": {name: d.size for name, d in report.finding.detectable.items()},
-        "detectable_as": {
-            name: {"form": d.form, "parameter": d.parameter, "unit": LISTED[name].parameter(d.parameter).unit,
-                   "power": d.power}
-            for name, d in report.finding.detectable.items()
-        },
-        "next_checks": [c._asdict() for c in report.next_checks],
-        "next_tests": [
-            {"conditions": t.conditions, "channel": t.channel, "separates": t.separates,
-             "expected_sigma": t.expected_sigma, "sure": t.sure, "cost": t.cost, "repeat": t.repeat,
-             "predicted": [p._asdict() for p in t.predicted], "words": sentences.next_test(report, t)}
-            for t in report.next_tests
-        ],
-        "residual": _law(report, shown),
-        "probability": {"none": report.finding.none, "unlisted": report.finding.unlisted,
-                        "remainder": report.finding.remainder},
-        "hypotheses": [
-            {"effects": h.names, "like": h.like, "law": h.law, "unlisted": h.free, "probability": h.probability,
-             "score": h.score}
-            for h in report.finding.hypotheses if h.probability >= LEAST
-        ],
-        "refuted": report.finding.refuted,
-        "law_error": report.law_error,
-        "soil": {
-            name: v._asdict() | {"known": report.known(name), "in_model": report.fit.parameters().get(name, v.value)}
-            for name, v in report.soil.items()
-        },
-        "scatter": report.finding.scatter,
-        "noise": {
-            name: {"sd": noise.sd[j], "origin": noise.origin[j]}
-            for j, name in enumerate(CHANNELS) if name in report.channels
-        },
-        "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
-        "check_first": first,
-        "cautions": [*first, *sentences.cautions(report)],
-        "validity": {name: list(pair) for name, pair in report.model.validity.items()},
-        "rows": len(report.problem.data.table),
-        "settings": vars(report.settings),
-        "versions": {"soil_env": __version__, "python": platform.python_version(), "numpy": np.__version__,
-                     "scipy": scipy.__version__},
-    })  # fmt: skip
+    first = list(report.doubts)
+    noise = report.noise
+    return plain(
+        {
+            "verdict": report.verdict,
+            "conclusion": words.conclusion(report),
+            "summary": sentences.summary(report),
+            "next_step": words.next_step(report),
+            "candidates": report.finding.candidates,
+            "effects": [
+                {
+                    "name": e.name,
+                    "form": e.form,
+                    "parameters": {k: v._asdict() for k, v in e.parameters.items()},
+                    "in_model": report.model.effects.get(e.name),
+                    "probability": e.probability,
+                    "share": e.share,
+                    "alternatives": e.alternatives,
+                    "explained": words.EXPLAINED[e.name],
+                    "symbols": {p.name: p.symbol for p in LISTED[e.name].parameters if p.symbol},
+                    **block,
+                }
+                for e, block in zip(report.effects, shown, strict=False)
+            ],
+            "where": [
+                {
+                    "channel": d.channel,
+                    "region": d.region,
+                    "size": d.size,
+                    "size_sd": d.size_sd,
+                    "p_value": d.p_value,
+                    "words": sentences.disagreement(report, d),
+                }
+                for d in report.where
+            ],
+            "ranking": [r._asdict() for r in report.finding.ranking],
+            "gap": {name: g._asdict() for name, g in report.gap.items()},
+            "remainder": {
+                n: dict(zip(("rms", "share"), g.remainder, strict=True))
+                for n, g in report.gap.items()
+            },
+            "closed": report.closed,
+            "closed_interval": report.closed_interval,
+            "untestable": [{"name": k, "reason": v} for k, v in report.finding.untestable.items()],
+            "detectable": {name: d.size for name, d in report.finding.detectable.items()},
+            "detectable_as": {
+                name: {
+                    "form": d.form,
+                    "parameter": d.parameter,
+                    "unit": LISTED[name].parameter(d.parameter).unit,
+                    "power": d.power,
+                }
+                for name, d in report.finding.detectable.items()
+            },
+            "next_checks": [c._asdict() for c in report.next_checks],
+            "next_tests": [
+                {
+                    "conditions": t.conditions,
+                    "channel": t.channel,
+                    "separates": t.separates,
+                    "expected_sigma": t.expected_sigma,
+                    "sure": t.sure,
+                    "cost": t.cost,
+                    "repeat": t.repeat,
+                    "predicted": [p._asdict() for p in t.predicted],
+                    "words": sentences.next_test(report, t),
+                }
+                for t in report.next_tests
+            ],
+            "residual": _law(report, shown),
+            "probability": {
+                "none": report.finding.none,
+                "unlisted": report.finding.unlisted,
+                "remainder": report.finding.remainder,
+            },
+            "hypotheses": [
+                {
+                    "effects": h.names,
+                    "like": h.like,
+                    "law": h.law,
+                    "unlisted": h.free,
+                    "probability": h.probability,
+                    "score": h.score,
+                }
+                for h in report.finding.hypotheses
+                if h.probability >= LEAST
+            ],
+            "refuted": report.finding.refuted,
+            "law_error": report.law_error,
+            "soil": {
+                name: v._asdict()
+                | {
+                    "known": report.known(name),
+                    "in_model": report.fit.parameters().get(name, v.value),
+                }
+                for name, v in report.soil.items()
+            },
+            "scatter": report.finding.scatter,
+            "noise": {
+                name: {"sd": noise.sd[j], "origin": noise.origin[j]}
+                for j, name in enumerate(CHANNELS)
+                if name in report.channels
+            },
+            "left_out": [{"row": row, "channel": name} for row, name in report.left_out],
+            "check_first": first,
+            "cautions": [*first, *sentences.cautions(report)],
+            "validity": {name: list(pair) for name, pair in report.model.validity.items()},
+            "rows": len(report.problem.data.table),
+            "settings": vars(report.settings),
+            "versions": {
+                "soil_env": __version__,
+                "python": platform.python_version(),
+                "numpy": np.__version__,
+                "scipy": scipy.__version__,
+            },
+        }
+    )
 
 
 def _law(report: Report, shown: list[dict]) -> dict[str, Any] | None:

@@ -12,8 +12,13 @@ from soil_env.discrepancy.result import EffectFound, Report
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 from soil_env.terramechanics.residual import LEGEND, formulas, product
 
-_SOIL = {"phi": ("friction_angle_deg", "deg"), "c": ("cohesion", "Pa"), "K": ("shear_modulus", "m"),
-         "S": ("sinkage_coefficient", "N/m^(n+2)"), "n": ("sinkage_exponent", "")}  # fmt: skip
+_SOIL = {
+    "phi": ("friction_angle_deg", "deg"),
+    "c": ("cohesion", "Pa"),
+    "K": ("shear_modulus", "m"),
+    "S": ("sinkage_coefficient", "N/m^(n+2)"),
+    "n": ("sinkage_exponent", ""),
+}
 _GREEK = {"theta": "θ", "phi": "φ", "gamma": "γ", "tau": "τ", "sigma": "σ"}
 _FUNCTIONS = ("exp", "ln", "sqrt", "tan", "sin", "cos", "tanh", "cot")
 
@@ -30,33 +35,51 @@ class Block(NamedTuple):
 
     def content(self) -> dict[str, Any]:
         """The block in report.json."""
-        out = {"equation": "; ".join(self.equation), "fitted": "; ".join(self.fitted or self.equation)}
+        out = {
+            "equation": "; ".join(self.equation),
+            "fitted": "; ".join(self.fitted or self.equation),
+        }
         return out | {"where": self.where, "source": self.source}
 
 
 def blocks(report: Report) -> list[Block]:
     """Blocks of the named effects, and of the law of something unlisted."""
-    return [*(_of_effect(report, e) for e in report.effects), *([_of_law(report)] if report.model.residual else [])]
+    return [
+        *(_of_effect(report, e) for e in report.effects),
+        *([_of_law(report)] if report.model.residual else []),
+    ]
 
 
 def _of_effect(report: Report, e: EffectFound) -> Block:
-    effect, wheel = LISTED[e.name], report.model.wheel
+    effect = LISTED[e.name]
+    wheel = report.model.wheel
     form = effect.form(e.form)
     known = {symbol: _number(report.soil[key].value, unit) for symbol, (key, unit) in _SOIL.items()}
-    known |= {"r": _number(wheel.radius, "m"), "b": _number(wheel.width, "m"), "h": _number(wheel.grouser_height, "m"),
-              "gamma": _number(report.model.density * report.model.gravity, "N/m3")}  # fmt: skip
+    known |= {
+        "r": _number(wheel.radius, "m"),
+        "b": _number(wheel.width, "m"),
+        "h": _number(wheel.grouser_height, "m"),
+        "gamma": _number(report.model.density * report.model.gravity, "N/m3"),
+    }
     where = {}
     for symbol, meaning in legend(effect, form).items():
         other = symbol in effect.symbols and symbol != "h"  # b is the grade there, not the width
         where[symbol] = meaning if other or symbol not in known else f"{meaning}, {known[symbol]}"
     numbers = []
     for name in used(form):
-        p, value = effect.parameter(name), e.parameters[name]
+        p = effect.parameter(name)
+        value = e.parameters[name]
         said = f" = {_number(value.value, p.unit, 3)}"
         if value.low != value.high:
-            said += f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)})"
+            said += (
+                f" (95 % interval {_number(value.low, '', 3)} to {_number(value.high, p.unit, 3)})"
+            )
         else:
-            said += " (at a bound of its range)" if report.is_free(e.name, name) else " (set, not fitted)"
+            said += (
+                " (at a bound of its range)"
+                if report.is_free(e.name, name)
+                else " (set, not fitted)"
+            )
         numbers.append((p.symbol, f"{said}: {p.doc}"))
     values = {name: p.value for name, p in e.parameters.items()}
     return Block(
@@ -80,7 +103,8 @@ def _of_law(report: Report) -> Block:
     ]
     where = {}
     for channel in dict.fromkeys(t.channel for t in terms):
-        j, (unit, scale) = CHANNELS.index(channel), UNITS[channel]
+        j = CHANNELS.index(channel)
+        (unit, scale) = UNITS[channel]
         added = scale * report.law.offset[report.problem.used[:, j], j]
         said = f"it adds {added.min():.3g} to {added.max():.3g} {unit} of {TITLES[channel]} in this table"
         numbers.append(("", said))
@@ -106,9 +130,14 @@ def _number(x: float, unit: str = "", digits: int = 4) -> str:
 def mathematics(text: str) -> str:
     """An equation in plain text as HTML: italic letters, subscripts, superscripts, Greek."""
     text = escape(text, quote=False)
-    out, unit = [], re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
-    for piece in re.split(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text):  # a number with its unit stays as it is
-        out.append(piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", _symbol, piece))
+    out = []
+    unit = re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
+    for piece in re.split(
+        r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text
+    ):  # a number with its unit stays as it is
+        out.append(
+            piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", _symbol, piece)
+        )
     text = "".join(out)
     text = re.sub(r"\^\(([^()]*)\)", r"<sup>\1</sup>", text)
     text = re.sub(r"\^(-?[\w.]+|<i>.*?</i>)", r"<sup>\1</sup>", text)
@@ -121,7 +150,8 @@ def _symbol(match: re.Match) -> str:
         return name
     digits = re.fullmatch(r"([A-Za-z]+?)(\d+|m|p)", name)
     if digits and (digits[1] in _GREEK or len(digits[1]) == 1) and not below:
-        name, below = digits[1], digits[2]
+        name = digits[1]
+        below = digits[2]
     if name not in _GREEK and len(name) > 2:
         return match[0]  # a word of text
     return f"<i>{_GREEK.get(name, name)}</i>" + (f"<sub>{below}</sub>" if below else "")
@@ -130,4 +160,6 @@ def _symbol(match: re.Match) -> str:
 def leading_mathematics(meaning: str) -> str:
     """A meaning that may begin with a formula up to its first comma, as HTML."""
     first, mark, rest = meaning.partition(", ")
-    return (mathematics(first) if re.search(r"[(/^|]", first) else escape(first)) + escape(mark + rest)
+    return (mathematics(first) if re.search(r"[(/^|]", first) else escape(first)) + escape(
+        mark + rest
+    )

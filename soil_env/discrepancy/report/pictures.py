@@ -13,7 +13,9 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.report.sentences import CONDITIONS, TITLES, UNITS, fixed, title
 from soil_env.discrepancy.result import Report
 
-BEFORE, AFTER, MEASURED = "#c2571a", "#1f6f8b", "#222222"
+BEFORE = "#c2571a"
+AFTER = "#1f6f8b"
+MEASURED = "#222222"
 LIGHT = "#7fb2c2"
 MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
@@ -26,8 +28,15 @@ CAPTIONS = {
     "ranking": "Probability of each effect, and that nothing listed is missing. Dark: stated; light: alternatives.",
 }
 COLOURS = (AFTER, BEFORE, "#6b4c9a", "#7a7a7a")  # of candidates
-_STYLE = {"font.size": 9, "axes.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
-          "axes.edgecolor": "#888888", "axes.linewidth": 0.7, "svg.hashsalt": "soil_env"}  # fmt: skip
+_STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.linewidth": 0.7,
+    "svg.hashsalt": "soil_env",
+}
 
 
 def pictures(report: Report) -> dict[str, bytes]:
@@ -61,18 +70,31 @@ def _predicted(report: Report) -> Figure:
     """Held-out predictions of both models against what was measured."""
     figure, axes = _columns(report, 3.6)
     for name, ax in zip(report.channels, axes[0], strict=True):
-        j, (unit, scale) = CHANNELS.index(name), UNITS[name]
+        j = CHANNELS.index(name)
+        (unit, scale) = UNITS[name]
         y = scale * report.problem.data.y[:, j]
         image = y.size > MANY
         for held, color, label in _both(report, report.held_before, report.held_after):
-            ax.plot(y, scale * held[:, j], "o", ms=3.2, color=color, alpha=0.7, label=label, mew=0, rasterized=image)
+            ax.plot(
+                y,
+                scale * held[:, j],
+                "o",
+                ms=3.2,
+                color=color,
+                alpha=0.7,
+                label=label,
+                mew=0,
+                rasterized=image,
+            )
         used = y[report.problem.used[:, j]]
         ends = np.array([used.min(), used.max()])
         ax.plot(ends, ends, color=MEASURED, lw=0.8, zorder=0)
         noise = 2.0 * scale * report.problem.noise[j]
         ax.fill_between(ends, ends - noise, ends + noise, color="0.9", lw=0, zorder=-1)
         ax.set(title=TITLES[name], xlabel=f"measured [{unit}]", ylabel=f"predicted [{unit}]")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False
+    )
     return figure
 
 
@@ -89,7 +111,8 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
     Of all groups with three slips or more, evenly from the one that the base model misses least to the one that it
     misses most.
     """
-    data, varied = report.problem.data, report.problem.data.varied
+    data = report.problem.data
+    varied = report.problem.data.varied
     others = [c for name, c in varied.items() if name != "slip"]
     found = []
     for k, rows in enumerate(data.groups):
@@ -97,7 +120,11 @@ def groups(report: Report) -> list[tuple[str, np.ndarray]]:
             off = (data.y - report.held_before)[rows] / report.problem.noise
             found.append((float(np.nanmean(off**2)) if np.isfinite(off).any() else 0.0, k, rows))
     found.sort(key=lambda f: f[:2])
-    picked = [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})] if found else []
+    picked = (
+        [found[k] for k in sorted({round(x) for x in np.linspace(0, len(found) - 1, CURVES)})]
+        if found
+        else []
+    )
     out = []
     for _, _, rows in picked:
         parts = [_value(c.name, float(np.median(c.value[rows]))) for c in others]
@@ -113,13 +140,17 @@ def _value(name: str, x: float) -> str:
 def _slip(report: Report) -> Figure:
     """Measured against both models over slip, in a few groups of rows."""
     picked = groups(report)
-    figure, axes = _columns(report, 1.0 + 2.1 * max(len(picked), 1), max(len(picked), 1), sharex=True)
+    figure, axes = _columns(
+        report, 1.0 + 2.1 * max(len(picked), 1), max(len(picked), 1), sharex=True
+    )
     data = report.problem.data
     for axis, name in zip(axes[0], report.channels, strict=True):
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
-    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0  # of the rig; a model has none
+    tilt = (
+        report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
+    )  # of the rig; a model has none
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         middle = data.rows.wheels[rows[len(rows) // 2]]
@@ -132,19 +163,34 @@ def _slip(report: Report) -> Figure:
         at |= dict(zip(("wheel_radius", "wheel_width", "grouser_height"), middle, strict=True))
         if data.setup.load == "vertical":
             at["grade_deg"] += tilt
-        along = np.array([0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0])
+        along = np.array(
+            [0.0, at["load"] * math.sin(math.radians(tilt)) * (data.setup.load == "normal"), 0.0]
+        )
         curves = _both(report, report.base_model.predict(at), report.model.predict(at))
         lines = [(np.stack(p[:3], axis=1) - along, color, text) for p, color, text in curves]
         for name, ax in zip(report.channels, line, strict=True):
-            j, scale = CHANNELS.index(name), UNITS[name][1]
+            j = CHANNELS.index(name)
+            scale = UNITS[name][1]
             used = report.problem.used[rows, j]
             for p, color, text in lines:
                 ax.plot(slip, scale * p[:, j], color=color, lw=1.4, label=text)
-            ax.errorbar(data.rows.slip[rows], scale * data.y[rows, j], 2.0 * scale * report.problem.noise[j], fmt="o",
-                        ms=3, lw=0.8, color=MEASURED, label="measured, 2 sd of noise")  # fmt: skip
-            ax.plot(data.rows.slip[rows][~used], scale * data.y[rows, j][~used], "x", color="red", ms=6)
+            ax.errorbar(
+                data.rows.slip[rows],
+                scale * data.y[rows, j],
+                2.0 * scale * report.problem.noise[j],
+                fmt="o",
+                ms=3,
+                lw=0.8,
+                color=MEASURED,
+                label="measured, 2 sd of noise",
+            )
+            ax.plot(
+                data.rows.slip[rows][~used], scale * data.y[rows, j][~used], "x", color="red", ms=6
+            )
         if label:
-            line[0].set_ylabel(label.replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=8)
+            line[0].set_ylabel(
+                label.replace(", ", "\n"), rotation=0, ha="right", va="center", fontsize=8
+            )
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
@@ -156,25 +202,47 @@ def _next(report: Report) -> Figure:
     names = [p.name for p in report.next_tests[0].predicted][:CURVES]
     figure, axes = _columns(report, 3.4)
     for name, ax in zip(report.channels, axes[0], strict=True):
-        j, (unit, scale) = CHANNELS.index(name), UNITS[name]
+        j = CHANNELS.index(name)
+        (unit, scale) = UNITS[name]
         for k, said in enumerate(names):
             of = [t.predicted[k] for t in report.next_tests]
             at = np.arange(1, len(of) + 1) + 0.12 * (k - 0.5 * (len(names) - 1))
-            mean, sd = (scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd"))
-            ax.errorbar(at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said))
-        ax.set(title=TITLES[name], xlabel="next run", ylabel=f"predicted [{unit}]", xticks=range(1, len(of) + 1))
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+            mean, sd = (
+                scale * np.array([getattr(p, part)[j] for p in of]) for part in ("mean", "sd")
+            )
+            ax.errorbar(
+                at, mean, 2.0 * sd, fmt="o", ms=4, lw=1.2, color=COLOURS[k], label=title(said)
+            )
+        ax.set(
+            title=TITLES[name],
+            xlabel="next run",
+            ylabel=f"predicted [{unit}]",
+            xticks=range(1, len(of) + 1),
+        )
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
+    )
     return figure
 
 
 def _ranking(report: Report) -> Figure:
     """Probability of each effect, and of nothing and something unlisted."""
-    finding, named = report.finding, {e.name for e in report.effects}
+    finding = report.finding
+    named = {e.name for e in report.effects}
     near = {a for e in report.effects for a in e.alternatives}
-    bars = [(title(r.name), r.probability, AFTER if r.name in named else LIGHT if r.name in near else "0.75")
-            for r in report.finding.ranking]  # fmt: skip
-    bars += [("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
-             ("something unlisted alone", finding.unlisted, BEFORE), ("nothing", finding.none, "0.5")]  # fmt: skip
+    bars = [
+        (
+            title(r.name),
+            r.probability,
+            AFTER if r.name in named else LIGHT if r.name in near else "0.75",
+        )
+        for r in report.finding.ranking
+    ]
+    bars += [
+        ("something unlisted as well", finding.remainder - finding.unlisted, "0.75"),
+        ("something unlisted alone", finding.unlisted, BEFORE),
+        ("nothing", finding.none, "0.5"),
+    ]
     figure = _figure(7.0, 0.9 + 0.24 * len(bars))
     ax = figure.subplots()
     labels, shares, colors = zip(*bars[::-1], strict=True)

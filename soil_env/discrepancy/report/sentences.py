@@ -34,14 +34,25 @@ SOIL = {
 }
 UNITS = {"sinkage": ("mm", 1e3), "drawbar_pull": ("N", 1.0), "torque": ("N m", 1.0)}
 TITLES = {"sinkage": "sinkage", "drawbar_pull": "drawbar pull", "torque": "torque"}
-CONDITIONS = {"slip": ("slip", ""), "load": ("load", " N"), "speed": ("speed", " m/s"), "pass": ("pass", ""),
-              "grade_deg": ("grade", " deg"), "wheel_radius": ("wheel radius", " m"),
-              "wheel_width": ("wheel width", " m"), "grouser_height": ("grouser height", " m")}  # fmt: skip
+CONDITIONS = {
+    "slip": ("slip", ""),
+    "load": ("load", " N"),
+    "speed": ("speed", " m/s"),
+    "pass": ("pass", ""),
+    "grade_deg": ("grade", " deg"),
+    "wheel_radius": ("wheel radius", " m"),
+    "wheel_width": ("wheel width", " m"),
+    "grouser_height": ("grouser height", " m"),
+}
 IN_MODEL = (
     "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, has the values that "
     "predict best so."
 )
-_MORE = {"sinkage": ("deeper", "shallower"), "drawbar_pull": ("higher", "lower"), "torque": ("higher", "lower")}
+_MORE = {
+    "sinkage": ("deeper", "shallower"),
+    "drawbar_pull": ("higher", "lower"),
+    "torque": ("higher", "lower"),
+}
 #: Groups of a law without a name, by what they are about.
 _GROUPS = {"grip": "slip", "pass": "pass number"}
 
@@ -74,7 +85,13 @@ def percent(share: float) -> str:
 
 def sure(p: float) -> str:
     """A probability in percent."""
-    return "more than 99.9 %" if p > 0.999 else "less than 0.1 %" if p < 0.001 else f"{100.0 * p:.3g} %"
+    return (
+        "more than 99.9 %"
+        if p > 0.999
+        else "less than 0.1 %"
+        if p < 0.001
+        else f"{100.0 * p:.3g} %"
+    )
 
 
 def plural(count: int, word: str) -> str:
@@ -134,7 +151,9 @@ def next_test(report: Report, t: NextTest) -> str:
     if t.repeat:
         return f"{at}, again: the model misses most here, which may be a slip of the rig"
     against = f"{title(t.separates[0])} against {title(t.separates[1])}"
-    return f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
+    return (
+        f"{at}: {against}, expected to differ by {t.expected_sigma:.1f} sd in {TITLES[t.channel]}"
+    )
 
 
 def right_now(report: Report) -> float:
@@ -154,9 +173,7 @@ def after_next(report: Report) -> str:
     if report.verdict == "unlisted":
         return "These runs repeat what the model misses most, or tell listed effects apart, not what is in no catalogue"
     if not runs_help(report):
-        return (
-            f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
-        )
+        return f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
     return (
         "Make the runs in this order and add their rows. A candidate, here an exact set of effects, is right as often "
         f"as its probability says. So the right one has {now} on average now, and at least "
@@ -169,27 +186,43 @@ def _place(point: Mapping[str, float]) -> str:
     parts = [f"load {point['load']:.4g} N"] if "load" in point else []
     parts += [f"{point['speed']:.3g} m/s"] if "speed" in point else []
     parts += [f"pass {point['pass']:g}"] if point.get("pass", 1.0) != 1.0 else []
-    parts += [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    parts += (
+        [f"a grade of {point['grade_deg']:.3g} deg"] if point.get("grade_deg", 0.0) != 0.0 else []
+    )
     parts += [f"{CONDITIONS[n][0]} {point[n]:.3g} m" for n in WHEEL if n in point]
     return f"slip {point['slip']:.2g} at {listed(parts)}"
 
 
 def summary(report: Report) -> str:
     """Conclusion: what is missing, its probability, and how far the gap closes."""
-    finding, gap = report.finding, report.gap
+    finding = report.finding
+    gap = report.gap
     exact = dict.fromkeys(h.names for h in finding.hypotheses if h.names)
-    of = sorted(((sum(h.probability for h in finding.hypotheses if h.names == n), n) for n in exact), reverse=True)
-    shares = [f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})" for p, n in of[:4] if p >= TOLD]
+    of = sorted(
+        ((sum(h.probability for h in finding.hypotheses if h.names == n), n) for n in exact),
+        reverse=True,
+    )
+    shares = [
+        f"{title(' and '.join(n))}{' alone' * (len(n) == 1)} ({sure(p)})"
+        for p, n in of[:4]
+        if p >= TOLD
+    ]
     text = render(
         f"{__package__}:summary.txt",
         **_helpers(),
         report=report,
         effects=[f"{title(e.name)} (probability {sure(e.probability)})" for e in report.effects],
         rivals=[title(a) for a in dict.fromkeys(a for e in report.effects for a in e.alternatives)],
-        left=[f"{amount(n, g.remainder[0])} of {TITLES[n]}" for n, g in gap.items() if g.remainder[0] > 0.0],
+        left=[
+            f"{amount(n, g.remainder[0])} of {TITLES[n]}"
+            for n, g in gap.items()
+            if g.remainder[0] > 0.0
+        ],
         law_error=figure(100.0 * report.law_error),
         sets=shares,
-        groups=list(dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)),
+        groups=list(
+            dict.fromkeys(_GROUPS.get(g, g) for t in report.model.residual for g in t.powers)
+        ),
         values=int(report.problem.used.sum()),
         worst=max((g.over_noise[0] for g in gap.values()), default=0.0),
         nearest=next((r for r in finding.ranking if r.probability >= TOLD), None),
@@ -197,24 +230,35 @@ def summary(report: Report) -> str:
         most=max(gap, key=lambda n: gap[n].over_noise[0] - gap[n].over_noise[1], default=None),
         unseen=unseen(report),
         law=UNNAMED[law].title if (law := finding.hypotheses[0].law) else "",
-        refuted=[title(" and ".join(n)) for n in dict.fromkeys(finding.refuted) if not {*n} <= {*finding.names}],
+        refuted=[
+            title(" and ".join(n))
+            for n in dict.fromkeys(finding.refuted)
+            if not {*n} <= {*finding.names}
+        ],
     )
     return " ".join(text.split()).replace(" ,", ",")
 
 
 def unseen(report: Report) -> list[str]:
     """Effects that the table cannot show; not those that the setup rules out."""
-    return [title(n) for n in report.finding.untestable if n not in exact(report.problem.data.setup)]
+    return [
+        title(n) for n in report.finding.untestable if n not in exact(report.problem.data.setup)
+    ]
 
 
 def cautions(report: Report) -> list[str]:
     """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and model.yaml."""
-    problem, noise, fit, setup = report.problem, report.noise, report.fit, report.problem.data.setup
-    bounds, off_prior = [], []
+    problem = report.problem
+    noise = report.noise
+    fit = report.fit
+    setup = report.problem.data.setup
+    bounds = []
+    off_prior = []
     widened = {k.name: k for k in problem.soil}
     for unknown, u in zip(fit.unknowns, fit.u, strict=True):
         label = SOIL.get(unknown.name, (unknown.name.replace("_", " "), ""))[0]
-        value, x = float(unknown.value(u)), unknown.mean + unknown.sd * float(u)
+        value = float(unknown.value(u))
+        x = unknown.mean + unknown.sd * float(u)
         if min(x - unknown.low, unknown.high - x) <= 1e-4 * unknown.sd:
             bounds.append((label, not_tiny(value)))
         elif getattr(setup.soil, unknown.name, None) is not None:
@@ -225,13 +269,15 @@ def cautions(report: Report) -> list[str]:
     worse_with = []
     for j in np.flatnonzero(dropped.any(axis=0)):
         kept, whole = (
-            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2))) for rows in (problem.used, problem.data.measured)
+            math.sqrt(float(np.mean(far[rows[:, j], j] ** 2)))
+            for rows in (problem.used, problem.data.measured)
         )
         worse_with += [(TITLES[CHANNELS[j]], whole, kept)] if whole > 1.2 * kept else []
     outside = []
     for e in report.effects:
         for name, p in e.parameters.items():
-            value, reach = e.fitted[name], OUTSIDE * (p.high - p.low)
+            value = e.fitted[name]
+            reach = OUTSIDE * (p.high - p.low)
             if not p.low - reach <= value <= p.high + reach:
                 outside.append((e.name, name, not_tiny(value), p))
     text = render(
@@ -243,7 +289,9 @@ def cautions(report: Report) -> list[str]:
         unknowns=len(fit.unknowns),
         missing=[TITLES[name] for name in CHANNELS if name not in report.channels],
         from_scatter=[
-            (TITLES[n], amount(n, noise.sd[j])) for j, n in enumerate(CHANNELS) if noise.origin[j] == "scatter"
+            (TITLES[n], amount(n, noise.sd[j]))
+            for j, n in enumerate(CHANNELS)
+            if noise.origin[j] == "scatter"
         ],
         left_out=[f"{TITLES[name]} in row {row}" for row, name in report.left_out],
         ordinary=int(np.sum(far[dropped] <= 3.0)),
@@ -252,7 +300,11 @@ def cautions(report: Report) -> list[str]:
         off_prior=off_prior,
         outside=outside,
         buried=int(np.sum(fit.output[:, 0] >= 0.999 * DEEPEST * problem.data.wheel.radius)),
-        remains=[(TITLES[n], g.over_noise[1]) for n, g in report.gap.items() if g.after > LEFT * g.noise_floor],
+        remains=[
+            (TITLES[n], g.over_noise[1])
+            for n, g in report.gap.items()
+            if g.after > LEFT * g.noise_floor
+        ],
         height=setup.wheel.grouser_height,
         digging=problem.digging[0],
         unseen=unseen(report),
@@ -263,7 +315,14 @@ def cautions(report: Report) -> list[str]:
 def _helpers() -> dict[str, object]:
     """Functions and limits that the templates use."""
     functions = (added, disagreement, listed, percent, plural, rises, sure, title)
-    limits = {"FEW": FEW, "LEFT": LEFT, "MENTIONED": MENTIONED, "NAMED": NAMED, "SCATTERED": SCATTERED, "TOLD": TOLD}
+    limits = {
+        "FEW": FEW,
+        "LEFT": LEFT,
+        "MENTIONED": MENTIONED,
+        "NAMED": NAMED,
+        "SCATTERED": SCATTERED,
+        "TOLD": TOLD,
+    }
     return {f.__name__: f for f in functions} | limits | {"TITLES": TITLES}
 
 
@@ -271,8 +330,9 @@ def rises(report: Report) -> list[str]:
     """Channels whose held-out error is larger with the corrected model, in sentences."""
     return [
         f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with {added(report)}."
-        for name, g in report.gap.items() if report.corrected and g.after > (1.0 + WORSE) * g.before
-    ]  # fmt: skip
+        for name, g in report.gap.items()
+        if report.corrected and g.after > (1.0 + WORSE) * g.before
+    ]
 
 
 def added(report: Report) -> str:
@@ -292,7 +352,9 @@ def probabilities(report: Report) -> str:
 
 def rule() -> str:
     """Prior odds behind the probabilities."""
-    listed, rig, law, other = (f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS))
+    listed, rig, law, other = (
+        f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS)
+    )
     return (
         f"Before the table, the odds that an effect is missing are {listed} for each that is listed, {rig} for each "
         f"error of the instrument, {law} for each of {len(UNNAMED)} laws without a name, and {other} for anything "

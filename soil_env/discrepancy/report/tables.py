@@ -38,7 +38,8 @@ def effects(report: Report) -> Table:
 
 def soil(report: Report) -> Table:
     """Soil parameters with their intervals, and those of the corrected model."""
-    rows, fitted = [], report.fit.parameters()
+    rows = []
+    fitted = report.fit.parameters()
     for name, p in report.soil.items():
         label, unit = SOIL[name]
         origin = _interval(p) or ("given" if report.known(name) else "assumed")
@@ -68,14 +69,20 @@ def gap(report: Report) -> Table:
 
 def ranking(report: Report, most: int | None = None) -> Table:
     """The candidates, the first `most` of them."""
-    rows = [(title(r.name), times(r.score), fixed(r.probability, 3)) for r in report.finding.ranking[:most]]
+    rows = [
+        (title(r.name), times(r.score), fixed(r.probability, 3))
+        for r in report.finding.ranking[:most]
+    ]
     return Table(("effect", "evidence over the best without a name", "probability"), rows)
 
 
 def next_runs(report: Report) -> Table:
     """The runs to make next, in their order."""
     names = list(report.next_tests[0].conditions)
-    head = [f"{label} [{unit.strip()}]" if unit else label for label, unit in (CONDITIONS[n] for n in names)]
+    head = [
+        f"{label} [{unit.strip()}]" if unit else label
+        for label, unit in (CONDITIONS[n] for n in names)
+    ]
     rows = [
         (k, *(f"{t.conditions[n]:.4g}" for n in names), figures(t.cost, 2), percent(t.sure))
         for k, t in enumerate(report.next_tests, start=1)
@@ -90,16 +97,21 @@ def next_predictions(report: Report, most: int | None = None) -> Table:
         for p in test.predicted[:most]:
             cells = []
             for name in report.channels:
-                j, scale = CHANNELS.index(name), UNITS[name][1]
+                j = CHANNELS.index(name)
+                scale = UNITS[name][1]
                 cells.append(f"{scale * p.mean[j]:.3g}±{scale * p.sd[j]:.2g}")
-            rows.append((k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells))
+            rows.append(
+                (k, " + ".join(map(title, p.name.split(" and "))), fixed(p.probability, 2), *cells)
+            )
     channels = (f"{TITLES[n].split()[-1]} ± sd [{UNITS[n][0]}]" for n in report.channels)
     return Table(("run", "exactly these effects", "p", *channels), rows)
 
 
 def untestable(report: Report) -> Table:
     """Effects that the table cannot show, with the reason."""
-    return Table(("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()])
+    return Table(
+        ("effect", "reason"), [(title(k), v) for k, v in report.finding.untestable.items()]
+    )
 
 
 def detectable(report: Report) -> Table:
@@ -107,5 +119,7 @@ def detectable(report: Report) -> Table:
     rows = []
     for name, d in report.finding.detectable.items():
         unit = LISTED[name].parameter(d.parameter).unit
-        rows.append((title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power)))
+        rows.append(
+            (title(name), d.parameter.replace("_", " "), figures(d.size, 2), unit, percent(d.power))
+        )
     return Table(("effect", "parameter", "smallest", "unit", "chance of a larger one"), rows)

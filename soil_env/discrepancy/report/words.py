@@ -55,12 +55,21 @@ def conclusion(report: Report) -> str:
         return f"{explains} a part of what the simulation misses, and a part is left."
     if report.verdict == "unlisted":
         near_by = f"; {listed(near, 'or')} comes closest, but in another form" if near else ""
-        return f"Something is missing from the simulation that is none of the listed effects{near_by}."
+        return (
+            f"Something is missing from the simulation that is none of the listed effects{near_by}."
+        )
     if report.verdict == "ambiguous":
         rivals = [(finding.share(n), title(n)) for n in finding.candidates]
-        rivals += [(finding.unlisted, "something that is in no catalogue"), (finding.none, "nothing")]
+        rivals += [
+            (finding.unlisted, "something that is in no catalogue"),
+            (finding.none, "nothing"),
+        ]
         likely = [name for p, name in sorted(rivals, reverse=True) if p >= LIKELY]
-        rest = f": most probable {'are' if len(likely) > 1 else 'is'} {listed(likely, 'or')}" if likely else ""
+        rest = (
+            f": most probable {'are' if len(likely) > 1 else 'is'} {listed(likely, 'or')}"
+            if likely
+            else ""
+        )
         return f"These runs do not decide what is missing, if anything{rest}."
     if report.verdict == "none":
         if missed(report):
@@ -74,7 +83,10 @@ def next_step(report: Report) -> str:
     if report.doubts:
         return "Check the table as said above, and run this again."
     beside = [n for e in report.effects for n in (e.name, *e.alternatives)]
-    asked = {*beside, *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY)} & {*INSTRUMENT}
+    asked = {
+        *beside,
+        *(n for n in report.finding.candidates if report.finding.share(n) >= LIKELY),
+    } & {*INSTRUMENT}
     found = {c: sum(map(report.finding.share, c.decides)) for c in report.next_checks}
     checks = [c for c in CHECKS if found.get(c, 0.0) >= LIKELY or asked & {*c.decides}]
     before = report.problem.data.setup.checked
@@ -82,14 +94,24 @@ def next_step(report: Report) -> str:
     steps = [c.work for c in checks]
     of_sensor = report.finding.hypotheses[0].law in OF_SENSORS and report.verdict == "unlisted"
     if of_sensor and not {"force_gain", "torque_gain"} <= {*done.split(", ")}:
-        steps.append("load each sensor with several known weights, and correct the columns where it is not linear")
+        steps.append(
+            "load each sensor with several known weights, and correct the columns where it is not linear"
+        )
     steps += [f"correct the columns, and write in the setup `checked: [{done}]`"] if checks else []
     runs = runs_help(report) and report.verdict != "none"
     steps += ["make the next tests below, the first one first, and add their rows"] if runs else []
     steps += ["run this again"] if steps else []
     said = " ".join(f"{step[:1].upper()}{step[1:]}." for step in steps)
-    if steps and (report.verdict not in ("named", "none") or {e.name for e in report.effects} & {*INSTRUMENT}):
+    if steps and (
+        report.verdict not in ("named", "none") or {e.name for e in report.effects} & {*INSTRUMENT}
+    ):
         return said
-    if report.verdict in ("ambiguous", "undetermined") or (report.verdict == "none" and missed(report)):
-        return "Make more runs, at other slips, loads and speeds, add their rows and run this again."
-    return "Simulate with model.yaml." + (f" To be surer: {said[:1].lower()}{said[1:]}" if steps else "")
+    if report.verdict in ("ambiguous", "undetermined") or (
+        report.verdict == "none" and missed(report)
+    ):
+        return (
+            "Make more runs, at other slips, loads and speeds, add their rows and run this again."
+        )
+    return "Simulate with model.yaml." + (
+        f" To be surer: {said[:1].lower()}{said[1:]}" if steps else ""
+    )

@@ -23,7 +23,8 @@ from soil_env.terramechanics.traversability import best_points
 SLIPS = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])
 _FIRST_STEPS = 4
 _FAR = 0.7  # largest step of ln z
-_LEAST, _DEEPEST = 1e-3, 1.5  # [radii] of the sinkage
+_LEAST = 1e-3  # [radii] of the sinkage
+_DEEPEST = 1.5
 _rows = scratch(8 * COUNT)
 _STEP = 0.03  # of finite differences, of the sd of the prior
 
@@ -31,7 +32,8 @@ _STEP = 0.03  # of finite differences, of the sd of the prior
 @compiled_inline
 def _newton(x, soil, y, gain, ln_bearing, load, numbers):
     """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ln of ratio z_b, share of digging)."""
-    slip, r = from_array(numbers.slips, 0), numbers.radius
+    slip = from_array(numbers.slips, 0)
+    r = numbers.radius
     z = exp(x)
     found = reaction(soil, z, slip, load, r, numbers.width)
     ratio = digging_ratio(slip, 1.0 - slip, gain, numbers.dig_recovery)
@@ -39,7 +41,13 @@ def _newton(x, soil, y, gain, ln_bearing, load, numbers):
     slope = smaller(found.ln_s.by_sinkage * z, -0.1)
     step = (y - found.ln_s.value - soil.exponent * deep) / slope
     after = x + smaller(larger(step, -_FAR), _FAR)
-    return larger(smaller(after, math.log(_DEEPEST * r)), math.log(_LEAST * r)), found, slope, deep, 1.0 - 1.0 / ratio
+    return (
+        larger(smaller(after, math.log(_DEEPEST * r)), math.log(_LEAST * r)),
+        found,
+        slope,
+        deep,
+        1.0 - 1.0 / ratio,
+    )
 
 
 @compiled_part
@@ -53,11 +61,15 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
     (yy, yg, gg) of what the sinkage adds to y and to the ln of the gain. `along`: a change of these six.
     """
     soil = GroundSoil(fill(g[0]), fill(g[1]), fill(g[2]), fill(g[3]))
-    gain, ln_bearing, rows = numbers.dig_gain * math.exp(ln_gain), math.log(bearing), _rows()
+    gain = numbers.dig_gain * math.exp(ln_gain)
+    ln_bearing = math.log(bearing)
+    rows = _rows()
     x = from_array(steady, 0)
     if steady[0] == 0.0:
         slip = from_array(numbers.slips, 0)
-        x = ln_bearing + log(digging_ratio(slip, 1.0 - slip, gain, numbers.dig_recovery)) * (g[2] / (g[2] + 0.5))
+        x = ln_bearing + log(digging_ratio(slip, 1.0 - slip, gain, numbers.dig_recovery)) * (
+            g[2] / (g[2] + 0.5)
+        )
         for _ in range(_FIRST_STEPS):
             x = _newton(x, soil, y, gain, ln_bearing, load, numbers)[0]
     after, found, slope, deep, digs = _newton(x, soil, y, gain, ln_bearing, load, numbers)
@@ -68,7 +80,11 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
     to_array(found.torque.value, rows, COUNT)
     to_array(found.pull.by_tangent + moves * (found.ln_s.by_tangent - slopes[0]), rows, 2 * COUNT)
     to_array(found.pull.by_cohesion + moves * (found.ln_s.by_cohesion - slopes[1]), rows, 3 * COUNT)
-    to_array(found.pull.by_exponent + moves * (found.ln_s.by_exponent + deep - slopes[2]), rows, 4 * COUNT)
+    to_array(
+        found.pull.by_exponent + moves * (found.ln_s.by_exponent + deep - slopes[2]),
+        rows,
+        4 * COUNT,
+    )
     to_array(found.pull.by_ln_K + moves * (found.ln_s.by_ln_K - slopes[3]), rows, 5 * COUNT)
     to_array(-1.0 * moves, rows, 6 * COUNT)
     to_array(moves * (g[2] * digs), rows, 7 * COUNT)
@@ -78,35 +94,65 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
             best = j
     if best < 0:
         return -1.0, 1.0, 0.0
-    variance, rate, k = 0.0, 0.0, 2 * COUNT + best
+    variance = 0.0
+    rate = 0.0
+    k = 2 * COUNT + best
     for i in range(SOIL):
         rate += rows[k + i * COUNT] * along[i]
         for j in range(SOIL):
-            variance += rows[k + i * COUNT] * rows[k + j * COUNT] * g[SOIL + below_diagonal(max(i, j), min(i, j))]
-    by_y, by_gain = rows[6 * COUNT + best], rows[7 * COUNT + best]
-    variance += by_y * by_y * of_sinkage[0] + 2.0 * by_y * by_gain * of_sinkage[1] + by_gain * by_gain * of_sinkage[2]
+            variance += (
+                rows[k + i * COUNT]
+                * rows[k + j * COUNT]
+                * g[SOIL + below_diagonal(max(i, j), min(i, j))]
+            )
+    by_y = rows[6 * COUNT + best]
+    by_gain = rows[7 * COUNT + best]
+    variance += (
+        by_y * by_y * of_sinkage[0]
+        + 2.0 * by_y * by_gain * of_sinkage[1]
+        + by_gain * by_gain * of_sinkage[2]
+    )
     rate += by_y * along[SOIL] + by_gain * along[SOIL + 1]
-    if not math.isfinite(rows[best] + variance + rate):  # readings that no soil explains: begun anew
+    if not math.isfinite(
+        rows[best] + variance + rate
+    ):  # readings that no soil explains: begun anew
         steady[0] = 0.0
         return -1.0, 1.0, 0.0
     return max(rows[best] / load, -1.0), variance / (load * load), rate / load
 
 
-def prior_pull(mean: np.ndarray, covariance: np.ndarray, depth: float, scenario: Scenario) -> tuple[float, float]:
+def prior_pull(
+    mean: np.ndarray, covariance: np.ndarray, depth: float, scenario: Scenario
+) -> tuple[float, float]:
     """(best drawbar pull of the weight, its variance) of a Gaussian [6] of the unknowns of `soil_prior`."""
-    b, wheel = scenario.belief, scenario.wheel
+    b = scenario.belief
+    wheel = scenario.wheel
     points = np.tile(mean, (13, 1))
     steps = _STEP * np.sqrt(np.diag(covariance))
     points[1:7] += np.diag(steps)
     points[7:] -= np.diag(steps)
     tangent, c, n, ln_K, y, ln_gain = points.T
     soils = SoilState(
-        tangent, np.maximum(c, 0.0), np.exp(ln_K), np.exp(y - n * math.log(depth)), n, b.dig_gain * np.exp(ln_gain),
+        tangent,
+        np.maximum(c, 0.0),
+        np.exp(ln_K),
+        np.exp(y - n * math.log(depth)),
+        n,
+        b.dig_gain * np.exp(ln_gain),
         np.full(13, b.dig_recovery),
-    )  # fmt: skip
+    )
     slip, pull = np.empty((2, 13))
     load = np.full(13, scenario.weight)
-    best_points(np.arange(13), np.column_stack(soils), load, wheel.radius, wheel.width, wheel.stall_torque, slip, pull)
+    best_points(
+        np.arange(13),
+        np.column_stack(soils),
+        load,
+        wheel.radius,
+        wheel.width,
+        wheel.stall_torque,
+        slip,
+        pull,
+    )
     pull = np.maximum(pull / scenario.weight, -1.0)
     slopes = (pull[1:7] - pull[7:]) / (2.0 * steps)
     return float(pull[0]), float(slopes @ covariance @ slopes)

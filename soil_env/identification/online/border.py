@@ -27,7 +27,9 @@ _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
 _KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
 _BETWEEN = 0.4  # [squared distances of the places tested] least variance of a place, ampler than that between two
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
-_FOUND = 1.0 / 6.0  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
+_FOUND = (
+    1.0 / 6.0
+)  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
 _UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it do not count behind it
 
 
@@ -66,7 +68,9 @@ def _variance_of_pitch(p, k, numbers):
 @compiled_part
 def note_grade(banks, k, pitch, numbers):
     """Take a reading of the pitch [rad]."""
-    p, found, x = banks.point, banks.candidates[k], banks.point.place[k]
+    p = banks.point
+    found = banks.candidates[k]
+    x = banks.point.place[k]
     y = pitch - p.grade[k]
     if p.crossing[k] > 0.0:
         if p.fixed[k] == 0.0:
@@ -88,9 +92,12 @@ def note_grade(banks, k, pitch, numbers):
 @compiled_inline
 def _add_pitch(banks, k, y, numbers):
     """Add a pitch that is y [rad] above the grade of this soil to A and B of all places."""
-    p, found = banks.point, banks.candidates[k]
+    p = banks.point
+    found = banks.candidates[k]
     for i in range(0, CANDIDATES, COUNT):
-        w, _ = _share(fill(p.place[k]), from_array(numbers.offsets, i) + p.nearest[k], numbers.border)
+        w, _ = _share(
+            fill(p.place[k]), from_array(numbers.offsets, i) + p.nearest[k], numbers.border
+        )
         to_array(from_array(found, i) + w * w, found, i)
         to_array(from_array(found, CANDIDATES + i) + y * w, found, CANDIDATES + i)
 
@@ -98,7 +105,8 @@ def _add_pitch(banks, k, y, numbers):
 @compiled_inline
 def _likelihoods(found, i, v, ratio):
     """ln likelihood ratios of the candidates i ... i + 7; `ratio` = v/t^2."""
-    a, b = from_array(found, i), from_array(found, CANDIDATES + i)
+    a = from_array(found, i)
+    b = from_array(found, CANDIDATES + i)
     return b * b / (2.0 * v * (a + ratio)) - 0.5 * log(1.0 + a * (1.0 / ratio))
 
 
@@ -106,20 +114,26 @@ def _likelihoods(found, i, v, ratio):
 def _locate(banks, k, numbers):
     """(ln evidence of a border over none, mean [m] and variance [m2] of its place, rise [rad] of the grade, mean and
     mean square of the new soil's share here)."""
-    p, found = banks.point, banks.candidates[k]
+    p = banks.point
+    found = banks.candidates[k]
     v = _variance_of_pitch(p, k, numbers)
     ratio = v / (numbers.grade_change * numbers.grade_change)
-    first, second = _likelihoods(found, 0, v, ratio), _likelihoods(found, COUNT, v, ratio)
+    first = _likelihoods(found, 0, v, ratio)
+    second = _likelihoods(found, COUNT, v, ratio)
     highest = -min(smallest(-1.0 * first), smallest(-1.0 * second))
-    first, second = exp(larger(first - highest, -700.0)), exp(larger(second - highest, -700.0))
+    first = exp(larger(first - highest, -700.0))
+    second = exp(larger(second - highest, -700.0))
     weight = total(first + second)
     place = rise = square = here = here_square = 0.0
     for i in range(0, CANDIDATES, COUNT):
-        w, e = (first if i == 0 else second) * (1.0 / weight), from_array(numbers.offsets, i)
+        w = (first if i == 0 else second) * (1.0 / weight)
+        e = from_array(numbers.offsets, i)
         place += total(w * e)
         square += total(w * e * e)
         rise += total(w * from_array(found, CANDIDATES + i) / (from_array(found, i) + ratio))
-        share, _ = _share(fill(p.place[k] + _AHEAD * numbers.border), e + p.nearest[k], numbers.border)
+        share, _ = _share(
+            fill(p.place[k] + _AHEAD * numbers.border), e + p.nearest[k], numbers.border
+        )
         here += total(w * share)
         here_square += total(w * share * share)
     variance = max(square - place * place, 0.0) + _BETWEEN * numbers.offsets[1] * numbers.offsets[1]
@@ -135,7 +149,8 @@ def cross_where_the_grade_changes(banks, k, numbers):
         begin(banks, k, numbers, place, variance, rise)
     else:
         likely = 1.0 / (1.0 + math.exp(-odds))
-        banks.point.next_share[k], banks.point.next_square[k] = likely * share, likely * square
+        banks.point.next_share[k] = likely * share
+        banks.point.next_square[k] = likely * square
 
 
 @compiled_inline
@@ -149,9 +164,11 @@ def follow_border(banks, k, numbers):
 @compiled_inline
 def cross_here(banks, k, numbers):
     """`begin` where the forces show a border."""
-    ahead, misfit = _FOUND * numbers.border, banks.point.misfit[k]
+    ahead = _FOUND * numbers.border
+    misfit = banks.point.misfit[k]
     begin_known_border(banks, k, numbers, banks.point.place[k] + ahead, ahead * ahead)
-    banks.point.misfit[k], banks.point.by_forces[k] = misfit, 1.0  # the misfit until the next point
+    banks.point.misfit[k] = misfit  # the misfit until the next point
+    banks.point.by_forces[k] = 1.0
 
 
 @compiled_part
@@ -161,9 +178,14 @@ def begin(banks, k, numbers, place, place_variance, rise):
     The soil so far becomes the old one, the new one is that of the prior.
     """
     p = banks.point
-    p.crossing[k], p.by_forces[k], p.fixed[k], p.same[k] = 1.0, 0.0, 0.0, 0.0
+    p.crossing[k] = 1.0
+    p.by_forces[k] = 0.0
+    p.fixed[k] = 0.0
+    p.same[k] = 0.0
     p.next_share[k] = p.next_square[k] = 0.0
-    p.border[k], p.border_variance[k], p.rise[k] = place, place_variance, rise
+    p.border[k] = place
+    p.border_variance[k] = place_variance
+    p.rise[k] = rise
     p.form_error[k] = max(_KEPT_ERROR * p.form_error[k], numbers.model_error)
     p.flagged[k] = 1.0 if p.form_error[k] > numbers.model_error else 0.0
     begin_next_soil(banks, k, numbers)
@@ -174,14 +196,17 @@ def begin(banks, k, numbers, place, place_variance, rise):
 def begin_known_border(banks, k, numbers, place, place_variance):
     """`begin` at a place that the grade does not move; the contradictions of the laws so far came from the border."""
     begin(banks, k, numbers, place, place_variance, 0.0)
-    banks.point.fixed[k], banks.point.form_error[k], banks.point.flagged[k] = 1.0, numbers.model_error, 0.0
+    banks.point.fixed[k] = 1.0
+    banks.point.form_error[k] = numbers.model_error
+    banks.point.flagged[k] = 0.0
 
 
 @compiled_inline
 def end(banks, k, numbers):
     """Leave a border behind: the old soil counts for the readings on the border only, if they count at all."""
     p = banks.point
-    p.crossing[k], p.misfit[k] = 0.0, 0.0
+    p.crossing[k] = 0.0
+    p.misfit[k] = 0.0
     p.grade[k] += p.rise[k]
     p.grades[k] = _KNOWN
     if leave_old_soil(banks, k):

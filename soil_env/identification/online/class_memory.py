@@ -47,7 +47,8 @@ def memory_numbers(scenario: Scenario) -> MemoryNumbers:
     """Pack what the functions below need."""
     numbers = identifier_numbers(scenario)
     pull, sd = numbers.prior_pull
-    prior, precision = np.append(numbers.prior, pull), np.append(numbers.precision, max(sd, _LEAST_SD) ** -2.0)
+    prior = np.append(numbers.prior, pull)
+    precision = np.append(numbers.precision, max(sd, _LEAST_SD) ** -2.0)
     return MemoryNumbers(prior, precision, scenario.belief.border)
 
 
@@ -55,7 +56,9 @@ def new_memory(wheels: int, classes: int) -> ClassMemory:
     """Empty memory; `forget_classes` sets one to the prior."""
     estimate, sd = np.zeros((2, wheels, classes, UNKNOWNS))
     mean, precision = np.zeros((2, wheels, UNKNOWNS))
-    return ClassMemory(estimate, sd, np.zeros((wheels, classes), np.int64), np.full(wheels, -1), mean, precision)
+    return ClassMemory(
+        estimate, sd, np.zeros((wheels, classes), np.int64), np.full(wheels, -1), mean, precision
+    )
 
 
 @compiled_part
@@ -65,22 +68,27 @@ def forget_classes(memory, k, numbers):
     for c in range(memory.patches.shape[1]):
         memory.patches[k, c] = 0
         for i in range(UNKNOWNS):
-            memory.estimate[k, c, i], memory.sd[k, c, i] = numbers.prior[i], numbers.precision[i] ** -0.5
+            memory.estimate[k, c, i] = numbers.prior[i]
+            memory.sd[k, c, i] = numbers.precision[i] ** -0.5
 
 
 @compiled_part
 def remember(memory, k, c, patch, ids, numbers):
     """Renew class c by the estimate that identifier k has on a `patch`; it replaces an earlier one from there."""
-    mean, precision = memory.mean[k], memory.precision[k]
+    mean = memory.mean[k]
+    precision = memory.precision[k]
     if memory.patch[k] != patch:
         memory.patch[k] = patch
         memory.patches[k, c] += 1
         for i in range(UNKNOWNS):
-            mean[i], precision[i] = memory.estimate[k, c, i], memory.sd[k, c, i] ** -2.0
+            mean[i] = memory.estimate[k, c, i]
+            precision[i] = memory.sd[k, c, i] ** -2.0
     for i in range(UNKNOWNS):
-        value, sd = ids.best_pull[k, 0], ids.best_pull[k, 1]
+        value = ids.best_pull[k, 0]
+        sd = ids.best_pull[k, 1]
         if i < PULL:
-            value, sd = ids.estimate[k, i], ids.sd[k, i]
+            value = ids.estimate[k, i]
+            sd = ids.sd[k, i]
         own = max(WIDER * sd if i == PULL else sd, _LEAST_SD) ** -2.0
         more = own - numbers.precision[i]
         if more > 0.0:

@@ -13,9 +13,17 @@ from soil_env._numba.rows import scratch_rows
 from soil_env.slip import motion_from_slip, travel_rate
 from soil_env.terramechanics import arc_integrals
 from soil_env.terramechanics.arc_integrals import NODE_COLUMNS, Nodes, smooth_integrals, store_nodes
-from soil_env.terramechanics.contact import JANOSI, forces, mobilised_sinkage_coefficient, shear_forces, smooth_arc
+from soil_env.terramechanics.contact import (
+    JANOSI,
+    forces,
+    mobilised_sinkage_coefficient,
+    shear_forces,
+    smooth_arc,
+)
 
-_LEAST_RISE = 1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
+_LEAST_RISE = (
+    1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
+)
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)
 
 
@@ -58,27 +66,46 @@ def _slope(partial, of_s, s):
 @compiled_inline
 def reaction(soil, sinkage, slip, load, r, b):
     """`Reaction` of eight soils at sinkages [m] and slips under a load [N]; wheel of radius r and width b [m]."""
-    c, n, tan_phi, K, nodes = soil.cohesion, soil.exponent, soil.tangent, exp(soil.ln_K), _nodes()
+    c = soil.cohesion
+    n = soil.exponent
+    tan_phi = soil.tangent
+    K = exp(soil.ln_K)
+    nodes = _nodes()
     rim, travel = motion_from_slip(slip)
     arc = smooth_arc(sinkage, r)
     frame = store_nodes(arc, n, nodes, 0)
-    q, by_rim, by_travel, by_angle, by_n = smooth_integrals(frame, nodes, rim, travel, K, n, r, JANOSI)
+    q, by_rim, by_travel, by_angle, by_n = smooth_integrals(
+        frame, nodes, rim, travel, K, n, r, JANOSI
+    )
     s = larger(mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, 1.0), 1.0)
     f = forces(q, s, tan_phi, c, r, b, 1.0)
     none = 0.0 * c
     of_s = forces(q, none + 1.0, tan_phi, none, r, b, 1.0)
-    st, rate = s * tan_phi, travel_rate(travel)
+    st = s * tan_phi
+    rate = travel_rate(travel)
     by_K = arc_integrals.shear_modulus_rates(by_rim, by_travel, rim, travel, K)
     tangent = _slope(shear_forces(q, s, none, r, b, 1.0), of_s, s)
     cohesion = _slope(shear_forces(q, none, none + 1.0, r, b, 1.0), of_s, s)
     exponent = _slope(forces(by_n, s, tan_phi, none, r, b, 1.0), of_s, s)
     ln_K = _slope(shear_forces(by_K, st * K, c * K, r, b, 1.0), of_s, s)
     sin_half, cos_half = half_sin_cos(arc.theta1)
-    rise = 1.0 / larger((2.0 * r) * sin_half * cos_half, _LEAST_RISE * r)  # d theta1/dz of z = r (1 - cos theta1)
+    rise = 1.0 / larger(
+        (2.0 * r) * sin_half * cos_half, _LEAST_RISE * r
+    )  # d theta1/dz of z = r (1 - cos theta1)
     angle = _slope(forces(by_angle, s, tan_phi, c, r, b, 1.0), of_s, s)
     slipping = _slope(shear_forces(by_travel, rate * st, rate * c, r, b, 1.0), of_s, s)
     return Reaction(
-        Slopes(f.drawbar_pull, tangent[0], cohesion[0], exponent[0], ln_K[0], rise * angle[0], slipping[0]),
-        Slopes(f.torque, tangent[1], cohesion[1], exponent[1], ln_K[1], rise * angle[1], slipping[1]),
+        Slopes(
+            f.drawbar_pull,
+            tangent[0],
+            cohesion[0],
+            exponent[0],
+            ln_K[0],
+            rise * angle[0],
+            slipping[0],
+        ),
+        Slopes(
+            f.torque, tangent[1], cohesion[1], exponent[1], ln_K[1], rise * angle[1], slipping[1]
+        ),
         Slopes(log(s), tangent[2], cohesion[2], exponent[2], ln_K[2], rise * angle[2], slipping[2]),
     )

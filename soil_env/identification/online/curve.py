@@ -12,10 +12,15 @@ from soil_env._numba.lanes import scratch
 BINS = 8  # of a curve
 #: Of a bin: readings; mean slip, sinkage [m], pull [N] and torque [N m], each with its weight (inverse variance); load
 #: [N]; slip by which it is grouped; mean and spread [m] of its places; 1 where the soil passes into the next there.
-READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT, PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT = range(9)
+READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT, PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT = (
+    range(9)
+)
 LOAD, KEY, PLACE, SPREAD, ON_BORDER, FIELDS = range(9, 15)
 # Differences that count as one: of slip, of its size, relative of the sinkage; squared, within which bins are merged.
-_SLIP, _SLIP_SHARE, _SINKAGE, _SAME = 0.012, 0.1, 0.17, 0.25
+_SLIP = 0.012
+_SLIP_SHARE = 0.1
+_SINKAGE = 0.17
+_SAME = 0.25
 _BORDER = 0.1  # [lengths of the border] the same for places on one
 _APART = 4.0  # how unlike bins on a border are at least, so that others are merged before them
 _new = scratch(FIELDS)
@@ -31,14 +36,19 @@ def _merge(bins, a, b):
         if w > 0.0:
             bins[a + i] = (bins[a + i] * bins[a + i + 1] + bins[b + i] * bins[b + i + 1]) / w
         bins[a + i + 1] = w
-    m, n, x, y = bins[a + READINGS], bins[b + READINGS], bins[a + PLACE], bins[b + PLACE]
+    m = bins[a + READINGS]
+    n = bins[b + READINGS]
+    x = bins[a + PLACE]
+    y = bins[b + PLACE]
     share = n / (m + n)
     middle = x + share * (y - x)
     square = (1.0 - share) * (bins[a + SPREAD] ** 2 + (x - middle) ** 2)
     square += share * (bins[b + SPREAD] ** 2 + (y - middle) ** 2)
     bins[a + LOAD] += share * (bins[b + LOAD] - bins[a + LOAD])
     bins[a + KEY] += share * (bins[b + KEY] - bins[a + KEY])
-    bins[a + PLACE], bins[a + SPREAD], bins[a + READINGS] = middle, math.sqrt(square), m + n
+    bins[a + PLACE] = middle
+    bins[a + SPREAD] = math.sqrt(square)
+    bins[a + READINGS] = m + n
 
 
 @compiled_inline
@@ -49,7 +59,9 @@ def _unlike(bins, a, b, border):
         return apart * apart + _APART
     one = _SLIP + _SLIP_SHARE * 0.5 * (abs(bins[a + KEY]) + abs(bins[b + KEY]))
     slip = (bins[a + KEY] - bins[b + KEY]) / one
-    sinkage = (bins[a + SINKAGE] - bins[b + SINKAGE]) / (_SINKAGE * 0.5 * (bins[a + SINKAGE] + bins[b + SINKAGE]))
+    sinkage = (bins[a + SINKAGE] - bins[b + SINKAGE]) / (
+        _SINKAGE * 0.5 * (bins[a + SINKAGE] + bins[b + SINKAGE])
+    )
     return slip * slip + sinkage * sinkage
 
 
@@ -62,7 +74,9 @@ def add(bins, count, point, border):
         bins[last + i] = point[i]
     if point[ON_BORDER] > 0.0 and count < BINS:
         return count + 1, count, -1
-    least, into, out = math.inf, -1, -1
+    least = math.inf
+    into = -1
+    out = -1
     for b in range(1, count + 1):
         for a in range(b):
             if bins[a * FIELDS + ON_BORDER] != bins[b * FIELDS + ON_BORDER]:
@@ -74,7 +88,9 @@ def add(bins, count, point, border):
                 continue
             cost = unlike * min(bins[a * FIELDS + READINGS], bins[b * FIELDS + READINGS])
             if cost < least:
-                least, into, out = cost, a, b
+                least = cost
+                into = a
+                out = b
     if into < 0 and count < BINS:
         return count + 1, count, -1
     into, out = (into, out) if into >= 0 else (0, count)

@@ -18,21 +18,35 @@ from soil_env.terramechanics.ground import share_of_next
 
 # Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and torque as affine
 # functions of the unknowns and the slip: constant, slopes; their covariance beside that of the sensors.
-NEXT_SLIP, OF_PULL, OF_TORQUE, BESIDE, FIT_ROWS = 0, 1, 7, 13, 16
+NEXT_SLIP = 0
+OF_PULL = 1
+OF_TORQUE = 7
+BESIDE = 13
+FIT_ROWS = 16
 BY_SLIP = UNKNOWNS + 1  # of OF_PULL and OF_TORQUE: the constant, by the four unknowns, by the slip
 
 _SLIP_RANGE = 0.05  # that the slip of a bin may be off its reading
-_LOWEST_SLIP, _HIGHEST_SLIP = -0.8, 0.97
-_STEP_TANGENT, _STEP_EXPONENT, _STEP_COHESION = 0.25, 0.3, 0.3  # longest steps; cohesion: of load over r b
-_LEAST_TANGENT, _LEAST_EXPONENT, _MOST_EXPONENT = 0.05, 0.2, 2.0
+_LOWEST_SLIP = -0.8
+_HIGHEST_SLIP = 0.97
+_STEP_TANGENT = 0.25  # longest steps; cohesion: of load over r b
+_STEP_EXPONENT = 0.3
+_STEP_COHESION = 0.3
+_LEAST_TANGENT = 0.05
+_LEAST_EXPONENT = 0.2
+_MOST_EXPONENT = 2.0
 _STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
-_MOST_STEPS, _STAYS_THERE = 6, 0.05  # of the fit behind a border; squared length of a step below which it ends
+_MOST_STEPS = 6  # of the fit behind a border; squared length of a step below which it ends
+_STAYS_THERE = 0.05
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
 _OLD_DOUBT = 3.0  # how much more the covariance of the old soil counts: its error is one for all bins of a border
-_OF_VOLUME = 0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
-_matrix, _matrix2, _vector = scratch(TRIANGLE * COUNT), scratch(TRIANGLE * COUNT), scratch(UNKNOWNS * COUNT)
+_OF_VOLUME = (
+    0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
+)
+_matrix = scratch(TRIANGLE * COUNT)
+_matrix2 = scratch(TRIANGLE * COUNT)
+_vector = scratch(UNKNOWNS * COUNT)
 
 
 @compiled_inline
@@ -40,14 +54,22 @@ def share_on_border(x, spread, place, length):
     """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread [m]; lanes."""
     low, by_low = share_of_next((x - spread - place) * (1.0 / length))
     high, by_high = share_of_next((x + spread - place) * (1.0 / length))
-    return smaller(larger(0.5 * (low + high), _LEAST_SHARE), 1.0 - _LEAST_SHARE), (-0.5 / length) * (by_low + by_high)
+    return smaller(larger(0.5 * (low + high), _LEAST_SHARE), 1.0 - _LEAST_SHARE), (
+        -0.5 / length
+    ) * (by_low + by_high)
 
 
 @compiled_inline
 def quadratic_form(c, g, a, b):
     """a' C b of `Slopes` a, b with the lower triangle of C from c[g] on."""
-    a0, a1, a2, a3 = a.by_tangent, a.by_cohesion, a.by_exponent, a.by_ln_K
-    b0, b1, b2, b3 = b.by_tangent, b.by_cohesion, b.by_exponent, b.by_ln_K
+    a0 = a.by_tangent
+    a1 = a.by_cohesion
+    a2 = a.by_exponent
+    a3 = a.by_ln_K
+    b0 = b.by_tangent
+    b1 = b.by_cohesion
+    b2 = b.by_exponent
+    b3 = b.by_ln_K
     v = a0 * (c[g] * b0 + c[g + 1] * b1 + c[g + 3] * b2 + c[g + 6] * b3)
     v = v + a1 * (c[g + 1] * b0 + c[g + 2] * b1 + c[g + 4] * b2 + c[g + 7] * b3)
     v = v + a2 * (c[g + 3] * b0 + c[g + 4] * b1 + c[g + 5] * b2 + c[g + 8] * b3)
@@ -57,34 +79,61 @@ def quadratic_form(c, g, a, b):
 @compiled_part
 def linearise(banks, k, b, numbers):
     """Linearise bin b of wheel k at the unknowns of its nodes."""
-    nodes, bins, at = banks.nodes[k], banks.bins[k], b * curve.FIELDS
-    fits, f = banks.fits[k], b * FIT_ROWS * COUNT
-    tangent, cohesion = from_array(nodes, soil_nodes.TANGENT * COUNT), from_array(nodes, soil_nodes.COHESION * COUNT)
-    exponent, ln_K = from_array(nodes, soil_nodes.EXPONENT * COUNT), from_array(nodes, soil_nodes.LN_K * COUNT)
-    w, by_place, slip = fill(1.0), fill(0.0), from_array(fits, f + NEXT_SLIP * COUNT)
-    known, soil = banks.known[k], GroundSoil(tangent, cohesion, exponent, ln_K)
+    nodes = banks.nodes[k]
+    bins = banks.bins[k]
+    at = b * curve.FIELDS
+    fits = banks.fits[k]
+    f = b * FIT_ROWS * COUNT
+    tangent = from_array(nodes, soil_nodes.TANGENT * COUNT)
+    cohesion = from_array(nodes, soil_nodes.COHESION * COUNT)
+    exponent = from_array(nodes, soil_nodes.EXPONENT * COUNT)
+    ln_K = from_array(nodes, soil_nodes.LN_K * COUNT)
+    w = fill(1.0)
+    by_place = fill(0.0)
+    slip = from_array(fits, f + NEXT_SLIP * COUNT)
+    known = banks.known[k]
+    soil = GroundSoil(tangent, cohesion, exponent, ln_K)
     on_border = bins[at + curve.ON_BORDER] > 0.0
-    away = GroundSoil(tangent - known[OLD], cohesion - known[OLD + 1], exponent - known[OLD + 2], ln_K - known[OLD + 3])
+    away = GroundSoil(
+        tangent - known[OLD],
+        cohesion - known[OLD + 1],
+        exponent - known[OLD + 2],
+        ln_K - known[OLD + 3],
+    )
     if on_border:
-        place, same = (
-            from_array(nodes, soil_nodes.BORDER_PLACE * COUNT),
-            from_array(nodes, soil_nodes.SAME_SOIL * COUNT),
+        place = from_array(nodes, soil_nodes.BORDER_PLACE * COUNT)
+        same = from_array(nodes, soil_nodes.SAME_SOIL * COUNT)
+        w, by_place = share_on_border(
+            fill(bins[at + curve.PLACE]), bins[at + curve.SPREAD], place, numbers.border
         )
-        w, by_place = share_on_border(fill(bins[at + curve.PLACE]), bins[at + curve.SPREAD], place, numbers.border)
-        w, by_place = larger(w, same), (1.0 - same) * by_place
+        w = larger(w, same)
+        by_place = (1.0 - same) * by_place
         v = 1.0 - w
         soil = GroundSoil(
-            tangent - v * away.tangent, cohesion - v * away.cohesion, exponent - v * away.exponent, ln_K - v * away.ln_K
+            tangent - v * away.tangent,
+            cohesion - v * away.cohesion,
+            exponent - v * away.exponent,
+            ln_K - v * away.ln_K,
         )
-    found = reaction(soil, fill(bins[at + curve.SINKAGE]), slip, bins[at + curve.LOAD], numbers.radius, numbers.width)
-    p, t, of_sinkage = found.pull, found.torque, 1.0 / bins[at + curve.SINKAGE_WEIGHT]
+    found = reaction(
+        soil,
+        fill(bins[at + curve.SINKAGE]),
+        slip,
+        bins[at + curve.LOAD],
+        numbers.radius,
+        numbers.width,
+    )
+    p = found.pull
+    t = found.torque
+    of_sinkage = 1.0 / bins[at + curve.SINKAGE_WEIGHT]
     _store(nodes, fits, f + OF_PULL * COUNT, p, w, by_place, away, slip)
     _store(nodes, fits, f + OF_TORQUE * COUNT, t, w, by_place, away, slip)
     pp = of_sinkage * p.by_sinkage * p.by_sinkage
     pt = of_sinkage * p.by_sinkage * t.by_sinkage
     tt = of_sinkage * t.by_sinkage * t.by_sinkage
     if on_border:  # what is not known of the old soil
-        rest, c = _OLD_DOUBT * (1.0 - w) * (1.0 - w), OLD + SOIL
+        rest = _OLD_DOUBT * (1.0 - w) * (1.0 - w)
+        c = OLD + SOIL
         pp = pp + rest * quadratic_form(known, c, p, p)
         pt = pt + rest * quadratic_form(known, c, p, t)
         tt = tt + rest * quadratic_form(known, c, t, t)
@@ -96,7 +145,9 @@ def linearise(banks, k, b, numbers):
 @compiled_inline
 def _store(nodes, fits, f, q, w, by_place, away, slip):
     """A quantity at a bin as an affine function of the unknowns and the slip."""
-    change = q.by_tangent * away.tangent + q.by_cohesion * away.cohesion + q.by_exponent * away.exponent
+    change = (
+        q.by_tangent * away.tangent + q.by_cohesion * away.cohesion + q.by_exponent * away.exponent
+    )
     to_array(w * q.by_tangent, fits, f + COUNT)
     to_array(w * q.by_cohesion, fits, f + 2 * COUNT)
     to_array(w * q.by_exponent, fits, f + 3 * COUNT)
@@ -130,13 +181,23 @@ def solve(banks, k, numbers):
 
     Renews unknowns, posterior covariances and weights of the nodes, and the slips at which bins are linearised next.
     """
-    nodes, bins, fits = banks.nodes[k], banks.bins[k], banks.fits[k]
-    A, g, away = _matrix(), _vector(), _vector()
-    cost, volumes = fill(0.0), fill(1.0)
-    place, form_error = banks.point.border[k], banks.point.form_error[k]
+    nodes = banks.nodes[k]
+    bins = banks.bins[k]
+    fits = banks.fits[k]
+    A = _matrix()
+    g = _vector()
+    away = _vector()
+    cost = fill(0.0)
+    volumes = fill(1.0)
+    place = banks.point.border[k]
+    form_error = banks.point.form_error[k]
     of_place = 1.0 / max(banks.point.border_variance[k], 1e-8)
     for i in range(3):
-        to_array(from_array(nodes, i * COUNT) - from_array(nodes, (soil_nodes.PRIOR_MEAN + i) * COUNT), away, i * COUNT)
+        to_array(
+            from_array(nodes, i * COUNT) - from_array(nodes, (soil_nodes.PRIOR_MEAN + i) * COUNT),
+            away,
+            i * COUNT,
+        )
     to_array(from_array(nodes, soil_nodes.BORDER_PLACE * COUNT) - place, away, 3 * COUNT)
     for i in range(3):
         v = fill(0.0)
@@ -155,15 +216,20 @@ def solve(banks, k, numbers):
         to_array(fill(0.0), A, below_diagonal(3, j) * COUNT)
     to_array(fill(of_place), A, below_diagonal(3, 3) * COUNT)
     for b in range(int(banks.point.bins[k])):
-        chi, volume = _add_bin(nodes, bins, b * curve.FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers)
-        cost, volumes = cost + chi, volumes * volume
+        chi, volume = _add_bin(
+            nodes, bins, b * curve.FIELDS, fits, b * FIT_ROWS * COUNT, A, g, form_error, numbers
+        )
+        cost = cost + chi
+        volumes = volumes * volume
     return _step(banks, k, A, g, cost, _OF_VOLUME * log(volumes), numbers)
 
 
 @compiled_inline
 def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
-    slip, of_slip, error = bins[at + curve.SLIP], 1.0 / bins[at + curve.SLIP_WEIGHT], form_error * bins[at + curve.LOAD]
+    slip = bins[at + curve.SLIP]
+    of_slip = 1.0 / bins[at + curve.SLIP_WEIGHT]
+    error = form_error * bins[at + curve.LOAD]
     p = _residual(nodes, fits, f, OF_PULL, bins[at + curve.PULL], slip)
     t = _residual(nodes, fits, f, OF_TORQUE, bins[at + curve.TORQUE], slip)
     p_slip = from_array(fits, f + (OF_PULL + BY_SLIP) * COUNT)
@@ -176,13 +242,20 @@ def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
     tt = from_array(fits, f + (BESIDE + 2) * COUNT) + of_slip * t_slip * t_slip
     tt = tt + of_torque
     det = 1.0 / (pp * tt - pt * pt)
-    ipp, itt, ipt = tt * det, pp * det, -1.0 * pt * det
-    fp, ft = ipp * p + ipt * t, ipt * p + itt * t
-    best = smaller(larger(slip + of_slip * (p_slip * fp + t_slip * ft), slip - _SLIP_RANGE), slip + _SLIP_RANGE)
+    ipp = tt * det
+    itt = pp * det
+    ipt = -1.0 * pt * det
+    fp = ipp * p + ipt * t
+    ft = ipt * p + itt * t
+    best = smaller(
+        larger(slip + of_slip * (p_slip * fp + t_slip * ft), slip - _SLIP_RANGE), slip + _SLIP_RANGE
+    )
     to_array(smaller(larger(best, _LOWEST_SLIP), _HIGHEST_SLIP), fits, f + NEXT_SLIP * COUNT)
     for i in range(UNKNOWNS):
-        jp, jt = from_array(fits, f + (OF_PULL + 1 + i) * COUNT), from_array(fits, f + (OF_TORQUE + 1 + i) * COUNT)
-        up, ut = ipp * jp + ipt * jt, ipt * jp + itt * jt
+        jp = from_array(fits, f + (OF_PULL + 1 + i) * COUNT)
+        jt = from_array(fits, f + (OF_TORQUE + 1 + i) * COUNT)
+        up = ipp * jp + ipt * jt
+        ut = ipt * jp + itt * jt
         to_array(fma(up, p, fma(ut, t, from_array(g, i * COUNT))), g, i * COUNT)
         for j in range(i + 1):
             n = below_diagonal(i, j) * COUNT
@@ -206,7 +279,9 @@ def _factor(A, L):
                 log_det = log_det + log(v)
                 to_array(1.0 / sqrt(v), L, below_diagonal(i, i) * COUNT)
             else:
-                to_array(v * from_array(L, below_diagonal(j, j) * COUNT), L, below_diagonal(i, j) * COUNT)
+                to_array(
+                    v * from_array(L, below_diagonal(j, j) * COUNT), L, below_diagonal(i, j) * COUNT
+                )
     return log_det
 
 
@@ -221,7 +296,11 @@ def _inverse(L, out, at):
             for m in range(j, i):
                 x = from_array(L, below_diagonal(i, m) * COUNT)
                 v = fma(x, from_array(M, below_diagonal(m, j) * COUNT), v)
-            to_array(-1.0 * v * from_array(L, below_diagonal(i, i) * COUNT), M, below_diagonal(i, j) * COUNT)
+            to_array(
+                -1.0 * v * from_array(L, below_diagonal(i, i) * COUNT),
+                M,
+                below_diagonal(i, j) * COUNT,
+            )
     for i in range(UNKNOWNS):
         for j in range(i + 1):
             v = fill(0.0)
@@ -234,7 +313,9 @@ def _inverse(L, out, at):
 @compiled_inline
 def _step(banks, k, A, g, cost, volume, numbers):
     """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
-    nodes, L, step = banks.nodes[k], _matrix2(), _vector()
+    nodes = banks.nodes[k]
+    L = _matrix2()
+    step = _vector()
     log_det = _factor(A, L)
     _inverse(L, nodes, soil_nodes.COVARIANCE)
     gain = fill(0.0)
@@ -242,11 +323,15 @@ def _step(banks, k, A, g, cost, volume, numbers):
         v = fill(0.0)
         for j in range(UNKNOWNS):
             n = below_diagonal(max(i, j), min(i, j))
-            v = fma(from_array(nodes, (soil_nodes.COVARIANCE + n) * COUNT), from_array(g, j * COUNT), v)
+            v = fma(
+                from_array(nodes, (soil_nodes.COVARIANCE + n) * COUNT), from_array(g, j * COUNT), v
+            )
         to_array(v, step, i * COUNT)
         gain = fma(v, from_array(g, i * COUNT), gain)
-    tangent, exponent = from_array(nodes, soil_nodes.TANGENT * COUNT), from_array(nodes, soil_nodes.EXPONENT * COUNT)
-    d_tangent, d_exponent = from_array(step, soil_nodes.TANGENT * COUNT), from_array(step, soil_nodes.EXPONENT * COUNT)
+    tangent = from_array(nodes, soil_nodes.TANGENT * COUNT)
+    exponent = from_array(nodes, soil_nodes.EXPONENT * COUNT)
+    d_tangent = from_array(step, soil_nodes.TANGENT * COUNT)
+    d_exponent = from_array(step, soil_nodes.EXPONENT * COUNT)
     longest = _STEP_COHESION * banks.bins[k, curve.LOAD] / (numbers.radius * numbers.width)
     share = _within(fill(1.0), d_tangent, _STEP_TANGENT)
     share = _within(share, from_array(step, soil_nodes.COHESION * COUNT), longest)
@@ -255,7 +340,9 @@ def _step(banks, k, A, g, cost, volume, numbers):
     share = _above(share, exponent - _LEAST_EXPONENT, -1.0 * d_exponent)
     share = _above(share, _MOST_EXPONENT - exponent, d_exponent)
     for i in range(UNKNOWNS):
-        to_array(fma(share, from_array(step, i * COUNT), from_array(nodes, i * COUNT)), nodes, i * COUNT)
+        to_array(
+            fma(share, from_array(step, i * COUNT), from_array(nodes, i * COUNT)), nodes, i * COUNT
+        )
     cost = cost - share * (2.0 - share) * gain
     to_array(cost, nodes, soil_nodes.COST * COUNT)
     weight = from_array(nodes, soil_nodes.LOG_PRIOR * COUNT) - 0.5 * (cost + volume + log_det)
@@ -308,7 +395,9 @@ def fit(banks, k, changed, replaced, numbers):
         _linearise_all(banks, k, numbers)
         solve(banks, k, numbers)
     misfit = soil_nodes.gather(banks, k)
-    if banks.nodes[k, soil_nodes.SAME_SOIL * COUNT + COUNT - 1] == 0.0 and soil_nodes.spread_anew(banks, k):
+    if banks.nodes[k, soil_nodes.SAME_SOIL * COUNT + COUNT - 1] == 0.0 and soil_nodes.spread_anew(
+        banks, k
+    ):
         misfit = fit_anew(banks, k, numbers)
     return misfit
 
@@ -336,7 +425,10 @@ def fit_behind_border(banks, k, numbers):
 @compiled_part
 def drop_border(banks, k):
     """Drop the bins on a border from the curve of wheel k, and begin its fit from the prior on."""
-    p, bins, fits, kept = banks.point, banks.bins[k], banks.fits[k], 0
+    p = banks.point
+    bins = banks.bins[k]
+    fits = banks.fits[k]
+    kept = 0
     for b in range(int(p.bins[k])):
         if bins[b * curve.FIELDS + curve.ON_BORDER] == 0.0:
             for i in range(curve.FIELDS):
@@ -344,4 +436,5 @@ def drop_border(banks, k):
             begin_bin(banks, k, kept, fits[(b * FIT_ROWS + NEXT_SLIP) * COUNT])
             kept += 1
     soil_nodes.begin_again(banks, k)
-    p.bins[k], p.points[k] = kept, min(p.points[k], _FEW - 1.0)
+    p.bins[k] = kept
+    p.points[k] = min(p.points[k], _FEW - 1.0)

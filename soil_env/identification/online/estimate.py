@@ -21,9 +21,14 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
     Exponent and recovery of digging are those of the belief.
     """
     return SoilState(
-        math.tan(x[0]), x[3], math.exp(x[1]), min(math.exp(x[2]), STIFFEST), exponent,
-        min(dig_gain * math.exp(x[4]), MOST_DIGGING), dig_recovery,
-    )  # fmt: skip
+        math.tan(x[0]),
+        x[3],
+        math.exp(x[1]),
+        min(math.exp(x[2]), STIFFEST),
+        exponent,
+        min(dig_gain * math.exp(x[4]), MOST_DIGGING),
+        dig_recovery,
+    )
 
 
 def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
@@ -58,13 +63,19 @@ def assess_ground(rows, estimate, pull, seen, numbers, out):
     for k in rows:
         x = estimate[k]
         phi = math.radians(math.degrees(x[0]))  # to the bit as published, in degrees
-        soil = soil_of_estimate((phi, x[1], x[2], x[3], x[4]), numbers.dig_gain, numbers.exponent, numbers.dig_recovery)
+        soil = soil_of_estimate(
+            (phi, x[1], x[2], x[3], x[4]), numbers.dig_gain, numbers.exponent, numbers.dig_recovery
+        )
         load = max(seen[k, 0], LEAST_LOAD) * numbers.weight
         best = best_working_point(load, soil, numbers.radius, numbers.width, numbers.stall_torque)
         turns = best.drawbar_pull > -math.inf  # at some slip the motor has the torque
         margin = max(pull[k, 0] - math.tan(seen[k, 1]), -1.0) if turns else -1.0
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = best.slip, margin, pull[k, 1], best.torque
-        out[k, 4], out[k, 5] = numbers.stall_torque, 1.0 if margin > 0.0 else 0.0
+        out[k, 0] = best.slip
+        out[k, 1] = margin
+        out[k, 2] = pull[k, 1]
+        out[k, 3] = best.torque
+        out[k, 4] = numbers.stall_torque
+        out[k, 5] = 1.0 if margin > 0.0 else 0.0
 
 
 _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
@@ -73,6 +84,10 @@ _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
     """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are the belief's."""
     within = {
-        name: min(max(numbers[name], limit["low"]), limit["high"]) for name, limit in _BOUNDS.items() if name in numbers
+        name: min(max(numbers[name], limit["low"]), limit["high"])
+        for name, limit in _BOUNDS.items()
+        if name in numbers
     }
-    return Soil(sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within)
+    return Soil(
+        sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within
+    )

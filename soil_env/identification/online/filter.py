@@ -16,7 +16,15 @@ from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import restart
-from soil_env.identification.online.sinkage_filter import DEPTH, Ground, Motion, follow, mean, spread, start
+from soil_env.identification.online.sinkage_filter import (
+    DEPTH,
+    Ground,
+    Motion,
+    follow,
+    mean,
+    spread,
+    start,
+)
 from soil_env.identification.online.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics.effects import onto_fresh
@@ -24,49 +32,73 @@ from soil_env.terramechanics.reaction import REST_SPEED
 
 SLOWEST = 20.0 * REST_SPEED  # [m/s] rim speed below which readings are passed over
 # Limits of a point: readings, [wheel radii], range of slip, relative range of the rim speed.
-_READINGS, _LENGTH, _SLIP_RANGE, _RIM_RANGE = 8, 0.67, 0.1, 0.25
+_READINGS = 8
+_LENGTH = 0.67
+_SLIP_RANGE = 0.1
+_RIM_RANGE = 0.25
 _ON_BORDER = 0.6  # of the readings and the length where the soil changes
-_SPINNING, _LOCKED = 0.9, -0.4  # slips beyond which they are
+_SPINNING = 0.9  # slips beyond which they are
+_LOCKED = -0.4
 _THROWN = 0.115  # [of gravity] acceleration of the rim above which they are
 _TURNED = 8.0  # 1-sigma error of a motor torque, of the mean torque that turns the wheel faster in the period
 _MASS_DOUBT = 0.05  # relative, of the mass by the first point
 _LIFTED = 0.05  # [of the weight] load below which readings are passed over before the first point
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
-_SINKAGE_SHARE = 2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
+_SINKAGE_SHARE = (
+    2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
+)
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this contradicts
 #: the laws, and one above `_ANOTHER_SOIL` the soil.
 CONTRADICTION_OF_POINTS = 10.0
 _ANOTHER_SOIL = 7.0
 # Points of a soil up to which readings contradict the laws, not the soil; where the grade shows no borders.
-_SHORT, _SHORTER = 12.0, 4.0
+_SHORT = 12.0
+_SHORTER = 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
 # The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample, 0.7 is seldom.
-_SINKAGE_EXPECTED, _OF_SINKAGE, _MOST_OF_SINKAGE = 0.7, 3.0, 5.0
+_SINKAGE_EXPECTED = 0.7
+_OF_SINKAGE = 3.0
+_MOST_OF_SINKAGE = 5.0
 # Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
 # below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
-_BEGINS, _HARDER, _GROWS, _SHRINKS, _LARGEST = 4.0, 5.0, 1.3, 1.1, 0.3
-_LATER = 12.0  # `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
+_BEGINS = 4.0
+_HARDER = 5.0
+_GROWS = 1.3
+_SHRINKS = 1.1
+_LARGEST = 0.3
+_LATER = (
+    12.0  # `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
+)
 _FIELDS = len(Slopes._fields)
-_PULL, _TORQUE, _LN_S = 0, _FIELDS, 2 * _FIELDS  # rows of `_slopes`
+_PULL = 0  # rows of `_slopes`
+_TORQUE = _FIELDS
+_LN_S = 2 * _FIELDS
 _slopes = scratch(3 * _FIELDS * COUNT)
 
 
 @compiled_inline
 def _advance_clocks(p, k, reading, numbers):
     """Integrals over the last period, of the readings' mean over it."""
-    u, i = reading.rim_speed, min(max(reading.slip, -0.9), 0.98)
+    u = reading.rim_speed
+    i = min(max(reading.slip, -0.9), 0.98)
     v = u * motion_from_slip(i)[1]
-    mean_v, mean_u = 0.5 * (v + p.last_speed[k]), 0.5 * (u + p.last_rim[k])
+    mean_v = 0.5 * (v + p.last_speed[k])
+    mean_u = 0.5 * (u + p.last_rim[k])
     step = numbers.period / numbers.relaxation
     sliding = abs(mean_u - mean_v) * step
-    place, high, low = p.place[k] + mean_v * numbers.period, p.furthest[k], p.lowest[k]
-    p.place[k], p.furthest[k], p.lowest[k] = place, max(place, high), min(place, low)
+    place = p.place[k] + mean_v * numbers.period
+    high = p.furthest[k]
+    low = p.lowest[k]
+    p.place[k] = place
+    p.furthest[k] = max(place, high)
+    p.lowest[k] = min(place, low)
     p.path[k] += onto_fresh(place, low, high) / numbers.relaxation + numbers.dig_recovery * sliding
     p.sliding[k] += sliding
     p.shock[k] += abs(u - p.last_rim[k]) * step
     p.time[k] += numbers.period
-    p.last_speed[k], p.last_rim[k] = v, u
+    p.last_speed[k] = v
+    p.last_rim[k] = u
 
 
 @compiled_inline
@@ -74,9 +106,11 @@ def _slip_of_speeds(r, noise):
     """(slip, its sd) by travel and rim speed."""
     travel = r.speed / r.rim_speed
     if travel <= 1.0:
-        slip, rate = 1.0 - travel, 1.0
+        slip = 1.0 - travel
+        rate = 1.0
     else:
-        slip, rate = 1.0 / travel - 1.0, 1.0 / (travel * travel)
+        slip = 1.0 / travel - 1.0
+        rate = 1.0 / (travel * travel)
     return slip, rate * math.hypot(noise[5], min(travel, 2.0) * noise[6]) / r.rim_speed
 
 
@@ -85,21 +119,29 @@ def _collect(o, p, k, r, turned, numbers):
     """Add a reading to the open point; `turned`: change of the rim speed [m/s] in its period."""
     sd = numbers.noise
     if o.readings[k] == 0.0:
-        o.first_slip[k], o.first_rim[k], o.first_place[k] = r.slip, r.rim_speed, p.place[k]
+        o.first_slip[k] = r.slip
+        o.first_rim[k] = r.rim_speed
+        o.first_place[k] = p.place[k]
     slip, error = _slip_of_speeds(r, sd)
-    a, b = 1.0 / (sd[0] * sd[0]), 1.0 / (error * error)
+    a = 1.0 / (sd[0] * sd[0])
+    b = 1.0 / (error * error)
     o.slip[k] += r.slip * a + slip * b
     o.slip_weight[k] += a + b
-    mass = p.mass[k] if p.mass[k] > 0.0 else max(r.load, 0.0) / (numbers.gravity * math.cos(r.pitch))
-    a, b = 1.0 / (sd[2] * sd[2]), 1.0 / (mass * sd[9]) ** 2 if mass > 0.0 else 0.0
+    mass = (
+        p.mass[k] if p.mass[k] > 0.0 else max(r.load, 0.0) / (numbers.gravity * math.cos(r.pitch))
+    )
+    a = 1.0 / (sd[2] * sd[2])
+    b = 1.0 / (mass * sd[9]) ** 2 if mass > 0.0 else 0.0
     o.pull[k] += r.drawbar_pull * a + mass * r.acceleration * b
     o.pull_weight[k] += a + b
     excess = max(turned * turned - 2.0 * sd[6] * sd[6], 0.0)
     accelerated = _TURNED * numbers.inertia / (numbers.radius * numbers.period)
-    a, b = 1.0 / (sd[4] * sd[4]), 1.0 / (sd[8] * sd[8] + accelerated * accelerated * excess)
+    a = 1.0 / (sd[4] * sd[4])
+    b = 1.0 / (sd[8] * sd[8] + accelerated * accelerated * excess)
     o.torque[k] += r.torque * a + r.motor_torque * b
     o.torque_weight[k] += a + b
-    a, b = 1.0 / (sd[1] * sd[1]), 1.0 / (sd[3] * sd[3])
+    a = 1.0 / (sd[1] * sd[1])
+    b = 1.0 / (sd[3] * sd[3])
     o.sinkage[k] += r.sinkage * a
     o.sinkage_weight[k] += a
     o.load[k] += r.load * b
@@ -127,7 +169,9 @@ def _is_finite(r):
 def _is_steady(p, k, r, turned, numbers):
     """True if the wheel drives on the ground without spinning, locking or changing its speed much."""
     drives = r.rim_speed >= SLOWEST and _LOCKED <= r.slip <= _SPINNING
-    touches = r.sinkage >= 1e-3 * numbers.radius and (p.mass[k] > 0.0 or r.load >= _LIFTED * numbers.weight)
+    touches = r.sinkage >= 1e-3 * numbers.radius and (
+        p.mass[k] > 0.0 or r.load >= _LIFTED * numbers.weight
+    )
     return drives and touches and turned <= _THROWN * numbers.gravity * numbers.period
 
 
@@ -137,13 +181,20 @@ def _ends_point(o, k, r, on_border, numbers):
     faster = abs(r.rim_speed - o.first_rim[k]) > _RIM_RANGE * max(o.first_rim[k], 2.5 * SLOWEST)
     slips = abs(r.slip - o.first_slip[k]) > _SLIP_RANGE
     most = _ON_BORDER if on_border else 1.0
-    return faster or slips or o.readings[k] >= most * _READINGS or o.length[k] > most * _LENGTH * numbers.radius
+    return (
+        faster
+        or slips
+        or o.readings[k] >= most * _READINGS
+        or o.length[k] > most * _LENGTH * numbers.radius
+    )
 
 
 @compiled_inline
 def take(banks, k, reading, numbers):
     """Take one set of readings; True if it completed a point, with which bank k was renewed."""
-    o, p, done = banks.open, banks.point, False
+    o = banks.open
+    p = banks.point
+    done = False
     if not _is_finite(reading):
         return False
     turned = abs(reading.rim_speed - p.last_rim[k])
@@ -151,7 +202,9 @@ def take(banks, k, reading, numbers):
     if numbers.grade_change > 0.0:
         border.note_grade(banks, k, reading.pitch, numbers)
     steady = _is_steady(p, k, reading, turned, numbers)
-    if o.readings[k] > 0.0 and (not steady or _ends_point(o, k, reading, p.crossing[k] > 0.0, numbers)):
+    if o.readings[k] > 0.0 and (
+        not steady or _ends_point(o, k, reading, p.crossing[k] > 0.0, numbers)
+    ):
         _complete(banks, k, numbers)
         done = True
     if steady:
@@ -186,18 +239,35 @@ class Point(NamedTuple):
 def _close(o, p, k, numbers):
     """The open point of bank k as `Point`; the next is empty."""
     n = o.readings[k]
-    path, sliding, shock, middle = o.path[k] / n, o.sliding[k] / n, o.shock[k] / n, o.time[k] / n
+    path = o.path[k] / n
+    sliding = o.sliding[k] / n
+    shock = o.shock[k] / n
+    middle = o.time[k] / n
     place = o.place[k] / n
     point = Point(
-        n, min(max(o.slip[k] / o.slip_weight[k], -0.5), 0.97), 1.0 / o.slip_weight[k],
+        n,
+        min(max(o.slip[k] / o.slip_weight[k], -0.5), 0.97),
+        1.0 / o.slip_weight[k],
         min(max(o.sinkage[k] / o.sinkage_weight[k], 1e-3 * numbers.radius), 1.9 * numbers.radius),
-        1.0 / o.sinkage_weight[k], o.pull[k] / o.pull_weight[k], 1.0 / o.pull_weight[k],
-        o.torque[k] / o.torque_weight[k], 1.0 / o.torque_weight[k], o.load[k] / o.load_weight[k],
-        1.0 / o.load_weight[k], math.cos(min(max(o.pitch[k] / n, -1.5), 1.5)), o.first_place[k] + place,
+        1.0 / o.sinkage_weight[k],
+        o.pull[k] / o.pull_weight[k],
+        1.0 / o.pull_weight[k],
+        o.torque[k] / o.torque_weight[k],
+        1.0 / o.torque_weight[k],
+        o.load[k] / o.load_weight[k],
+        1.0 / o.load_weight[k],
+        math.cos(min(max(o.pitch[k] / n, -1.5), 1.5)),
+        o.first_place[k] + place,
         math.sqrt(max(o.place_square[k] / n - place * place, 0.0)),
-        path - p.path_at[k], sliding - p.sliding_at[k], shock - p.shock_at[k], middle - p.time_at[k],
-    )  # fmt: skip
-    p.path_at[k], p.sliding_at[k], p.shock_at[k], p.time_at[k] = path, sliding, shock, middle
+        path - p.path_at[k],
+        sliding - p.sliding_at[k],
+        shock - p.shock_at[k],
+        middle - p.time_at[k],
+    )
+    p.path_at[k] = path
+    p.sliding_at[k] = sliding
+    p.shock_at[k] = shock
+    p.time_at[k] = middle
     zero_column(o, k)
     return point
 
@@ -232,15 +302,18 @@ def _doubt_soil_or_laws(banks, k, numbers):
     if p.points[k] > _short(numbers):
         border.cross_here(banks, k, numbers)
     elif p.misfit[k] > CONTRADICTION_OF_POINTS:
-        p.misfit[k], p.flagged[k] = 0.0, 1.0
+        p.misfit[k] = 0.0
+        p.flagged[k] = 1.0
         p.form_error[k] = max(_GROWS * p.form_error[k], 2.0 * numbers.model_error)
 
 
 @compiled_inline
 def _complete(banks, k, numbers):
     """Close the open point, begin or end a border with it, and renew bank k by it."""
-    p, first = banks.point, banks.open.first_place[k]
-    point, begun = _close(banks.open, p, k, numbers), p.mass[k] > 0.0
+    p = banks.point
+    first = banks.open.first_place[k]
+    point = _close(banks.open, p, k, numbers)
+    begun = p.mass[k] > 0.0
     load = _weigh(p, k, point, numbers)
     if not begun:
         unsure = _SINKAGE_DOUBT * numbers.radius
@@ -261,13 +334,17 @@ def _complete(banks, k, numbers):
 @compiled_inline
 def ground_of(banks, k, share):
     """`GroundSoil`, as means, where the new soil has this share."""
-    known, w, v = banks.known[k], share, 1.0 - share
+    known = banks.known[k]
+    w = share
+    v = 1.0 - share
     if w >= 1.0:
         return GroundSoil(known[0], known[1], known[2], known[3])
     return GroundSoil(
-        w * known[0] + v * known[OLD], w * known[1] + v * known[OLD + 1], w * known[2] + v * known[OLD + 2],
+        w * known[0] + v * known[OLD],
+        w * known[1] + v * known[OLD + 1],
+        w * known[2] + v * known[OLD + 2],
         w * known[3] + v * known[OLD + 3],
-    )  # fmt: skip
+    )
 
 
 @compiled_inline
@@ -282,9 +359,14 @@ def _one(rows, row, lane):
     """`Slopes` of one lane."""
     i = row * COUNT + lane
     return Slopes(
-        rows[i], rows[i + COUNT], rows[i + 2 * COUNT], rows[i + 3 * COUNT], rows[i + 4 * COUNT], rows[i + 5 * COUNT],
+        rows[i],
+        rows[i + COUNT],
+        rows[i + 2 * COUNT],
+        rows[i + 3 * COUNT],
+        rows[i + 4 * COUNT],
+        rows[i + 5 * COUNT],
         rows[i + 6 * COUNT],
-    )  # fmt: skip
+    )
 
 
 _HERE = 3  # the lane at the slip of the point
@@ -296,7 +378,9 @@ def _slips(point):
     lanes = _lane_numbers()
     step = max(0.8 * math.sqrt(point.slip_variance), 2e-3)
     for j in range(COUNT):
-        lanes[j] = min(max(point.slip + (j - _HERE) * step, _LOCKED), 0.95) if j != _HERE else point.slip
+        lanes[j] = (
+            min(max(point.slip + (j - _HERE) * step, _LOCKED), 0.95) if j != _HERE else point.slip
+        )
     return from_array(lanes, 0)
 
 
@@ -309,12 +393,14 @@ def _key(rows, point, load, numbers):
     error = _KEY_ERROR * load
     of_pull = 1.0 / (point.pull_variance + error * error)
     of_torque = 1.0 / (point.torque_variance + (error * numbers.radius) ** 2)
-    of_slip, lanes = 1.0 / point.slip_variance, _lane_numbers()
+    of_slip = 1.0 / point.slip_variance
+    lanes = _lane_numbers()
     slips = _slips(point)
     p = point.pull - from_array(rows, _PULL * COUNT)
     t = point.torque - from_array(rows, _TORQUE * COUNT)
     s = point.slip - slips
-    by_slip, twist_by_slip = from_array(rows, (_PULL + 6) * COUNT), from_array(rows, (_TORQUE + 6) * COUNT)
+    by_slip = from_array(rows, (_PULL + 6) * COUNT)
+    twist_by_slip = from_array(rows, (_TORQUE + 6) * COUNT)
     to_array(of_pull * p * p + of_torque * t * t + of_slip * s * s, lanes, 0)
     best = 0
     for j in range(1, COUNT):
@@ -329,11 +415,16 @@ def _key(rows, point, load, numbers):
 @compiled_inline
 def _surprise(banks, k, rows, point, load, moved, variance, numbers):
     """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has this variance."""
-    p, t = _one(rows, _PULL, _HERE), _one(rows, _TORQUE, _HERE)
+    p = _one(rows, _PULL, _HERE)
+    t = _one(rows, _TORQUE, _HERE)
     error = banks.point.form_error[k] * load
     pp = point.pull_variance + error * error + p.by_slip * p.by_slip * point.slip_variance
     pt = p.by_slip * t.by_slip * point.slip_variance + p.by_sinkage * t.by_sinkage * variance
-    tt = point.torque_variance + (error * numbers.radius) ** 2 + t.by_slip * t.by_slip * point.slip_variance
+    tt = (
+        point.torque_variance
+        + (error * numbers.radius) ** 2
+        + t.by_slip * t.by_slip * point.slip_variance
+    )
     pp += p.by_sinkage * p.by_sinkage * variance + quadratic_form(banks.known[k], SOIL, p, p)
     pt += quadratic_form(banks.known[k], SOIL, p, t)
     tt += t.by_sinkage * t.by_sinkage * variance + quadratic_form(banks.known[k], SOIL, t, t)
@@ -346,13 +437,17 @@ def _surprise(banks, k, rows, point, load, moved, variance, numbers):
 def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
     """`Slopes` of pull, torque and ln s at the slips of a point into `rows`; those by the soil into the bank."""
     p = banks.point
-    lanes = GroundSoil(fill(soil.tangent), fill(soil.cohesion), fill(soil.exponent), fill(soil.ln_K))
+    lanes = GroundSoil(
+        fill(soil.tangent), fill(soil.cohesion), fill(soil.exponent), fill(soil.ln_K)
+    )
     found = reaction(lanes, fill(depth), _slips(point), load, numbers.radius, numbers.width)
     _store(found.pull, rows, _PULL)
     _store(found.torque, rows, _TORQUE)
     _store(found.ln_s, rows, _LN_S)
     of_s = _one(rows, _LN_S, _HERE)
-    p.ln_s_tangent[k], p.ln_s_cohesion[k], p.ln_s_ln_K[k] = of_s.by_tangent, of_s.by_cohesion, of_s.by_ln_K
+    p.ln_s_tangent[k] = of_s.by_tangent
+    p.ln_s_cohesion[k] = of_s.by_cohesion
+    p.ln_s_ln_K[k] = of_s.by_ln_K
     p.ln_s_exponent[k] = of_s.by_exponent + math.log(depth)
     return of_s
 
@@ -360,38 +455,67 @@ def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
 @compiled_inline
 def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numbers):
     """Add a point to the traction curve: (bin that changed, bin that another took the place of, or -1)."""
-    p, new = banks.point, curve.new_point()
-    new[curve.READINGS], new[curve.SLIP], new[curve.SLIP_WEIGHT] = point.readings, point.slip, 1.0 / point.slip_variance
-    new[curve.SINKAGE], new[curve.SINKAGE_WEIGHT] = sinkage, 1.0 / variance
-    new[curve.PULL], new[curve.PULL_WEIGHT] = point.pull, 1.0 / point.pull_variance
-    new[curve.TORQUE], new[curve.TORQUE_WEIGHT] = point.torque, 1.0 / point.torque_variance
-    new[curve.LOAD], new[curve.PLACE], new[curve.SPREAD], new[curve.KEY] = load, point.place, point.spread, key
+    p = banks.point
+    new = curve.new_point()
+    new[curve.READINGS] = point.readings
+    new[curve.SLIP] = point.slip
+    new[curve.SLIP_WEIGHT] = 1.0 / point.slip_variance
+    new[curve.SINKAGE] = sinkage
+    new[curve.SINKAGE_WEIGHT] = 1.0 / variance
+    new[curve.PULL] = point.pull
+    new[curve.PULL_WEIGHT] = 1.0 / point.pull_variance
+    new[curve.TORQUE] = point.torque
+    new[curve.TORQUE_WEIGHT] = 1.0 / point.torque_variance
+    new[curve.LOAD] = load
+    new[curve.PLACE] = point.place
+    new[curve.SPREAD] = point.spread
+    new[curve.KEY] = key
     new[curve.ON_BORDER] = 1.0 if on_border else 0.0
     count, changed, replaced = curve.add(banks.bins[k], int(p.bins[k]), new, numbers.border)
     if replaced >= 0 or count > int(p.bins[k]):
         begin_bin(banks, k, replaced if replaced >= 0 else changed, key)
-    p.bins[k], p.points[k] = count, p.points[k] + 1.0
+    p.bins[k] = count
+    p.points[k] = p.points[k] + 1.0
     return changed, replaced
 
 
 @compiled_part
 def _renew(banks, k, point, load, numbers):
     """Renew soil and sinkage of wheel k by a point."""
-    p, s, rows, least = banks.point, banks.sinkage[k], _slopes(), 2e-3 * numbers.radius
+    p = banks.point
+    s = banks.sinkage[k]
+    rows = _slopes()
+    least = 2e-3 * numbers.radius
     share, by_place = border.share_here(banks, k, point.place, point.spread, numbers)
-    soil, before = ground_of(banks, k, share), max(mean(s, DEPTH), least)
+    soil = ground_of(banks, k, share)
+    before = max(mean(s, DEPTH), least)
     of_s = _predict_forces(banks, k, soil, before, point, load, rows, numbers)
-    ground = Ground(of_s.value, before, of_s.by_sinkage * before, soil.exponent, share, by_place, p.border_variance[k])
-    motion = Motion(point.path, point.sliding, point.shock, point.time, point.sinkage, point.sinkage_variance)
+    ground = Ground(
+        of_s.value,
+        before,
+        of_s.by_sinkage * before,
+        soil.exponent,
+        share,
+        by_place,
+        p.border_variance[k],
+    )
+    motion = Motion(
+        point.path, point.sliding, point.shock, point.time, point.sinkage, point.sinkage_variance
+    )
     of_sinkage = follow(banks, k, ground, motion, numbers)
-    after, variance = max(mean(s, DEPTH), least), _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
+    after = max(mean(s, DEPTH), least)
+    variance = _SINKAGE_SHARE * max(spread(s, DEPTH, DEPTH), 1e-12)
     if p.points[k] > 0.0 and p.crossing[k] == 0.0:
         surprise = _surprise(banks, k, rows, point, load, after - before, variance, numbers)
         if p.points[k] > _short(numbers):
-            surprise += min(_OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), _MOST_OF_SINKAGE)
+            surprise += min(
+                _OF_SINKAGE * max(of_sinkage - _SINKAGE_EXPECTED, 0.0), _MOST_OF_SINKAGE
+            )
         p.misfit[k] = max(p.misfit[k] + surprise - _EXPECTED, 0.0)
     key = _key(rows, point, load, numbers)
-    changed, replaced = _add_to_curve(banks, k, point, load, after, variance, key, share < 0.999, numbers)
+    changed, replaced = _add_to_curve(
+        banks, k, point, load, after, variance, key, share < 0.999, numbers
+    )
     if p.same[k] == 0.0:
         renew_prior(banks, k, numbers)
     _adapt(p, k, fit(banks, k, changed, replaced, numbers), numbers)
@@ -403,14 +527,17 @@ def _adapt(p, k, misfit, numbers):
     if p.bins[k] < 3.0 or p.crossing[k] > 0.0 or p.misfit[k] > _EXPECTED:  # it may be another soil
         return
     free = 2.0 * p.bins[k]
-    aim, least = free / (_HARDER * _HARDER), numbers.model_error
+    aim = free / (_HARDER * _HARDER)
+    least = numbers.model_error
     begins = _BEGINS if numbers.grade_change > 0.0 else _LATER
     if p.flagged[k] == 0.0:
         if misfit > free + begins * math.sqrt(2.0 * free):
-            p.flagged[k], p.form_error[k] = 1.0, 2.0 * least
+            p.flagged[k] = 1.0
+            p.form_error[k] = 2.0 * least
     elif misfit > aim:
         p.form_error[k] = min(_GROWS * p.form_error[k], _LARGEST)
     elif misfit < 0.5 * aim:
         p.form_error[k] /= _SHRINKS
         if p.form_error[k] <= 1.2 * least:
-            p.flagged[k], p.form_error[k] = 0.0, least
+            p.flagged[k] = 0.0
+            p.form_error[k] = least

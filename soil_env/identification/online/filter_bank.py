@@ -21,34 +21,75 @@ CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
 #: Sums over the readings of the point that is still open; a weighted sum beside its weights.
 OpenPoint: type[Rows] = rows(
     "OpenPoint",
-    "readings", "slip", "slip_weight", "sinkage", "sinkage_weight", "pull", "pull_weight", "torque", "torque_weight",
-    "load", "load_weight", "pitch", "place", "place_square", "path", "sliding", "shock", "time",
+    "readings",
+    "slip",
+    "slip_weight",
+    "sinkage",
+    "sinkage_weight",
+    "pull",
+    "pull_weight",
+    "torque",
+    "torque_weight",
+    "load",
+    "load_weight",
+    "pitch",
+    "place",
+    "place_square",
+    "path",
+    "sliding",
+    "shock",
+    "time",
     "length",  # [m] travelled
-    "first_slip", "first_rim", "first_place",  # of its first reading
-)  # fmt: skip
+    "first_slip",
+    "first_rim",
+    "first_place",  # of its first reading
+)
 #: Scalars of each wheel.
 FilterPoint: type[Rows] = rows(
     "FilterPoint",
     # clocks: integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l; time [s]; and their values at the last point
-    "path", "sliding", "shock", "time", "path_at", "sliding_at", "shock_at", "time_at",
-    "last_speed", "last_rim",
-    "place", "furthest", "lowest",  # [m] of the wheel, by slip and rim speed; ground beyond or before is fresh
-    "mass", "mass_variance",  # on the wheel [kg, kg2]; 0 until the first point
-    "points", "bins", "stale",  # of this soil: points; bins of its curve; the bin that is linearised anew next
+    "path",
+    "sliding",
+    "shock",
+    "time",
+    "path_at",
+    "sliding_at",
+    "shock_at",
+    "time_at",
+    "last_speed",
+    "last_rim",
+    "place",
+    "furthest",
+    "lowest",  # [m] of the wheel, by slip and rim speed; ground beyond or before is fresh
+    "mass",
+    "mass_variance",  # on the wheel [kg, kg2]; 0 until the first point
+    "points",
+    "bins",
+    "stale",  # of this soil: points; bins of its curve; the bin that is linearised anew next
     "misfit",  # sum of the excess of chi-squared
-    "form_error", "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
-    "ln_s_tangent", "ln_s_cohesion", "ln_s_exponent", "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
-    "pull_share", "pull_by_share",  # on a border: share of the new soil where the pull was renewed; its derivative
+    "form_error",
+    "flagged",  # 1-sigma error of the laws [of load]; 1 where readings contradict the laws
+    "ln_s_tangent",
+    "ln_s_cohesion",
+    "ln_s_exponent",
+    "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
+    "pull_share",
+    "pull_by_share",  # on a border: share of the new soil where the pull was renewed; its derivative
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
     # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]
-    "crossing", "border", "border_variance", "rise",
+    "crossing",
+    "border",
+    "border_variance",
+    "rise",
     "by_forces",  # 1 if the forces have found it
     "fixed",  # 1 if the forces or another wheel have found it: the grade does not move its place
-    "next_share", "next_square",  # mean and mean square of the share of a soil that may begin here
-    "grade", "grades",  # [rad] of this soil; readings of it
+    "next_share",
+    "next_square",  # mean and mean square of the share of a soil that may begin here
+    "grade",
+    "grades",  # [rad] of this soil; readings of it
     "nearest",  # [m] first of the places of a border that are tested
     "same",  # 1 where the soil stayed the same on the last border
-)  # fmt: skip
+)
 
 
 class FilterBanks(NamedTuple):
@@ -86,7 +127,9 @@ class FilterNumbers(NamedTuple):
     prior: SoilPrior
     noise: np.ndarray  # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
     border: float  # [m] over which one soil passes into the next, as believed
-    grade_change: float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
+    grade_change: (
+        float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
+    )
     load_drift: float  # relative sd of the change of the load from point to point; 0: a constant mass under gravity
     stall_torque: float
     slips: np.ndarray  # [8] `best_pull.SLIPS`
@@ -95,26 +138,63 @@ class FilterNumbers(NamedTuple):
 
 def filter_numbers(scenario: Scenario) -> FilterNumbers:
     """Pack what `take` needs; noise is floored so that all stays finite."""
-    b, w, weight = scenario.belief, scenario.wheel, scenario.weight
-    twist, top = weight * w.radius, w.radius * w.no_load_speed
-    floor = [1e-3, 1e-4 * w.radius, 1e-3 * weight, 1e-3 * weight, 1e-3 * twist, 1e-3 * top, 1e-4 * top, 1e-4,
-             1e-3 * twist, 1e-3 * scenario.gravity]  # fmt: skip
+    b = scenario.belief
+    w = scenario.wheel
+    weight = scenario.weight
+    twist = weight * w.radius
+    top = w.radius * w.no_load_speed
+    floor = [
+        1e-3,
+        1e-4 * w.radius,
+        1e-3 * weight,
+        1e-3 * weight,
+        1e-3 * twist,
+        1e-3 * top,
+        1e-4 * top,
+        1e-4,
+        1e-3 * twist,
+        1e-3 * scenario.gravity,
+    ]
     return FilterNumbers(
-        w.radius, w.width, w.inertia, scenario.gravity, weight, b.sinkage_exponent, b.dig_gain, b.dig_recovery,
-        scenario.relaxation * w.radius, scenario.control.period, depth_of(scenario), b.model_error,
-        soil_prior(scenario), np.maximum(sensor_noise(scenario), floor), b.border,
-        math.radians(b.grade_change_deg), 0.0,
-        w.stall_torque, SLIPS, b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
-    )  # fmt: skip
+        w.radius,
+        w.width,
+        w.inertia,
+        scenario.gravity,
+        weight,
+        b.sinkage_exponent,
+        b.dig_gain,
+        b.dig_recovery,
+        scenario.relaxation * w.radius,
+        scenario.control.period,
+        depth_of(scenario),
+        b.model_error,
+        soil_prior(scenario),
+        np.maximum(sensor_noise(scenario), floor),
+        b.border,
+        math.radians(b.grade_change_deg),
+        0.0,
+        w.stall_torque,
+        SLIPS,
+        b.border * np.arange(CANDIDATES) / (CANDIDATES - 1),
+    )
 
 
 def new_banks(wheels: int) -> FilterBanks:
     """Empty banks; `restart` sets one to the prior."""
     sizes = (
-        NODE_ROWS * COUNT, (BINS + 1) * FIELDS, BINS * FIT_ROWS * COUNT, 2 * GAUSSIAN, PRIOR_SIZE, PRIOR_SIZE,
-        SINKAGE_ROWS * COUNT, COUNT, 2 * CANDIDATES,
-    )  # fmt: skip
-    return FilterBanks(OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes))
+        NODE_ROWS * COUNT,
+        (BINS + 1) * FIELDS,
+        BINS * FIT_ROWS * COUNT,
+        2 * GAUSSIAN,
+        PRIOR_SIZE,
+        PRIOR_SIZE,
+        SINKAGE_ROWS * COUNT,
+        COUNT,
+        2 * CANDIDATES,
+    )
+    return FilterBanks(
+        OpenPoint(wheels), FilterPoint(wheels), *(np.zeros((wheels, size)) for size in sizes)
+    )
 
 
 @compiled_part

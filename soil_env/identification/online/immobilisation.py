@@ -51,18 +51,45 @@ class Channels(NamedTuple):
 #: is the route that the wheel is on the way to, "beside" the other one, or the same where there is one route. A margin
 #: is the best steady drawbar pull [of load] of a class over the grade; "met" counts the patches it was found on.
 _VIEW = (
-    "camera", "border_behind", "border_ahead", "here_margin", "here_met", "ahead_seen", "line_chosen", "grade_change",
-    "line_margin", "line_met", "beside_margin", "beside_met",
-)  # fmt: skip
-_SOIL = ("strength", "log_modulus", "log_bearing", "log_digging", "phi_sd", "modulus_sd", "bearing_sd", "digging_sd")
+    "camera",
+    "border_behind",
+    "border_ahead",
+    "here_margin",
+    "here_met",
+    "ahead_seen",
+    "line_chosen",
+    "grade_change",
+    "line_margin",
+    "line_met",
+    "beside_margin",
+    "beside_met",
+)
+_SOIL = (
+    "strength",
+    "log_modulus",
+    "log_bearing",
+    "log_digging",
+    "phi_sd",
+    "modulus_sd",
+    "bearing_sd",
+    "digging_sd",
+)
 #: Inputs of the network, in this order.
-INPUTS = (*(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields), "log_since_halt", *_SOIL, *_VIEW)
+INPUTS = (
+    *(f"{name}_{scale:g}s" for scale in SCALES for name in Channels._fields),
+    "log_since_halt",
+    *_SOIL,
+    *_VIEW,
+)
 BLIND = len(INPUTS) - len(_VIEW)  # of them need no camera
-_CHANNELS, _AVERAGES = len(Channels._fields), len(Channels._fields) * len(SCALES)
+_CHANNELS = len(Channels._fields)
+_AVERAGES = len(Channels._fields) * len(SCALES)
 _SEEN = _AVERAGES + 1
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what is seen now.
 MEMORY = _SEEN + len(_VIEW)
-_PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))  # averages over 2 s
+_PITCH, _LOAD = (
+    2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load")
+)  # averages over 2 s
 
 
 class WarningNumbers(NamedTuple):
@@ -96,19 +123,30 @@ class Network(NamedTuple):
 
 def warning_numbers(scenario: Scenario) -> WarningNumbers:
     """Pack the numbers of a scenario."""
-    wheel, belief, period = scenario.wheel, scenario.belief, scenario.control.period
+    wheel = scenario.wheel
+    belief = scenario.belief
+    period = scenario.control.period
     return WarningNumbers(
-        wheel.radius, scenario.weight, scenario.gravity, wheel.stall_torque, wheel.no_load_speed, period,
-        np.array([-math.expm1(-period / scale) for scale in SCALES]), wheel.radius * wheel.width,
-        math.log(wheel.radius), belief.sinkage_exponent, math.log(max(belief.dig_gain, 1e-3)),
-    )  # fmt: skip
+        wheel.radius,
+        scenario.weight,
+        scenario.gravity,
+        wheel.stall_torque,
+        wheel.no_load_speed,
+        period,
+        np.array([-math.expm1(-period / scale) for scale in SCALES]),
+        wheel.radius * wheel.width,
+        math.log(wheel.radius),
+        belief.sinkage_exponent,
+        math.log(max(belief.dig_gain, 1e-3)),
+    )
 
 
 @compiled_inline
 def _channels(reading, numbers):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
-    rim, pitch = reading.rim_speed / numbers.radius, math.sin(reading.pitch)
+    rim = reading.rim_speed / numbers.radius
+    pitch = math.sin(reading.pitch)
     stall = numbers.stall_torque
     available = max(full_voltage(stall, rim, numbers), _LEAST_TORQUE * stall)
     return Channels(
@@ -153,16 +191,24 @@ def follow(recent, k, reading, halted, numbers):
 @compiled_inline
 def see(recent, k, image, memory, sight, numbers):
     """Store the view of a control period of wheel k, by an `Image` and its `ClassMemory`; `sight` [m] of the camera."""
-    out, sine, here = recent[k, _SEEN:], recent[k, _PITCH], int(image.here)
-    line, beside, grade, grade_beside = int(image.label_0), int(image.label_1), image.grade_0, image.grade_1
+    out = recent[k, _SEEN:]
+    sine = recent[k, _PITCH]
+    here = int(image.here)
+    line = int(image.label_0)
+    beside = int(image.label_1)
+    grade = image.grade_0
+    grade_beside = image.grade_1
     if image.taken > 0.0:
         line, beside, grade, grade_beside = beside, line, grade_beside, grade
-    tangent, seen = sine / math.sqrt(max(1.0 - sine * sine, 0.01)), image.seen
+    tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
+    seen = image.seen
     out[0] = 1.0
     out[1] = min(max(image.since / numbers.radius, 0.0), _BEHIND)
     out[2] = max(min(image.left, sight) / numbers.radius, 0.0)
-    out[3], out[4] = memory.estimate[k, here, PULL] - tangent, min(float(memory.patches[k, here]), _OFTEN)
-    out[5], out[6] = seen, seen * image.chosen
+    out[3] = memory.estimate[k, here, PULL] - tangent
+    out[4] = min(float(memory.patches[k, here]), _OFTEN)
+    out[5] = seen
+    out[6] = seen * image.chosen
     out[7] = seen * (math.sin(grade) - sine)
     out[8] = seen * (memory.estimate[k, line, PULL] - math.tan(grade))
     out[9] = seen * min(float(memory.patches[k, line]), _OFTEN)
@@ -180,9 +226,16 @@ def _write_inputs(recent, x, sd, numbers, out):
     soil = out[_AVERAGES + 1 :]
     soil[0] = math.tan(x[0]) + x[3] * numbers.area / load
     soil[1] = x[1] - numbers.log_radius
-    soil[2] = x[2] + math.log(numbers.area / numbers.weight) + numbers.sinkage_exponent * numbers.log_radius
+    soil[2] = (
+        x[2]
+        + math.log(numbers.area / numbers.weight)
+        + numbers.sinkage_exponent * numbers.log_radius
+    )
     soil[3] = numbers.log_dig_gain + x[4]
-    soil[4], soil[5], soil[6], soil[7] = sd[0], sd[1], sd[2], sd[4]
+    soil[4] = sd[0]
+    soil[5] = sd[1]
+    soil[6] = sd[2]
+    soil[7] = sd[4]
     for i in range(_SEEN, MEMORY):
         soil[i - _SEEN + len(_SOIL)] = recent[i]
 
@@ -203,8 +256,11 @@ def _layer(x, weights, bias, squashed, out):
 @compiled_root(nogil=True)
 def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
     """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs + both layers]."""
-    a, b = net.mean.size, net.mean.size + net.first_bias.size
-    x, first, second = hidden[:a], hidden[a:b], hidden[b:]
+    a = net.mean.size
+    b = net.mean.size + net.first_bias.size
+    x = hidden[:a]
+    first = hidden[a:b]
+    second = hidden[b:]
     for n in range(rows.size):
         k = rows[n]
         _write_inputs(recent[k], estimate[k], sd[k], numbers, inputs[n])
@@ -213,8 +269,10 @@ def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
         _layer(x, net.first, net.first_bias, True, first)
         _layer(first, net.second, net.second_bias, True, second)
         _layer(second, net.last, net.last_bias, False, out[n])
-        early, late = 1.0 / (1.0 + math.exp(-out[n, 0])), 1.0 / (1.0 + math.exp(-out[n, 1]))
-        out[n, 0], out[n, 1] = early, early + (1.0 - early) * late
+        early = 1.0 / (1.0 + math.exp(-out[n, 0]))
+        late = 1.0 / (1.0 + math.exp(-out[n, 1]))
+        out[n, 0] = early
+        out[n, 1] = early + (1.0 - early) * late
 
 
 @functools.cache
@@ -228,7 +286,9 @@ def shipped() -> dict[str, Any]:
 def shipped_network() -> Network:
     """The network that comes with the package."""
     assert tuple(shipped()["inputs"]) == INPUTS, "immobilisation.json is of other code"
-    return Network(*(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields))
+    return Network(
+        *(np.ascontiguousarray(shipped()[name], dtype=np.float64) for name in Network._fields)
+    )
 
 
 class ImmobilisationWarning:
@@ -238,14 +298,17 @@ class ImmobilisationWarning:
         self.numbers: WarningNumbers = warning_numbers(scenario)
         self._net = shipped_network()
         self._assess = FastCall(_assess)
-        self._hidden = np.zeros(self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size)
+        self._hidden = np.zeros(
+            self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size
+        )
 
     def assess(self, rows: np.ndarray, *known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n] int64.
 
         `known`: averages [wheels, MEMORY], estimates and their sd [wheels, 5].
         """
-        inputs, out = np.empty((len(rows), len(INPUTS))), np.empty((len(rows), len(HORIZONS)))
+        inputs = np.empty((len(rows), len(INPUTS)))
+        out = np.empty((len(rows), len(HORIZONS)))
         self._assess(rows, *known, self.numbers, self._net, inputs, self._hidden, out)
         return inputs, out
 

@@ -28,21 +28,38 @@ from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.online import stretches
 from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.status import Status
-from soil_env.identification.online.stretches import BELIEF, COHESION, LAG, SHARED, UNKNOWNS, WHICH, copy_belief
+from soil_env.identification.online.stretches import (
+    BELIEF,
+    COHESION,
+    LAG,
+    SHARED,
+    UNKNOWNS,
+    WHICH,
+    copy_belief,
+)
 from soil_env.terramechanics.ground import share_of_next
 
 _FAR = 1e6  # [m]
-_CONVERGED, _MISFIT = Status.CONVERGED.value, Status.MISFIT.value
-_NOT_EXCITED, _NO_DATA = Status.NOT_EXCITED.value, Status.NO_DATA.value
-_LEARNT = 0.6  # sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
+_CONVERGED = Status.CONVERGED.value
+_MISFIT = Status.MISFIT.value
+_NOT_EXCITED = Status.NOT_EXCITED.value
+_NO_DATA = Status.NO_DATA.value
+_LEARNT = (
+    0.6  # sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
+)
 _LEAST_ANGLE = 0.01  # [rad]
 _STEEPEST = 1.5  # [rad]
 _NEARLY = 0.999  # share of the prior's information that a posterior must exceed: equal ones differ by rounding
 _LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
-_old, _new, _ground = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
-_gain, _prior, _rest = scratch(BELIEF), scratch(BELIEF), scratch(BELIEF)
-_posterior, _product = scratch(UNKNOWNS * UNKNOWNS), scratch(UNKNOWNS)
+_old = scratch(BELIEF)
+_new = scratch(BELIEF)
+_ground = scratch(BELIEF)
+_gain = scratch(BELIEF)
+_prior = scratch(BELIEF)
+_rest = scratch(BELIEF)
+_posterior = scratch(UNKNOWNS * UNKNOWNS)
+_product = scratch(UNKNOWNS)
 
 
 @compiled_inline
@@ -59,9 +76,14 @@ def _soil_at(pools, first, x):
 @compiled_inline
 def _find(pools, o, k, soil, numbers, belief):
     """Store the belief of wheel o on the soil from soil[0] to soil[1] [m], of its newest stretch there; True if any."""
-    low, high = soil[0] - numbers.border, soil[1] + numbers.border
+    low = soil[0] - numbers.border
+    high = soil[1] + numbers.border
     latest = high - 2.0 * numbers.border  # a stretch that begins later is of the next soil
-    if pools.crossing[o] == 0.0 and pools.points[o] >= (LAG if o < k else 1) and low <= pools.start[o] < latest:
+    if (
+        pools.crossing[o] == 0.0
+        and pools.points[o] >= (LAG if o < k else 1)
+        and low <= pools.start[o] < latest
+    ):
         if pools.place[o] <= high:
             copy_belief(pools.last[o, LAG - 1 if o < k else 0], belief)
             return True
@@ -82,13 +104,17 @@ def _at(i, j):
 @compiled_inline
 def _cofactor(belief, i, j):
     """Cofactor (i, j) of the matrix [3, 3] of a belief."""
-    r, s, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+    r = (i + 1) % 3
+    s = (i + 2) % 3
+    c = (j + 1) % 3
+    d = (j + 2) % 3
     return belief[_at(r, c)] * belief[_at(s, d)] - belief[_at(r, d)] * belief[_at(s, c)]
 
 
 @compiled_inline
 def _determinant(belief):
-    first, second = belief[3] * _cofactor(belief, 0, 0), belief[4] * _cofactor(belief, 0, 1)
+    first = belief[3] * _cofactor(belief, 0, 0)
+    second = belief[4] * _cofactor(belief, 0, 1)
     return first + second + belief[5] * _cofactor(belief, 0, 2)
 
 
@@ -112,7 +138,9 @@ def _read(mean, P, first, column1, column2, value, precision):
     if precision * P[(UNKNOWNS + 1) * WHICH[first]] < _LEAST:
         return
     v = _product()
-    a, b, c = WHICH[first], WHICH[min(first + 1, 2)], WHICH[min(first + 2, 2)]
+    a = WHICH[first]
+    b = WHICH[min(first + 1, 2)]
+    c = WHICH[min(first + 2, 2)]
     for m in range(UNKNOWNS):
         row = UNKNOWNS * m
         v[m] = P[row + a] + column1 * P[row + b] + column2 * P[row + c]
@@ -139,7 +167,8 @@ def _remove_prior(g, prior):
     Half of it, a quarter ..., where the posterior is wider than the prior in some direction, as those of mixtures and
     of nonlinear models may be.
     """
-    share, rest = 1.0, _rest()
+    share = 1.0
+    rest = _rest()
     while share > _LEAST_SHARE and not _is_positive(g, prior, _NEARLY * share, rest):
         share *= 0.5
     share = share if share > _LEAST_SHARE else 0.0
@@ -174,21 +203,28 @@ def _known_by(pools, o, k, first, numbers, ground):
     Returns (True if there is one, covariance of the prior of this ground over that of one soil): on a border the ground
     is a blend of two soils.
     """
-    x, length, old, new = pools.place[k], numbers.border, _old(), _new()
+    x = pools.place[k]
+    length = numbers.border
+    old = _old()
+    new = _new()
     here = _soil_at(pools, first, x)
     if pools.crossing[k] > 0.0:
         border = pools.ends[k, pools.left[k] - 1]
-        before, behind = _soil_at(pools, first, border - 0.5 * length), _soil_at(pools, first, border + 0.5 * length)
+        before = _soil_at(pools, first, border - 0.5 * length)
+        behind = _soil_at(pools, first, border + 0.5 * length)
         if before[0] != behind[0]:
             w, _ = share_of_next((x - border) / length)
             v = 1.0 - w
-            knows_old, knows_new = _find(pools, o, k, before, numbers, old), _find(pools, o, k, behind, numbers, new)
+            knows_old = _find(pools, o, k, before, numbers, old)
+            knows_new = _find(pools, o, k, behind, numbers, new)
             if not knows_old:
                 copy_belief(numbers.prior, old)
             if not knows_new:
                 copy_belief(numbers.prior, new)
             for i in range(BELIEF):
-                ground[i] = v * old[i] + w * new[i] if i < SHARED else v * v * old[i] + w * w * new[i]
+                ground[i] = (
+                    v * old[i] + w * new[i] if i < SHARED else v * v * old[i] + w * w * new[i]
+                )
             return knows_old or knows_new, v * v + w * w
     return _find(pools, o, k, here, numbers, ground), 1.0
 
@@ -201,7 +237,10 @@ def _disagreement(mean, P, belief, both):
         for j in range(SHARED):
             n = SHARED * (i + 1) + j
             both[n] = belief[n] + P[UNKNOWNS * WHICH[i] + WHICH[j]]
-    d0, d1, d2, inverse = both[0], both[1], both[2], _new()
+    d0 = both[0]
+    d1 = both[1]
+    d2 = both[2]
+    inverse = _new()
     if not _information(both, inverse):
         return 1.0
     return (d0 * inverse[0] + d1 * inverse[1] + d2 * inverse[2]) / SHARED
@@ -213,7 +252,11 @@ def pool(pools, ids, k, first, axles, numbers):
     stretches.take_own(pools, ids, k)
     if ids.status[k] == _NO_DATA:
         return
-    mean, P, ground, gain, prior = pools.estimate[k], _posterior(), _ground(), _gain(), _prior()
+    mean = pools.estimate[k]
+    P = _posterior()
+    ground = _ground()
+    gain = _gain()
+    prior = _prior()
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
             P[UNKNOWNS * i + j] = ids.covariance[k, i, j]
@@ -238,7 +281,9 @@ def pool(pools, ids, k, first, axles, numbers):
     mean[0], mean[COHESION] = min(max(mean[0], _LEAST_ANGLE), _STEEPEST), max(mean[COHESION], 0.0)
     learnt = 0.0
     for i in range(UNKNOWNS):
-        pools.sd[k, i] = math.sqrt(max(P[(UNKNOWNS + 1) * i], 1e-18) + numbers.error[i] * numbers.error[i])
+        pools.sd[k, i] = math.sqrt(
+            max(P[(UNKNOWNS + 1) * i], 1e-18) + numbers.error[i] * numbers.error[i]
+        )
         if i < 2:  # friction and shear deformation modulus need a range of slip
             learnt = max(learnt, pools.sd[k, i] / numbers.sd[i])
     if pools.status[k] != _MISFIT:

@@ -22,15 +22,23 @@ LOG_WEIGHT = COVARIANCE + STATES * (STATES + 1) // 2
 SINKAGE_ROWS = LOG_WEIGHT + 1
 _REACH = 1.9  # [sd of ln gain] of the outermost filters
 _WIDTH = 0.75 * 2.0 * _REACH / (COUNT - 1)  # [sd] of each
-_YIELD_RATE = 6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
+_YIELD_RATE = (
+    6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
+)
 _LAG = 0.5  # share of the change in bearing sinkage since the last point that has not acted yet
 # 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the bearing sinkage, of
 # what the place of the border makes of it
-_LEAST_MOVE, _MOVE, _JOLT, _CHANGE, _MISPLACED = 0.02, 0.1, 0.9, 0.5, 2.0
+_LEAST_MOVE = 0.02
+_MOVE = 0.1
+_JOLT = 0.9
+_CHANGE = 0.5
+_MISPLACED = 2.0
 _SPREAD = 0.9984  # variance by which they are weighed, so that all have that of the prior together
 _LARGEST_GAIN = 3.0  # |ln| of it
 _moments = scratch(16)
-_row, _row2, _row3 = scratch(STATES * COUNT), scratch(STATES * COUNT), scratch(STATES * COUNT)
+_row = scratch(STATES * COUNT)
+_row2 = scratch(STATES * COUNT)
+_row3 = scratch(STATES * COUNT)
 
 
 class Ground(NamedTuple):
@@ -65,8 +73,10 @@ def cell(i, j):
 @compiled_inline
 def new_soil(banks, k, numbers):
     """Set pressure and gain of the filters of wheel k to their prior; they are correlated with nothing else."""
-    s, prior = banks.sinkage[k], numbers.prior
-    variance, both = prior.sinkage_covariance[3], prior.sinkage_covariance[1]
+    s = banks.sinkage[k]
+    prior = numbers.prior
+    variance = prior.sinkage_covariance[3]
+    both = prior.sinkage_covariance[1]
     sd = math.sqrt(variance)
     kept = 1.0 - _WIDTH * _WIDTH
     for j in range(COUNT):
@@ -77,7 +87,11 @@ def new_soil(banks, k, numbers):
     for i in range(STATES):
         to_array(fill(0.0), s, cell(i, PRESSURE))
         to_array(fill(0.0), s, cell(i, GAIN))
-    to_array(fill(prior.sinkage_covariance[0] - kept * both * both / variance), s, cell(PRESSURE, PRESSURE))
+    to_array(
+        fill(prior.sinkage_covariance[0] - kept * both * both / variance),
+        s,
+        cell(PRESSURE, PRESSURE),
+    )
     to_array(fill(both * _WIDTH * _WIDTH), s, cell(GAIN, PRESSURE))
     to_array(fill(variance * _WIDTH * _WIDTH), s, cell(GAIN, GAIN))
     w = from_array(s, LOG_WEIGHT * COUNT)
@@ -100,13 +114,17 @@ def mean(s, i):
 def spread(s, i, j):
     """Covariance of two states over all filters."""
     away = from_array(s, i * COUNT) - mean(s, i)
-    return total(weights(s) * (from_array(s, cell(i, j)) + away * (from_array(s, j * COUNT) - mean(s, j))))
+    return total(
+        weights(s) * (from_array(s, cell(i, j)) + away * (from_array(s, j * COUNT) - mean(s, j)))
+    )
 
 
 @compiled_part
 def begin_next_sinkage(banks, k, numbers):
     """The soil so far becomes the old one, and a new one begins, with the prior of its sinkage."""
-    s, before, becomes = banks.sinkage[k], _moments(), (DEPTH, OLD_PRESSURE, OLD_GAIN)
+    s = banks.sinkage[k]
+    before = _moments()
+    becomes = (DEPTH, OLD_PRESSURE, OLD_GAIN)
     for i in range(HERE):
         before[i] = mean(s, i)
         for j in range(i + 1):
@@ -133,14 +151,16 @@ def keep_old_sinkage(banks, k):
 @compiled_inline
 def pressure_here(s, ground):
     """State y of the ground under the wheel, a value a lane."""
-    new, old = from_array(s, PRESSURE * COUNT), from_array(s, OLD_PRESSURE * COUNT)
+    new = from_array(s, PRESSURE * COUNT)
+    old = from_array(s, OLD_PRESSURE * COUNT)
     return ground.share * new + (1.0 - ground.share) * old if ground.share < 1.0 else new
 
 
 @compiled_inline
 def ln_bearing(s, ground, depth):
     """ln of the bearing sinkage [m] at which undisturbed soil has the pressure mobilised now, a value a lane."""
-    n, deeper = ground.exponent, log(from_array(s, DEPTH * COUNT)) - math.log(ground.depth)
+    n = ground.exponent
+    deeper = log(from_array(s, DEPTH * COUNT)) - math.log(ground.depth)
     pressure = ground.ln_s + n * math.log(ground.depth) + (ground.by_depth + n) * deeper
     return math.log(depth) + (pressure - pressure_here(s, ground)) * (1.0 / n)
 
@@ -157,7 +177,9 @@ def _lacking(lag, scatter):
     """Mean and variance of max(lag, 0), and the probability of lag > 0, of a normal `lag` with sd `scatter`."""
     likely, density = _normal_share(lag / scatter)
     lacking = lag * likely + scatter * density
-    square = (lag * lag + scatter * scatter) * likely + lag * (scatter * density) - lacking * lacking
+    square = (
+        (lag * lag + scatter * scatter) * likely + lag * (scatter * density) - lacking * lacking
+    )
     return lacking, square, likely
 
 
@@ -186,14 +208,20 @@ def _read_sinkage(s, of_depth, e, expected, size, r):
             c = from_array(s, cell(i, j))
             to_array(fma(-1.0 * v, from_array(of_depth, j * COUNT), c), s, cell(i, j))
     to_array(smaller(larger(from_array(s, DEPTH * COUNT), 1e-3 * r), 1.9 * r), s, DEPTH * COUNT)
-    to_array(smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT)
+    to_array(
+        smaller(larger(from_array(s, GAIN * COUNT), -_LARGEST_GAIN), _LARGEST_GAIN), s, GAIN * COUNT
+    )
 
 
 @compiled_inline
 def _follow(s, ground, motion, last_bearing, size, numbers):
     """Time update of the sinkage, and its update by the reading: (innovation, its variance), a value a lane."""
-    slopes, of_bearing, of_depth, r = _row(), _row2(), _row3(), numbers.radius
-    n, share = ground.exponent, ground.share
+    slopes = _row()
+    of_bearing = _row2()
+    of_depth = _row3()
+    r = numbers.radius
+    n = ground.exponent
+    share = ground.share
     a = max(motion.path, 1e-12)
     left = math.exp(-a)
     come = 1.0 - left
@@ -201,9 +229,11 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
     now = exp(smaller(ln_bearing(s, ground, numbers.depth), math.log(2.0 * r)))
     change = last_bearing - now if last_bearing > 0.0 else fill(0.0)
     bearing = now + _LAG * change
-    gain, old_gain = exp(from_array(s, GAIN * COUNT)), fill(0.0)
+    gain = exp(from_array(s, GAIN * COUNT))
+    old_gain = fill(0.0)
     if size > HERE:
-        gain, old_gain = share * gain, (1.0 - share) * exp(from_array(s, OLD_GAIN * COUNT))
+        gain = share * gain
+        old_gain = (1.0 - share) * exp(from_array(s, OLD_GAIN * COUNT))
     per_gain = (numbers.dig_gain * motion.sliding * come / a) * bearing
     dug = per_gain * (gain + old_gain)
     to_array(now * (ground.by_depth + n) / (n * z), slopes, DEPTH * COUNT)
@@ -217,10 +247,12 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
         to_array(from_array(s, cell(i, DEPTH)), of_depth, i * COUNT)
     # comes up to the bearing sinkage: a share of the mean of what it lacks, where it lacks any
     variance = variance + from_array(of_depth, 0) - 2.0 * from_array(of_bearing, 0)
-    scatter, lag = sqrt(larger(variance, 0.0) + 1e-7 * r * r), bearing - z
+    scatter = sqrt(larger(variance, 0.0) + 1e-7 * r * r)
+    lag = bearing - z
     lacking, square, likely = _lacking(lag, scatter)
     yields = left * (1.0 - math.exp(-_YIELD_RATE * max(motion.time, 0.0)))
-    rise, stay = (come * bearing + dug) / bearing + yields * likely, left - yields * likely
+    rise = (come * bearing + dug) / bearing + yields * likely
+    stay = left - yields * likely
     for i in range(size):  # covariance with the sinkage after the motion
         v = fma(rise, from_array(of_bearing, i * COUNT), stay * from_array(of_depth, i * COUNT))
         v = fma(per_gain * gain, from_array(s, cell(i, GAIN)), v)
@@ -229,13 +261,19 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
         to_array(v, of_bearing, i * COUNT)
     after = come * bearing + dug + left * z + yields * lacking
     variance = fma(
-        stay, from_array(of_bearing, DEPTH * COUNT), (per_gain * gain) * from_array(of_bearing, GAIN * COUNT)
+        stay,
+        from_array(of_bearing, DEPTH * COUNT),
+        (per_gain * gain) * from_array(of_bearing, GAIN * COUNT),
     )
     for i in range(size):
-        variance = fma(rise * from_array(slopes, i * COUNT), from_array(of_bearing, i * COUNT), variance)
+        variance = fma(
+            rise * from_array(slopes, i * COUNT), from_array(of_bearing, i * COUNT), variance
+        )
     if size > HERE:
         variance = fma(per_gain * old_gain, from_array(of_bearing, OLD_GAIN * COUNT), variance)
-    move, jolt, changed = _MOVE * (after - z), _JOLT * motion.shock * z, (_CHANGE * come) * change
+    move = _MOVE * (after - z)
+    jolt = _JOLT * motion.shock * z
+    changed = (_CHANGE * come) * change
     own = (_LEAST_MOVE * r) * (_LEAST_MOVE * r) + move * move + jolt * jolt + changed * changed
     own = own + (yields * yields) * larger(square - likely * likely * scatter * scatter, 0.0)
     if size > HERE:
@@ -244,7 +282,8 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
         own = own + ground.place_variance * misplaced * misplaced
     variance = variance + own
     to_array(variance, of_bearing, DEPTH * COUNT)
-    expected, e = variance + motion.variance, motion.sinkage - after
+    expected = variance + motion.variance
+    e = motion.sinkage - after
     to_array(after, s, DEPTH * COUNT)
     _read_sinkage(s, of_bearing, e, expected, size, r)
     return e, expected
@@ -253,7 +292,8 @@ def _follow(s, ground, motion, last_bearing, size, numbers):
 @compiled_part
 def follow(banks, k, ground, motion, numbers):
     """Follow the sinkage of wheel k from the last point to this one; chi-squared of its reading."""
-    s, last = banks.sinkage[k], banks.point.bearing[k]
+    s = banks.sinkage[k]
+    last = banks.point.bearing[k]
     if ground.share < 1.0:
         e, expected = _follow(s, ground, motion, last, STATES, numbers)
     else:

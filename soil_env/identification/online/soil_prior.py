@@ -19,7 +19,9 @@ _LEAST_WIDTH = 0.95  # of `widths` that counts
 _PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
 _ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
-_OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])  # in the order of `SoilSpread.factor`
+_OF_SPREAD = np.array(
+    [TANGENT, COHESION, LN_K, PRESSURE, GAIN]
+)  # in the order of `SoilSpread.factor`
 
 Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
 
@@ -27,11 +29,15 @@ Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covarian
 class SoilPrior(NamedTuple):
     """The prior as the compiled filter takes it."""
 
-    forces: np.ndarray  # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
+    forces: (
+        np.ndarray
+    )  # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
     sinkage: np.ndarray  # [2] mean of (y, l)
     sinkage_covariance: np.ndarray  # [4]
     regression: np.ndarray  # [8] of the four on the two, row by row
-    widths: np.ndarray  # [5] standard deviations of (phi, ln K, ln S, c, l) as published, over those of the filter
+    widths: (
+        np.ndarray
+    )  # [5] standard deviations of (phi, ln K, ln S, c, l) as published, over those of the filter
 
 
 def depth_of(scenario: Scenario) -> float:
@@ -41,17 +47,25 @@ def depth_of(scenario: Scenario) -> float:
 
 def plain(scenario: Scenario) -> Gaussian:
     """The prior of the belief without its library."""
-    b, w = scenario.belief, scenario.wheel
+    b = scenario.belief
+    w = scenario.wheel
     tangent = math.tan(math.radians(b.friction_angle_deg))
     y = math.log(b.sinkage_coefficient) + b.sinkage_exponent * math.log(depth_of(scenario))
     mean = np.array([tangent, b.cohesion, b.sinkage_exponent, math.log(b.shear_modulus), y, 0.0])
-    sd = np.array([
-        (1.0 + tangent**2) * math.radians(b.friction_sd_deg), b.cohesion_sd, b.sinkage_exponent_sd, b.shear_modulus_sd,
-        b.sinkage_coefficient_sd, b.dig_gain_sd,
-    ])  # fmt: skip
+    sd = np.array(
+        [
+            (1.0 + tangent**2) * math.radians(b.friction_sd_deg),
+            b.cohesion_sd,
+            b.sinkage_exponent_sd,
+            b.shear_modulus_sd,
+            b.sinkage_coefficient_sd,
+            b.dig_gain_sd,
+        ]
+    )
     least = np.full(SIZE, KNOWN)
     least[COHESION] *= scenario.weight / (w.radius * w.width)
-    sd, r = np.maximum(sd, least), np.eye(SIZE)
+    sd = np.maximum(sd, least)
+    r = np.eye(SIZE)
     r[TANGENT, COHESION] = r[COHESION, TANGENT] = b.friction_cohesion
     r[TANGENT, PRESSURE] = r[PRESSURE, TANGENT] = b.friction_stiffness
     r[LN_K, PRESSURE] = r[PRESSURE, LN_K] = b.stiffness_shear_modulus
@@ -60,7 +74,9 @@ def plain(scenario: Scenario) -> Gaussian:
 
 def of_library(scenario: Scenario) -> list[Gaussian]:
     """A Gaussian for each soil of the belief's library, with the scatter of `Belief.spread`."""
-    b, spread, found = scenario.belief, scenario.belief.spread or scenario.spread, []
+    b = scenario.belief
+    spread = scenario.belief.spread or scenario.spread
+    found = []
     logs = np.sqrt(np.log1p(np.square([spread.shear_modulus, spread.stiffness, spread.dig_gain])))
     r = np.eye(SIZE)
     r[np.ix_(_OF_SPREAD, _OF_SPREAD)] = spread.factor() @ spread.factor().T
@@ -69,13 +85,16 @@ def of_library(scenario: Scenario) -> list[Gaussian]:
     deeper[PRESSURE, EXPONENT] = math.log(depth_of(scenario) / spread.reference_sinkage)
     for name, weight in b.soils.items():
         soil = scenario.library[name].state(scenario.wheel.width)
-        tangent, n = soil.tan_phi, soil.sinkage_exponent
+        tangent = soil.tan_phi
+        n = soil.sinkage_exponent
         y = math.log(soil.sinkage_coefficient) + n * math.log(spread.reference_sinkage)
         gain = math.log(max(soil.dig_gain, 1e-3) / max(b.dig_gain, 1e-3))
         mean = np.array([tangent, soil.cohesion, n, math.log(soil.shear_modulus), y, gain])
         mean[LN_K:] -= 0.5 * logs**2  # the scatter keeps the mean, not the median
         friction = (1.0 + tangent**2) * math.atan(tangent) * spread.friction
-        sd = np.maximum([friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least)
+        sd = np.maximum(
+            [friction, soil.cohesion * spread.cohesion, n * spread.exponent, *logs], least
+        )
         found.append((weight, deeper @ mean, deeper @ (r * np.outer(sd, sd)) @ deeper.T))
     return found
 
@@ -86,20 +105,25 @@ def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
     means = np.array([g[1] for g in gaussians])
     mean = weights @ means
     away = means - mean
-    return mean, np.einsum("k,kij->ij", weights, np.array([g[2] for g in gaussians])) + (away.T * weights) @ away
+    return mean, np.einsum("k,kij->ij", weights, np.array([g[2] for g in gaussians])) + (
+        away.T * weights
+    ) @ away
 
 
 def widths(gaussians: list[Gaussian]) -> np.ndarray:
     """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations; 1 for a Gaussian."""
-    weights, (mean, covariance) = np.array([g[0] for g in gaussians]), moments(gaussians)
+    weights = np.array([g[0] for g in gaussians])
+    (mean, covariance) = moments(gaussians)
     sd = np.sqrt(np.diag(covariance))
     off = (np.array([g[1] for g in gaussians]) - mean) / sd
     own = np.sqrt([np.diag(g[2]) for g in gaussians]) / sd
-    low, high = np.zeros(SIZE), np.full(SIZE, 4.0)
+    low = np.zeros(SIZE)
+    high = np.full(SIZE, 4.0)
     for _ in range(40):
         middle = 0.5 * (low + high)
         held = weights @ (ndtr((middle - off) / own) - ndtr((-middle - off) / own)) / weights.sum()
-        low, high = np.where(held < _ONE_SIGMA, middle, low), np.where(held < _ONE_SIGMA, high, middle)
+        low = np.where(held < _ONE_SIGMA, middle, low)
+        high = np.where(held < _ONE_SIGMA, high, middle)
     return 0.5 * (low + high)
 
 
@@ -124,9 +148,12 @@ def soil_prior(scenario: Scenario) -> SoilPrior:
     of_sinkage = covariance[PRESSURE:, PRESSURE:]
     regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
     return SoilPrior(
-        np.concatenate([mean[:PRESSURE], triangle]), mean[PRESSURE:].copy(), of_sinkage.ravel().copy(),
-        np.ascontiguousarray(regression).ravel(), _published_widths(scenario),
-    )  # fmt: skip
+        np.concatenate([mean[:PRESSURE], triangle]),
+        mean[PRESSURE:].copy(),
+        of_sinkage.ravel().copy(),
+        np.ascontiguousarray(regression).ravel(),
+        _published_widths(scenario),
+    )
 
 
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
@@ -140,6 +167,7 @@ def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     to[0, TANGENT] = 1.0 / (1.0 + mean[TANGENT] ** 2)
     to[[1, 2, 3, 4], [LN_K, PRESSURE, COHESION, GAIN]] = 1.0
     x = to @ mean
-    x[0], x[2] = math.atan(mean[TANGENT]), mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
+    x[0] = math.atan(mean[TANGENT])
+    x[2] = mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
     scale = _published_widths(scenario)
     return x, np.outer(scale, scale) * (to @ covariance @ to.T)

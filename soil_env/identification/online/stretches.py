@@ -30,7 +30,9 @@ COHESION = 3
 WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
 LAG = 3  # estimates are taken this many points before a border was found, so that they hold nothing from behind it
 AT_START = -1e6  # [m] where the first stretch begins, for all wheels
-RUT_DRIFT = 0.1  # 1-sigma of the change of ln S along a rut, from one point of the filter to the next
+RUT_DRIFT = (
+    0.1  # 1-sigma of the change of ln S along a rut, from one point of the filter to the next
+)
 _PLACE_SD = 0.1  # of the length of a border: 1-sigma of the place that another wheel has found
 _NO_DATA = Status.NO_DATA.value
 
@@ -68,18 +70,27 @@ class PoolNumbers(NamedTuple):
 
 def new_pools(wheels: int) -> Pools:
     """Empty memory; `forget_stretches` sets one wheel to the prior."""
-    (estimate, sd), (begins, ends) = np.zeros((2, wheels, UNKNOWNS)), np.zeros((2, wheels, STRETCHES))
+    (estimate, sd), (begins, ends) = (
+        np.zeros((2, wheels, UNKNOWNS)),
+        np.zeros((2, wheels, STRETCHES)),
+    )
     status, left = np.zeros((2, wheels), dtype=np.int64)
     place, crossing, points = np.zeros((3, wheels))
-    last, belief = np.zeros((wheels, LAG, BELIEF)), np.zeros((wheels, STRETCHES, BELIEF))
-    start, pull = np.full(wheels, AT_START), np.zeros((wheels, 2))
-    return Pools(estimate, sd, pull, status, place, start, crossing, points, last, left, begins, ends, belief)
+    last = np.zeros((wheels, LAG, BELIEF))
+    belief = np.zeros((wheels, STRETCHES, BELIEF))
+    start = np.full(wheels, AT_START)
+    pull = np.zeros((wheels, 2))
+    return Pools(
+        estimate, sd, pull, status, place, start, crossing, points, last, left, begins, ends, belief
+    )
 
 
 def pool_numbers(scenario: Scenario) -> PoolNumbers:
     """Pack what `share` needs."""
     numbers = identifier_numbers(scenario)
-    prior = np.concatenate([numbers.prior[WHICH], numbers.prior_covariance[np.ix_(WHICH, WHICH)].ravel()])
+    prior = np.concatenate(
+        [numbers.prior[WHICH], numbers.prior_covariance[np.ix_(WHICH, WHICH)].ravel()]
+    )
     sd = 1.0 / np.sqrt(numbers.precision)
     return PoolNumbers(prior, sd, scenario.belief.border, RUT_DRIFT, ERROR_OF_MODEL)
 
@@ -87,7 +98,10 @@ def pool_numbers(scenario: Scenario) -> PoolNumbers:
 @compiled_part
 def forget_stretches(pools, ids, k):
     """Set wheel k, whose identifier has just been reset, back to the prior."""
-    pools.start[k], pools.crossing[k], pools.points[k], pools.left[k] = AT_START, 0.0, 0.0, 0
+    pools.start[k] = AT_START
+    pools.crossing[k] = 0.0
+    pools.points[k] = 0.0
+    pools.left[k] = 0
     take_own(pools, ids, k)
 
 
@@ -95,8 +109,10 @@ def forget_stretches(pools, ids, k):
 def take_own(pools, ids, k):
     """Set the pooled estimate of wheel k to that of its own filter."""
     for i in range(UNKNOWNS):
-        pools.estimate[k, i], pools.sd[k, i] = ids.estimate[k, i], ids.sd[k, i]
-    pools.best_pull[k, 0], pools.best_pull[k, 1] = ids.best_pull[k, 0], ids.best_pull[k, 1]
+        pools.estimate[k, i] = ids.estimate[k, i]
+        pools.sd[k, i] = ids.sd[k, i]
+    pools.best_pull[k, 0] = ids.best_pull[k, 0]
+    pools.best_pull[k, 1] = ids.best_pull[k, 1]
     pools.status[k] = ids.status[k]
 
 
@@ -121,11 +137,13 @@ def _leave(pools, k, end):
     """Store the stretch that wheel k leaves at `end` [m]."""
     if pools.left[k] == STRETCHES:
         for s in range(STRETCHES - 1):
-            pools.begins[k, s], pools.ends[k, s] = pools.begins[k, s + 1], pools.ends[k, s + 1]
+            pools.begins[k, s] = pools.begins[k, s + 1]
+            pools.ends[k, s] = pools.ends[k, s + 1]
             copy_belief(pools.belief[k, s + 1], pools.belief[k, s])
         pools.left[k] -= 1
     s = pools.left[k]
-    pools.begins[k, s], pools.ends[k, s] = pools.start[k], end
+    pools.begins[k, s] = pools.start[k]
+    pools.ends[k, s] = end
     if pools.points[k] >= LAG:
         copy_belief(pools.last[k, LAG - 1], pools.belief[k, s])
     else:
@@ -140,9 +158,12 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
 
     `in_rut`: True if it runs behind other wheels.
     """
-    p, pools.place[k] = ids.banks.point, x
+    p = ids.banks.point
+    pools.place[k] = x
     if ids.status[k] == _NO_DATA:  # as at the start, and where the filter has just begun anew
-        pools.start[k], pools.crossing[k], pools.points[k] = AT_START if pools.left[k] == 0 else x, 0.0, 0.0
+        pools.start[k] = AT_START if pools.left[k] == 0 else x
+        pools.crossing[k] = 0.0
+        pools.points[k] = 0.0
         return
     border = p.border[k] + x - p.place[k]
     if p.crossing[k] > 0.0:
@@ -150,7 +171,8 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
             _leave(pools, k, border)
         pools.ends[k, pools.left[k] - 1] = border
     elif pools.crossing[k] > 0.0:
-        pools.start[k], pools.points[k] = pools.ends[k, pools.left[k] - 1], 0.0
+        pools.start[k] = pools.ends[k, pools.left[k] - 1]
+        pools.points[k] = 0.0
     elif outcome == RENEWED:
         if in_rut:
             _loosen(ids, k, numbers)
@@ -164,7 +186,9 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
 @compiled_inline
 def hand_over_border(pools, ids, k, first, numbers, identifier):
     """Begin with the new soil where wheel `first` has found a border that wheel k behind it has come to."""
-    length, p, x = numbers.border, ids.banks.point, pools.place[k]
+    length = numbers.border
+    p = ids.banks.point
+    x = pools.place[k]
     if p.crossing[k] > 0.0 or ids.status[k] == _NO_DATA:
         return
     for s in range(pools.left[first]):

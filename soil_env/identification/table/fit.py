@@ -20,17 +20,30 @@ from soil_env.measurement.doubts import load_doubt
 from soil_env.measurement.setup import Setup
 from soil_env.measurement.table import UNITS, Table
 
-NAMES = ("friction_angle_deg", "shear_modulus", "sinkage_coefficient", "sinkage_exponent", "cohesion", "tilt_deg")
+NAMES = (
+    "friction_angle_deg",
+    "shear_modulus",
+    "sinkage_coefficient",
+    "sinkage_exponent",
+    "cohesion",
+    "tilt_deg",
+)
 PHI, LN_K, LN_S, EXPONENT, COHESION, TILT = range(6)  # in these coordinates, the angles in degrees
 LABELS = (
-    "friction angle", "shear deformation modulus", "stiffness S z^n", "sinkage exponent", "cohesion", "tilt of the rig",
-)  # fmt: skip
+    "friction angle",
+    "shear deformation modulus",
+    "stiffness S z^n",
+    "sinkage exponent",
+    "cohesion",
+    "tilt of the rig",
+)
 SYMBOLS = dict(zip(LABELS, ("phi", "K", "S z^n", "n", "c", "tilt"), strict=True))
 UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not determined by the data
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
-LIGHT, SOFT = 1.0, 1e3  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
+LIGHT = 1.0  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
+SOFT = 1e3
 _PASSES = 80  # of an iteration at most
 _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 
@@ -56,7 +69,9 @@ class ChannelFit:
     noise: float  # 1-sigma
     relative: np.ndarray  # [N] that of a row over it
     estimated: bool  # the noise is estimated from the scatter
-    p_value: float  # of residuals so large by chance were the laws exact; nan if the noise is estimated
+    p_value: (
+        float  # of residuals so large by chance were the laws exact; nan if the noise is estimated
+    )
     too_small: float  # the same of residuals so small
     unit: str
 
@@ -73,7 +88,9 @@ class TableEstimate:
 
     parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
     free: tuple[str, ...]  # fitted parameters in words
-    covariance: np.ndarray  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
+    covariance: (
+        np.ndarray
+    )  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
@@ -118,19 +135,24 @@ class _Plain(NamedTuple):
 
 def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
     """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
-    guessed, converged = problem.estimated & guess, False
-    share, last = 1.0, math.inf  # of each move; lessened where they go in circles, as when the model does not fit
+    guessed = problem.estimated & guess
+    converged = False
+    share = 1.0  # of each move; lessened where they go in circles, as when the model does not fit
+    last = math.inf
     problem.weigh(problem.by_conditions(u))
     for count in range(_PASSES):
         noise = problem.noise.copy()
         move = problem.minimise(u)[0] - u
         size = float(np.max(np.abs(move)))
-        share, last = max(0.2, 0.6 * share) if count > _PASSES // 4 and size > 0.9 * last else share, size
+        share = max(0.2, 0.6 * share) if count > _PASSES // 4 and size > 0.9 * last else share
+        last = size
         u = u + share * move
         if guess:
             problem.update_noise(u)
         problem.correct(u)
-        converged = bool(size < 1e-4 and np.all(np.abs(problem.noise - noise)[guessed] < 1e-3 * noise[guessed]))
+        converged = bool(
+            size < 1e-4 and np.all(np.abs(problem.noise - noise)[guessed] < 1e-3 * noise[guessed])
+        )
         if converged:
             break
     return u, converged
@@ -147,16 +169,22 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain) -> TableEstimate:
     scaling, free = _scaling(problem)
-    published = np.eye(len(NAMES))  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
-    published[PHI, PHI], published[LN_S, EXPONENT] = math.radians(1.0), math.log(problem.z_ref)
+    published = np.eye(
+        len(NAMES)
+    )  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
+    published[PHI, PHI] = math.radians(1.0)
+    published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
     share, mean, under = problem.by_size(u)
     off = mean - u
     whole = mixed(share, mean, under)[1] + np.outer(share @ off, share @ off)  # about u
     covariance = by_u @ whole @ by_u.T
-    sd, prior_sd = np.sqrt(np.diag(covariance)), np.sqrt(np.sum(by_u**2, axis=1))
+    sd = np.sqrt(np.diag(covariance))
+    prior_sd = np.sqrt(np.sum(by_u**2, axis=1))
     correlation = covariance / np.outer(sd, sd)
-    singular = np.linalg.svd(problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False)
+    singular = np.linalg.svd(
+        problem.derivatives(u) @ np.linalg.inv(by_u) * prior_sd, compute_uv=False
+    )
     fits = {
         name: replace(fit, p_value=plain.fits[name].p_value, too_small=plain.fits[name].too_small)
         for name, fit in _fits(problem, u).items()
@@ -164,14 +192,31 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
     labels = tuple(label for label, f in zip(LABELS, free, strict=True) if f)
     parameters = _parameters(problem, u, whole, scaling)
     first = _units(problem, parameters, plain.fits)
-    warnings = first + _undetermined(parameters, labels, correlation) + _doubts(problem, u, plain, fits, converged)
+    warnings = (
+        first
+        + _undetermined(parameters, labels, correlation)
+        + _doubts(problem, u, plain, fits, converged)
+    )
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else math.inf
     law_error = math.sqrt(sum(p * of.size**2 for p, of in zip(share, LAW_ERRORS, strict=True)))
     return TableEstimate(
-        parameters, labels, covariance, correlation, condition, problem.z_ref, fits, problem.table.row[problem.use],
-        problem.rows.slip, problem.rows.load, int(problem.measured.sum()), _exact(problem), converged, law_error,
-        tuple(first), tuple(warnings),
-    )  # fmt: skip
+        parameters,
+        labels,
+        covariance,
+        correlation,
+        condition,
+        problem.z_ref,
+        fits,
+        problem.table.row[problem.use],
+        problem.rows.slip,
+        problem.rows.load,
+        int(problem.measured.sum()),
+        _exact(problem),
+        converged,
+        law_error,
+        tuple(first),
+        tuple(warnings),
+    )
 
 
 def _parameters(
@@ -182,9 +227,11 @@ def _parameters(
     Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
     reach = t.ppf(0.975, max(1.0, float(np.min(problem.freedom))))
-    values, range_of = problem.values(u), {k.name: (k.low, k.high) for k in problem.unknowns}
+    values = problem.values(u)
+    range_of = {k.name: (k.low, k.high) for k in problem.unknowns}
     to_pressure = scaling[LN_S] + math.log(problem.z_ref) * scaling[EXPONENT]
-    ln_s, n = math.log(values["sinkage_coefficient"]), values["sinkage_exponent"]
+    ln_s = math.log(values["sinkage_coefficient"])
+    n = values["sinkage_exponent"]
     out = {}
     for name, value, by_u, unit in (
         ("friction_angle_deg", values["friction_angle_deg"], scaling[PHI], "deg"),
@@ -199,7 +246,8 @@ def _parameters(
             continue
         half = reach * math.sqrt(by_u @ covariance @ by_u)
         least, most = range_of.get(name, (-math.inf, math.inf))
-        low, high = max(float(value - half), least), min(float(value + half), most)
+        low = max(float(value - half), least)
+        high = min(float(value + half), most)
         bounds = [float(value), low, high]
         if name in ("shear_modulus", "sinkage_coefficient", "reference_pressure"):
             bounds = [math.exp(min(b, 700.0)) for b in bounds]
@@ -214,31 +262,49 @@ def _parameters(
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
     (errors, left), variances = problem.errors(u), problem.variances
-    out, fits = problem.predict(u), {}
+    out = problem.predict(u)
+    fits = {}
     for j, name in enumerate(SOURCES):
-        k = problem.measured[:, j - 2] if j >= 2 else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
+        k = (
+            problem.measured[:, j - 2]
+            if j >= 2
+            else np.full(len(out), name == "load" and problem.noise[1] > 0.0)
+        )
         if not np.any(k):
             continue
-        columns = (problem.y[:, j - 2], out[:, j - 2]) if j >= 2 else (problem.rows.load, problem.corrected.load)
-        noise, p, low = float(problem.noise[j]), math.nan, math.nan
+        columns = (
+            (problem.y[:, j - 2], out[:, j - 2])
+            if j >= 2
+            else (problem.rows.load, problem.corrected.load)
+        )
+        noise = float(problem.noise[j])
+        p = math.nan
+        low = math.nan
         if not problem.estimated[j]:
             freedom = max(float(np.sum(np.maximum(left[k, j] / variances[k, j], 1e-3))), 0.5)
             square = float(np.sum(errors[k, j] ** 2 / variances[k, j]))
             p = float(chi2.sf(square, freedom))
             low = float(chi2.cdf(square, freedom)) if square < SMALL**2 * freedom else 1.0
         relative = problem.relative[:, j - 2] if j >= 2 else np.ones(len(out))
-        fits[name] = ChannelFit(*columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name])
-    return {name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits}
+        fits[name] = ChannelFit(
+            *columns, noise, relative, bool(problem.estimated[j]), p, low, UNITS[name]
+        )
+    return {
+        name: fits[name] for name in ("sinkage", "load", "drawbar_pull", "torque") if name in fits
+    }
 
 
 def _exact(problem: TableProblem) -> tuple[str, ...]:
     return tuple(name for name in ("slip", "load") if getattr(problem.setup.noise, name) is None)
 
 
-def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]) -> list[str]:
+def _units(
+    problem: TableProblem, parameters: dict[str, Parameter], fits: dict[str, ChannelFit]
+) -> list[str]:
     """Warnings of a wrong unit in setup or table."""
     words = problem.setup.doubts()
-    load, S = float(np.median(problem.rows.load)), parameters["sinkage_coefficient"]
+    load = float(np.median(problem.rows.load))
+    S = parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
             f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, and forces and "
@@ -260,7 +326,9 @@ def _units(problem: TableProblem, parameters: dict[str, Parameter], fits: dict[s
     return words
 
 
-def _undetermined(parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray) -> list[str]:
+def _undetermined(
+    parameters: dict[str, Parameter], labels: Sequence[str], correlation: np.ndarray
+) -> list[str]:
     """Warnings of parameters that the data hardly determine, alone or in pairs."""
     label = dict(zip(NAMES, LABELS, strict=True))
     words = [
@@ -278,19 +346,32 @@ def _undetermined(parameters: dict[str, Parameter], labels: Sequence[str], corre
 
 
 def _doubts(
-    problem: TableProblem, u: np.ndarray, plain: _Plain, fits: dict[str, ChannelFit], converged: bool
+    problem: TableProblem,
+    u: np.ndarray,
+    plain: _Plain,
+    fits: dict[str, ChannelFit],
+    converged: bool,
 ) -> list[str]:
     """Warnings on the solution u with its `fits`, and on the model by the solution under noise alone."""
-    words, label, setup = [], dict(zip(NAMES, LABELS, strict=True)), problem.setup
+    words = []
+    label = dict(zip(NAMES, LABELS, strict=True))
+    setup = problem.setup
     (low, high) = problem.bounds
     edge = 1e-6 * np.minimum(1.0, high - low)
     at_end = [
-        label[k.name] for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True) if at
+        label[k.name]
+        for k, at in zip(problem.unknowns, (u <= low + edge) | (u >= high - edge), strict=True)
+        if at
     ]
     if at_end:
-        words.append(f"At the end of its admissible range: {', '.join(at_end)}; its interval is not reliable.")
+        words.append(
+            f"At the end of its admissible range: {', '.join(at_end)}; its interval is not reliable."
+        )
     given = {name: getattr(setup.soil, name, None) for name in NAMES}
-    given |= {"sinkage_coefficient": setup.soil.lumped(setup.wheel.width), "tilt_deg": setup.tilt_deg}
+    given |= {
+        "sinkage_coefficient": setup.soil.lumped(setup.wheel.width),
+        "tilt_deg": setup.tilt_deg,
+    }
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
         if given[unknown.name] is not None and abs(d) > 3.0:
             words.append(
@@ -298,7 +379,11 @@ def _doubts(
                 "its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
-    check = f"Check whether {exact} can be taken as exact (noise: in the setup), then" if exact else "Check"
+    check = (
+        f"Check whether {exact} can be taken as exact (noise: in the setup), then"
+        if exact
+        else "Check"
+    )
     check += " units and signs, and whether an effect is missing (soil-env discover)."
     for name, fit in fits.items():
         channel = name.replace("_", " ")
@@ -309,7 +394,9 @@ def _doubts(
                 f"be {rms:.3g} times the given standard deviation. The intervals allow for wrong laws, not for a wrong "
                 f"unit or sign or an effect that is missing. {check}"
             )
-        elif fit.estimated and _follows(problem.rows.slip, problem.rows.load, plain.fits[name].residual):
+        elif fit.estimated and _follows(
+            problem.rows.slip, problem.rows.load, plain.fits[name].residual
+        ):
             words.append(
                 f"The residuals of {channel} follow slip and load instead of scattering: the base model does not fit, "
                 f"and its error counts here as noise. {check}"
@@ -322,23 +409,35 @@ def _doubts(
         )
     words += _not_modelled(problem)
     if not converged:
-        words.append("The weights had not settled when the iteration stopped: take the intervals as rough.")
+        words.append(
+            "The weights had not settled when the iteration stopped: take the intervals as rough."
+        )
     return words
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
     """Rows left out or taken otherwise than the table has them, and what of the rig the base model lacks."""
     words = []
-    table, used = problem.table, problem.use
-    left_out, unseen = int(np.sum(~used)), int(np.sum(np.isnan(table.sinkage[used])))
+    table = problem.table
+    used = problem.use
+    left_out = int(np.sum(~used))
+    unseen = int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
-        words.append(f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out.")
+        words.append(
+            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out."
+        )
     if unseen:
-        words.append(f"{unseen} of {len(table)} rows have no sinkage: it follows from the load there.")
+        words.append(
+            f"{unseen} of {len(table)} rows have no sinkage: it follows from the load there."
+        )
     if np.any(table.passes[used] > 1):
-        words.append("Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes.")
+        words.append(
+            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes."
+        )
     if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
-        words.append("Rows on a grade are taken as level: the base model has no effect of grade on the soil.")
+        words.append(
+            "Rows on a grade are taken as level: the base model has no effect of grade on the soil."
+        )
     if np.any(table.height(problem.setup.wheel)[used] > 0.0):
         words.append("The grousers are not modelled: the rim is taken as smooth at wheel radius.")
     if np.ptp(problem.rows.wheels[:, 1]) > 0.0 and problem.setup.soil.k_c is None:
@@ -349,9 +448,16 @@ def _not_modelled(problem: TableProblem) -> list[str]:
 def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
     """True if a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
     kept = np.isfinite(residual)
-    e, i, w = residual[kept], slip[kept], np.log(load[kept])
+    e = residual[kept]
+    i = slip[kept]
+    w = np.log(load[kept])
     w = w - np.mean(w) if np.ptp(w) > 0.1 else np.zeros_like(w)  # else the same load throughout
     basis = np.stack([np.ones_like(i), i, i * i, w, i * w], axis=1)
     solution, _, rank, _ = np.linalg.lstsq(basis, e, rcond=1e-9)
-    explained, rest, spare = np.sum((basis @ solution) ** 2), np.sum((e - basis @ solution) ** 2), e.size - rank
-    return bool(spare > 1 and f_distribution.sf(explained / rank * spare / max(rest, 1e-300), rank, spare) < 5e-4)
+    explained = np.sum((basis @ solution) ** 2)
+    rest = np.sum((e - basis @ solution) ** 2)
+    spare = e.size - rank
+    return bool(
+        spare > 1
+        and f_distribution.sf(explained / rank * spare / max(rest, 1e-300), rank, spare) < 5e-4
+    )

@@ -18,25 +18,45 @@ from scipy.linalg import LinAlgError, lapack
 #: Correlation lengths of form errors: of the slip, with which shear displacements grow in proportion (Hutangkabodee et
 #: al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the wheel's radius and width, and its lug height (1 mm
 #: added); of the grade [deg]; of the time elapsed, over that of the campaign.
-LENGTHS = {"slip": 0.3, "load": 0.8, "speed": 1.5, "pass": 1.0, "grade_deg": 10.0, "wheel_radius": 0.7,
-           "wheel_width": 0.7, "grouser_height": 1.5, "elapsed": 0.5}  # fmt: skip
+LENGTHS = {
+    "slip": 0.3,
+    "load": 0.8,
+    "speed": 1.5,
+    "pass": 1.0,
+    "grade_deg": 10.0,
+    "wheel_radius": 0.7,
+    "wheel_width": 0.7,
+    "grouser_height": 1.5,
+    "elapsed": 0.5,
+}
 _NO_SLIP = {name: length for name, length in LENGTHS.items() if name != "slip"}
 #: Of the error of the base law, one as probable as the other; log_slip: ln(1 + slip/0.05), odd in the slip.
-LAW_LENGTHS: tuple[Mapping[str, float], ...] = (LENGTHS, LENGTHS | {"slip": 0.6}, {"log_slip": 0.8} | _NO_SLIP)
+LAW_LENGTHS: tuple[Mapping[str, float], ...] = (
+    LENGTHS,
+    LENGTHS | {"slip": 0.6},
+    {"log_slip": 0.8} | _NO_SLIP,
+)
 LITTLE_SLIP = 0.05
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
-_SHORTER = 3.0  # correlation length of a contribution of all conditions over that of one condition alone
+_SHORTER = (
+    3.0  # correlation length of a contribution of all conditions over that of one condition alone
+)
 #: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage exponent that move and
 #: spread a parabola of stress as much; and the depth, over the sinkage, at which such a change leaves the pressure.
-_MOVED, _SPREAD, _MEAN_DEPTH = 0.25, 0.32, 0.75
+_MOVED = 0.25
+_SPREAD = 0.32
+_MEAN_DEPTH = 0.75
 #: Change of ln K that moves the resultant of the shear stress as much, and the relative change of the strength per ln K
 #: that keeps the mean of the shear stress: at a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius.
-_TURNED, _STRONGER = 2.6, 0.45
-_UNSEEN = 1e-10  # share of the largest variance, or of the noise, below which a direction does not count
+_TURNED = 2.6
+_STRONGER = 0.45
+_UNSEEN = (
+    1e-10  # share of the largest variance, or of the noise, below which a direction does not count
+)
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
 #: about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
@@ -79,11 +99,18 @@ class Process:
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
         names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)
         points = _points(conditions, names)
-        empty = cls(names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0)))
+        empty = cls(
+            names, np.array([lengths[n] for n in names]), additive, points, np.zeros((0, 0))
+        )
         values, vectors = np.linalg.eigh(empty._covariance(empty.points))
-        values, vectors = values[::-1], vectors[:, ::-1]
+        values = values[::-1]
+        vectors = vectors[:, ::-1]
         left = values.sum() - np.cumsum(values)
-        keep = min(int(np.sum(left > _LEFT * values.sum())) + 1, most, int(np.sum(values > _NUGGET * values[0])))
+        keep = min(
+            int(np.sum(left > _LEFT * values.sum())) + 1,
+            most,
+            int(np.sum(values > _NUGGET * values[0])),
+        )
         return replace(empty, weights=vectors[:, :keep] / np.sqrt(values[:keep]))
 
     def _covariance(self, x: np.ndarray) -> np.ndarray:
@@ -125,7 +152,11 @@ def _coordinate(name: str, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _points(conditions: Mapping[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
     size = np.size(next(iter(conditions.values())))
-    return np.stack([_coordinate(n, conditions) for n in names], axis=1) if names else np.zeros((size, 0))
+    return (
+        np.stack([_coordinate(n, conditions) for n in names], axis=1)
+        if names
+        else np.zeros((size, 0))
+    )
 
 
 Compression = tuple[np.ndarray, np.ndarray]
@@ -166,7 +197,10 @@ def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple
 def _stronger(soil: Mapping[str, float], share: float) -> dict[str, float]:
     """Cohesion and friction angle of a soil whose shear strength is larger by a share."""
     tangent = (1.0 + share) * math.tan(math.radians(soil["friction_angle_deg"]))
-    return {"cohesion": (1.0 + share) * soil["cohesion"], "friction_angle_deg": math.degrees(math.atan(tangent))}
+    return {
+        "cohesion": (1.0 + share) * soil["cohesion"],
+        "friction_angle_deg": math.degrees(math.atan(tangent)),
+    }
 
 
 def compressed(columns: np.ndarray) -> Compression:
@@ -193,7 +227,9 @@ class NormalEquations(NamedTuple):
     width: tuple[int, ...]
 
     @classmethod
-    def of(cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray) -> "NormalEquations":
+    def of(
+        cls, jacobian: np.ndarray, errors: Sequence[np.ndarray], residual: np.ndarray
+    ) -> "NormalEquations":
         """Those of residual [M], jacobian [M, p] and K form errors [M, R] at the size 1."""
         a = np.concatenate([jacobian, *errors], axis=1)
         width = (jacobian.shape[1], *(b.shape[1] for b in errors))
@@ -204,7 +240,10 @@ class NormalEquations(NamedTuple):
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
         return NormalEquations(
-            self.gram[np.ix_(at, at)] / noise**2, self.along[at] / noise**2, self.square / noise**2, width
+            self.gram[np.ix_(at, at)] / noise**2,
+            self.along[at] / noise**2,
+            self.square / noise**2,
+            width,
         )
 
 
@@ -223,45 +262,62 @@ def marginals(
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True
     gram, along, power, width = problem.where(used, noise)
-    sizes, p = sizes[:, used], u.size
-    start, power = np.concatenate([u, np.zeros(along.size - p)]), power + float(u @ u)
-    log, mean, covariance = np.empty(len(sizes)), np.empty((len(sizes), p)), np.empty((len(sizes), p, p))
+    sizes = sizes[:, used]
+    p = u.size
+    start = np.concatenate([u, np.zeros(along.size - p)])
+    power = power + float(u @ u)
+    log = np.empty(len(sizes))
+    mean = np.empty((len(sizes), p))
+    covariance = np.empty((len(sizes), p, p))
     scales = np.repeat(np.column_stack([np.ones(len(sizes)), sizes]), width, axis=1)
-    outer, place = np.arange(sum(width[: 1 + first])), np.repeat(np.arange(len(width) - 1), width[1:]) - first
+    outer = np.arange(sum(width[: 1 + first]))
+    place = np.repeat(np.arange(len(width) - 1), width[1:]) - first
     place = place[place >= 0]
     for of in np.unique(sizes[:, :first], axis=0):
         rows = np.flatnonzero(np.all(sizes[:, :first] == of, axis=1))
         d = scales[rows[0], outer]
-        kept, d = outer[d > 0.0], d[d > 0.0]
+        kept = outer[d > 0.0]
+        d = d[d > 0.0]
         factor = _factor(d[:, None] * gram[np.ix_(kept, kept)] * d)
         cross = d[:, None] * gram[kept, outer.size :]
         right = np.column_stack([d * along[kept] - start[kept], np.eye(d.size, p), cross])
         half = _solved(factor, right)
-        of_data, of_unknowns, rest = half[:, 0], half[:, 1 : 1 + p], half[:, 1 + p :]
+        of_data = half[:, 0]
+        of_unknowns = half[:, 1 : 1 + p]
+        rest = half[:, 1 + p :]
         base = -0.5 * (power - of_data @ of_data) - np.sum(np.log(np.diag(factor)))
-        centre, narrow = u + of_unknowns.T @ of_data, of_unknowns.T @ of_unknowns
+        centre = u + of_unknowns.T @ of_data
+        narrow = of_unknowns.T @ of_unknowns
         pulls = np.column_stack([along[outer.size :] - rest.T @ of_data, rest.T @ of_unknowns])
         there = sizes[rows, first:] > 0.0
         for some in np.unique(there, axis=0):
             seen = np.flatnonzero(some[place])
-            column, inner = outer.size + seen, rest[:, seen]
-            normal, pull = gram[np.ix_(column, column)] - inner.T @ inner, pulls[seen]
+            column = outer.size + seen
+            inner = rest[:, seen]
+            normal = gram[np.ix_(column, column)] - inner.T @ inner
+            pull = pulls[seen]
             alike = rows[np.all(there == some, axis=1)]
             d = scales[np.ix_(alike, column)][:, :, None]
-            n, h = np.eye(seen.size) + d * normal * d.transpose(0, 2, 1), d * pull
+            n = np.eye(seen.size) + d * normal * d.transpose(0, 2, 1)
+            h = d * pull
             moved = h.transpose(0, 2, 1) @ np.linalg.solve(n, h)
             half = np.log(np.diagonal(np.linalg.cholesky(n), axis1=1, axis2=2)).sum(axis=1)
             log[alike] = base + 0.5 * moved[:, 0, 0] - half
-            mean[alike], covariance[alike] = centre - moved[:, 1:, 0], narrow + moved[:, 1:, 1:]
+            mean[alike] = centre - moved[:, 1:, 0]
+            covariance[alike] = narrow + moved[:, 1:, 1:]
     return log, mean, covariance
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is left as it is."""
     normal.ravel()[:: len(normal) + 1] += 1.0
-    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)  # .T: symmetric, and in Fortran's order
+    factor, failed = lapack.dpotrf(
+        normal.T, lower=1, clean=0, overwrite_a=1
+    )  # .T: symmetric, and in Fortran's order
     if failed:
-        raise LinAlgError(f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}")
+        raise LinAlgError(
+            f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}"
+        )
     return factor
 
 
@@ -270,8 +326,12 @@ def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
     return lapack.dtrtrs(factor, right, lower=1)[0] if len(right) else right
 
 
-def mixed(share: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mixed(
+    share: np.ndarray, mean: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(mean [p], covariance [p, p]) of normal distributions that have the probabilities `share` [S]."""
     centre = share @ mean
     off = mean - centre
-    return centre, np.einsum("s,spq->pq", share, covariance) + np.einsum("s,sp,sq->pq", share, off, off)
+    return centre, np.einsum("s,spq->pq", share, covariance) + np.einsum(
+        "s,sp,sq->pq", share, off, off
+    )

@@ -16,17 +16,24 @@ from soil_env.parameters import SoilState
 #: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the parameter or its logarithm.
 #: Ours, wide enough for every preset soil of configs/soils.yaml, clays with 69 kPa among them. The mean of ln S is that
 #: of a plate that carries the median load at the median sinkage.
-BROAD = MappingProxyType({
-    "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
-    "cohesion": (5e3, 3e4, 0.0, 1e5, False),
-    "shear_modulus": (math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), True),
-    "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
-    "sinkage_exponent": (0.8, 0.5, 0.05, 2.5, False),
-})  # fmt: skip
+BROAD = MappingProxyType(
+    {
+        "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
+        "cohesion": (5e3, 3e4, 0.0, 1e5, False),
+        "shear_modulus": (math.log(0.02), 1.2, math.log(2e-4), math.log(0.3), True),
+        "sinkage_coefficient": (math.nan, 3.0, math.log(10.0), math.log(1e13), True),
+        "sinkage_exponent": (0.8, 0.5, 0.05, 2.5, False),
+    }
+)
 USUAL_SINKAGE = 0.08  # [radii] where none was measured
 #: Smallest standard deviations of priors that are given, in the coordinate of the fit.
-_LEAST_SD = {"friction_angle_deg": 0.05, "cohesion": 1.0, "shear_modulus": 1e-4, "sinkage_coefficient": 1e-4,
-             "sinkage_exponent": 1e-3}  # fmt: skip
+_LEAST_SD = {
+    "friction_angle_deg": 0.05,
+    "cohesion": 1.0,
+    "shear_modulus": 1e-4,
+    "sinkage_coefficient": 1e-4,
+    "sinkage_exponent": 1e-3,
+}
 
 
 class Unknown(NamedTuple):
@@ -63,9 +70,14 @@ def soil_unknowns(
 
     `widened` multiplies the standard deviations of the setup's priors.
     """
-    unknowns, known = [], {}
+    unknowns = []
+    known = {}
     for name, (mean, sd, low, high, log) in BROAD.items():
-        prior = setup.soil.lumped(setup.wheel.width) if name == "sinkage_coefficient" else getattr(setup.soil, name)
+        prior = (
+            setup.soil.lumped(setup.wheel.width)
+            if name == "sinkage_coefficient"
+            else getattr(setup.soil, name)
+        )
         if prior is not None and prior.known:
             known[name] = prior.value
             continue
@@ -73,20 +85,27 @@ def soil_unknowns(
             value = max(prior.value, 1e-12) if log else prior.value
             mean = math.log(value) if log else value
             sd = widened * (math.log1p(prior.sd / value) if log else prior.sd)
-            low, high = min(low, mean), max(high, mean)
+            low = min(low, mean)
+            high = max(high, mean)
             sd = min(max(sd, _LEAST_SD[name]), high - low)  # a wider prior holds no less
         unknowns.append(Unknown(name, mean, sd, low, high, log))
-    n = known.get("sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0))
+    n = known.get(
+        "sinkage_exponent", next((k.mean for k in unknowns if k.name == "sinkage_exponent"), 1.0)
+    )
     tilt = setup.tilt_deg
     if tilt is not None and tilt.known:
         known["tilt_deg"] = tilt.value
     elif tilt is not None:
-        unknowns.append(Unknown("tilt_deg", tilt.value, tilt.sd, -STEEPEST_TILT, STEEPEST_TILT, False))
+        unknowns.append(
+            Unknown("tilt_deg", tilt.value, tilt.sd, -STEEPEST_TILT, STEEPEST_TILT, False)
+        )
     usual = math.log(plate_coefficient(setup, load, sinkage, n))
     return tuple(k._replace(mean=usual) if math.isnan(k.mean) else k for k in unknowns), known
 
 
-def plate_coefficient(setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float) -> float:
+def plate_coefficient(
+    setup: Setup, load: np.ndarray, sinkage: np.ndarray, exponent: float
+) -> float:
     """S [N/m^(n+2)] of a flat plate that carries the median load at the median sinkage."""
     r = setup.wheel.radius
     z = float(np.nanmedian(sinkage)) if np.any(np.isfinite(sinkage)) else USUAL_SINKAGE * r
@@ -97,13 +116,18 @@ def plate_coefficient(setup: Setup, load: np.ndarray, sinkage: np.ndarray, expon
 
 def known_digging(setup: Setup) -> tuple[float, float]:
     """(gain, recovery) of the slip-sinkage that the setup knows the soil to have; (0, 0.5) where it says nothing."""
-    gain, recovery = setup.soil.dig_gain, setup.soil.dig_recovery
+    gain = setup.soil.dig_gain
+    recovery = setup.soil.dig_recovery
     return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)
 
 
 def soil_state(values: dict[str, float], digging: tuple[float, float]) -> SoilState:
     """The soil of a set of parameters by name."""
     return SoilState(
-        math.tan(math.radians(values["friction_angle_deg"])), values["cohesion"], values["shear_modulus"],
-        values["sinkage_coefficient"], values["sinkage_exponent"], *digging,
-    )  # fmt: skip
+        math.tan(math.radians(values["friction_angle_deg"])),
+        values["cohesion"],
+        values["shear_modulus"],
+        values["sinkage_coefficient"],
+        values["sinkage_exponent"],
+        *digging,
+    )

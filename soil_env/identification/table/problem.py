@@ -33,7 +33,10 @@ _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
-CHANNELS_OWN = (0.0, 1.0)  # relative error of each channel by itself over that of the stresses, equally probable
+CHANNELS_OWN = (
+    0.0,
+    1.0,
+)  # relative error of each channel by itself over that of the stresses, equally probable
 
 
 class LawError(NamedTuple):
@@ -45,7 +48,9 @@ class LawError(NamedTuple):
 
 
 #: Form errors that are marginalised.
-LAW_ERRORS = [LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, form_error.SIZES.tolist())]
+LAW_ERRORS = [
+    LawError(*x) for x in product(range(len(LAW_LENGTHS)), CHANNELS_OWN, form_error.SIZES.tolist())
+]
 _NO_WEIGHT = 0.0  # [N/m3] unit weight of the soil: the base model does not use it
 
 
@@ -77,7 +82,10 @@ def most_probable(
 
 
 def differences(
-    model: Callable[[np.ndarray], np.ndarray], u: np.ndarray, unknowns: Sequence[Unknown], base: np.ndarray
+    model: Callable[[np.ndarray], np.ndarray],
+    u: np.ndarray,
+    unknowns: Sequence[Unknown],
+    base: np.ndarray,
 ) -> list[np.ndarray]:
     """Forward differences of the whitened values, `base` at u, by each unknown; backward at an upper bound."""
     columns = []
@@ -101,20 +109,33 @@ class TableProblem:
     def __init__(self, table: Table, setup: Setup) -> None:
         use = _usable(table, setup)
         count = int(use.sum())
-        wheels = np.stack([table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1)
-        level = np.zeros(len(table))  # no speed: the base model does not depend on it, nor on the pass
+        wheels = np.stack(
+            [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
+        )
+        level = np.zeros(
+            len(table)
+        )  # no speed: the base model does not depend on it, nor on the pass
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
         self.table: Table = table
         self.setup: Setup = setup
         self.use: np.ndarray = use
-        rows = (table.rim_slip(setup), table.load, wheels, np.stack([level, level + 1.0, grade], axis=1))
+        rows = (
+            table.rim_slip(setup),
+            table.load,
+            wheels,
+            np.stack([level, level + 1.0, grade], axis=1),
+        )
         self.rows: Rows = Rows(*(column[use] for column in rows))
         self.corrected: Rows = self.rows  # at the most probable slip and load
         self.y: np.ndarray = np.stack([getattr(table, name)[use] for name in MEASURED], axis=1)
         self.measured: np.ndarray = np.isfinite(self.y)
-        self.relative: np.ndarray = np.broadcast_to(table.relative_sd(setup), table.slip.shape + (3,))[use]
+        self.relative: np.ndarray = np.broadcast_to(
+            table.relative_sd(setup), table.slip.shape + (3,)
+        )[use]
         seen = self.measured[:, 0]
-        self.z_ref: float = float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
+        self.z_ref: float = (
+            float(np.median(self.y[seen, 0])) if seen.any() else USUAL_SINKAGE * setup.wheel.radius
+        )
         self.unknowns: tuple[Unknown, ...]
         self.known: dict[str, float]
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
@@ -127,30 +148,46 @@ class TableProblem:
             np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True)
         )
         self._noise()
-        values, needed = int(self.measured.sum()), len(self.unknowns)
+        values = int(self.measured.sum())
+        needed = len(self.unknowns)
         if values < needed + int(self.estimated.sum()):
-            unknown = "".join(f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e)
+            unknown = "".join(
+                f" + {s} noise" for s, e in zip(SOURCES, self.estimated, strict=True) if e
+            )
             raise ParameterError(
                 f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
                 f"{needed} parameters{unknown}: expected at least {needed + int(self.estimated.sum())}"
             )
         wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
         at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
-        self.processes: list[Process] = [Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS]
+        self.processes: list[Process] = [
+            Process.over(at, most=_FUNCTIONS, lengths=lengths) for lengths in LAW_LENGTHS
+        ]
         #: Of the base law, beside the noise; None as long as it is not known.
         self.form_error: form_error.Compression | None = None
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
         """Set noise, its floor and whether it is estimated, from the setup or from first guesses."""
-        size, r = float(np.median(self.rows.load)), float(self.rows.wheels[0, 0])
-        guess = {"sinkage": 0.05 * self.z_ref, "drawbar_pull": 0.03 * size, "torque": 0.03 * size * r}
+        size = float(np.median(self.rows.load))
+        r = float(self.rows.wheels[0, 0])
+        guess = {
+            "sinkage": 0.05 * self.z_ref,
+            "drawbar_pull": 0.03 * size,
+            "torque": 0.03 * size * r,
+        }
         self.noise: np.ndarray = np.zeros(5)
         self.estimated: np.ndarray = np.zeros(5, dtype=bool)
         self.floor: np.ndarray = np.zeros(5)
-        self.freedom: np.ndarray = np.full(5, math.inf)  # degrees of freedom behind an estimated noise
+        self.freedom: np.ndarray = np.full(
+            5, math.inf
+        )  # degrees of freedom behind an estimated noise
         for k, name in enumerate(SOURCES):
-            given = getattr(self.setup.noise, name) if k < 2 else self.table.channel_sd(self.setup, name)
+            given = (
+                getattr(self.setup.noise, name)
+                if k < 2
+                else self.table.channel_sd(self.setup, name)
+            )
             least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
             if given is not None and given < least:
                 raise ParameterError(
@@ -169,22 +206,31 @@ class TableProblem:
         """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
-    def steady(self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None) -> np.ndarray:
+    def steady(
+        self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None
+    ) -> np.ndarray:
         """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other stresses."""
-        soil, fx = self.values(u), NO_EFFECTS
+        soil = self.values(u)
+        fx = NO_EFFECTS
         if changed is not None:
-            soil, fx = {**soil, **changed.soil}, fx._replace(**changed.effects)
+            soil = {**soil, **changed.soil}
+            fx = fx._replace(**changed.effects)
         return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
         """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
-        out, at = np.zeros((*self.y.shape, 2)), self.corrected
-        for k, (name, step) in enumerate((("slip", np.full(at.slip.size, 1e-4)), ("load", 1e-4 * at.load))):
+        out = np.zeros((*self.y.shape, 2))
+        at = self.corrected
+        for k, (name, step) in enumerate(
+            (("slip", np.full(at.slip.size, 1e-4)), ("load", 1e-4 * at.load))
+        ):
             if self.noise[k] > 0.0:
                 column = getattr(at, name)
-                low, high = column - step, column + step
+                low = column - step
+                high = column + step
                 if name == "slip":
-                    low, high = np.maximum(low, -1.0), np.minimum(high, 1.0)
+                    low = np.maximum(low, -1.0)
+                    high = np.minimum(high, 1.0)
                 up, down = (self.predict(u, at._replace(**{name: x})) for x in (high, low))
                 out[:, :, k] = (up - down) / (high - low)[:, None]
         return out
@@ -213,7 +259,9 @@ class TableProblem:
 
     def target(self) -> np.ndarray:
         """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not measured."""
-        off = np.stack([self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1)
+        off = np.stack(
+            [self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1
+        )
         return np.where(self.measured, self.y, 0.0) - np.einsum("kcj,kj->kc", self.F, off)
 
     def residual(self, u: np.ndarray) -> np.ndarray:
@@ -231,7 +279,9 @@ class TableProblem:
 
     def by_unknowns(self, u: np.ndarray) -> np.ndarray:
         """[N, 3, p] of the model by the whitened unknowns."""
-        flat = differences(lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel())
+        flat = differences(
+            lambda x: self.predict(x).ravel(), u, self.unknowns, self.predict(u).ravel()
+        )
         return finite(flat, self.y.size).reshape(*self.y.shape, -1)
 
     def covariance(self, u: np.ndarray) -> np.ndarray:
@@ -245,12 +295,18 @@ class TableProblem:
         Errors of the stresses reach the three channels together. Channels that err by themselves stand for all else
         that the model is not, such as a rig that bends.
         """
-        known, h, base = self.values(u), _STRESS_STEP, self.predict(u)
+        known = self.values(u)
+        h = _STRESS_STEP
+        base = self.predict(u)
         functions = self.processes[span].at_points
         blocks = []
-        for change in form_error.stress_changes(known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))):
+        for change in form_error.stress_changes(
+            known, h, float(np.median(self.steady(u, self.corrected)[:, 0]))
+        ):
             moved = np.where(self.measured, self.steady(u, self.corrected, change) - base, 0.0) / h
-            blocks.append(np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :])
+            blocks.append(
+                np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :]
+            )
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
         stresses, channels = (np.concatenate(errors, axis=2) for errors in (blocks, own))
         return tuple(
@@ -263,8 +319,10 @@ class TableProblem:
 
         The S are in the order of `LAW_ERRORS`.
         """
-        kept, self.form_error = self.form_error, None
-        j, e = self.derivatives(u), self._by_noise(self.residual(u))
+        kept = self.form_error
+        self.form_error = None
+        j = self.derivatives(u)
+        e = self._by_noise(self.residual(u))
         blocks = [block for span in range(len(LAW_LENGTHS)) for block in self.law_errors(u, span)]
         sizes = np.zeros((len(LAW_ERRORS), len(blocks)))
         for row, of in zip(sizes, LAW_ERRORS, strict=True):
@@ -279,16 +337,25 @@ class TableProblem:
     def allow_form_error(self, u: np.ndarray, of: LawError) -> None:
         """Take a form error, as it is at u, into the weights."""
         stresses, channels = self.law_errors(u, of.span)
-        self.form_error = form_error.compressed(of.size * np.concatenate([stresses, of.own * channels], axis=1))
+        self.form_error = form_error.compressed(
+            of.size * np.concatenate([stresses, of.own * channels], axis=1)
+        )
 
     def minimise(self, u: np.ndarray) -> tuple[np.ndarray, float]:
         """(u, J) of the least squares from u at the present weights."""
         low, high = self.bounds
         start = np.clip(u, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
         found = most_probable(
-            self.whiten(self.target()), lambda x: self.whiten(self.predict(x)), self.derivatives, start, self.bounds,
-            xtol=1e-9, ftol=1e-11, gtol=1e-9, max_nfev=100,
-        )  # fmt: skip
+            self.whiten(self.target()),
+            lambda x: self.whiten(self.predict(x)),
+            self.derivatives,
+            start,
+            self.bounds,
+            xtol=1e-9,
+            ftol=1e-11,
+            gtol=1e-9,
+            max_nfev=100,
+        )
         return found[:2]
 
     def search(self) -> np.ndarray:
@@ -299,7 +366,8 @@ class TableProblem:
         for _ in range(_STARTS - 1):
             u = np.clip(rng.uniform(-1.0, 1.0, len(names)), *self.bounds)
             if {"sinkage_coefficient", "sinkage_exponent"} <= set(names):
-                s, n = names.index("sinkage_coefficient"), names.index("sinkage_exponent")
+                s = names.index("sinkage_coefficient")
+                n = names.index("sinkage_exponent")
                 n_off = self.unknowns[n].sd * u[n]
                 u[s] = (rng.uniform(-1.0, 1.0) - n_off * math.log(self.z_ref)) / self.unknowns[s].sd
             starts.append(u)
@@ -312,7 +380,8 @@ class TableProblem:
 
         e = B eps - J du with eps the errors of a row; they are regressed on e with gain diag(var) B' V^-1.
         """
-        e, j = self.residual(u), self.by_unknowns(u)
+        e = self.residual(u)
+        j = self.by_unknowns(u)
         B = np.concatenate([self.F, np.broadcast_to(np.eye(3), (len(e), 3, 3))], axis=2)
         gain = self.variances[:, :, None] * np.swapaxes(np.linalg.solve(self.V, B), 1, 2)
         by_u = np.einsum("kjc,kcp->kjp", gain, j)
@@ -326,7 +395,9 @@ class TableProblem:
             solved = np.linalg.solve(self.V, self.residual(u)[:, :, None])[:, :, 0]
             slip, load = (self.noise[:2] ** 2 * np.einsum("kcj,kc->kj", self.F, solved)).T
             load = np.clip(self.rows.load + load, 0.2 * self.rows.load, 5.0 * self.rows.load)
-            self.corrected = self.rows._replace(slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load)
+            self.corrected = self.rows._replace(
+                slip=np.clip(self.rows.slip + slip, -1.0, 1.0), load=load
+            )
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
@@ -337,7 +408,9 @@ class TableProblem:
         for j in np.flatnonzero(self.estimated):
             k = self.measured[:, j - 2]
             self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
-            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]  # no row has an sd of its own here
+            variance = (
+                float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
+            )  # no row has an sd of its own here
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
 

@@ -21,7 +21,10 @@ LABELS = {
 
 def text_of(estimate: TableEstimate) -> str:
     """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
-    parts = [*(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first), *([""] if estimate.check_first else [])]
+    parts = [
+        *(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first),
+        *([""] if estimate.check_first else []),
+    ]
     parts += ["Soil", _soil(estimate).text(2), "", "Fit", _channels(estimate).text(2)]
     if estimate.exact:
         keys = ", ".join(f"noise.{name}" for name in estimate.exact)
@@ -34,20 +37,27 @@ def text_of(estimate: TableEstimate) -> str:
         )
         parts += ["", "Correlation", grid.text(2)]
     hardly = " (hardly separable)" if estimate.condition > 1e3 else ""
-    parts += ["", f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}"]
+    parts += [
+        "",
+        f"{estimate.values} measured values, condition number {estimate.condition:.3g}{hardly}",
+    ]
     rest = (warning for warning in estimate.warnings if warning not in estimate.check_first)
     return "\n".join([*parts, *(f"! {warning}" for warning in rest)])
 
 
 def _soil(estimate: TableEstimate) -> Table:
-    labels = LABELS | {"reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"}
+    labels = LABELS | {
+        "reference_pressure": f"S z^n at z = {1e3 * estimate.reference_sinkage:.3g} mm"
+    }
     rows = []
     for key, label in labels.items():
         if key not in estimate.parameters:
             continue
         p = estimate.parameters[key]
         interval = "" if p.low == p.high else f"{p.low:.4g} .. {p.high:.4g}"
-        share = "" if key == "reference_pressure" else "known" if p.known else f"{p.sd_over_prior:.3f}"
+        share = (
+            "" if key == "reference_pressure" else "known" if p.known else f"{p.sd_over_prior:.3f}"
+        )
         rows.append((label, f"{p.value:.4g}", interval, p.unit, share))
     return Table(("parameter", "estimate", "95 % interval", "unit", "sd / prior sd"), rows)
 
@@ -56,8 +66,17 @@ def _channels(estimate: TableEstimate) -> Table:
     rows = []
     for name, fit in estimate.fits.items():
         noise = f"{fit.noise:.3g} {fit.unit}" + (" (estimated)" if fit.estimated else "")
-        rms, count = _rms(fit.measured - fit.fitted), int(np.sum(np.isfinite(fit.measured)))
-        rows.append((name.replace("_", " "), count, noise, f"{rms:.3g} {fit.unit}", f"{_rms(fit.residual):.2f}"))
+        rms = _rms(fit.measured - fit.fitted)
+        count = int(np.sum(np.isfinite(fit.measured)))
+        rows.append(
+            (
+                name.replace("_", " "),
+                count,
+                noise,
+                f"{rms:.3g} {fit.unit}",
+                f"{_rms(fit.residual):.2f}",
+            )
+        )
     return Table(("channel", "points", "noise (1 sd)", "rms residual", "rms / noise"), rows)
 
 
@@ -69,12 +88,18 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
     """The estimate as plain values for JSON; null where there is none."""
     channels = {
         name: {
-            "noise": fit.noise, "noise_estimated": fit.estimated, "rms": _rms(fit.measured - fit.fitted),
-            "p_value": fit.p_value, "measured": fit.measured, "fitted": fit.fitted,
+            "noise": fit.noise,
+            "noise_estimated": fit.estimated,
+            "rms": _rms(fit.measured - fit.fitted),
+            "p_value": fit.p_value,
+            "measured": fit.measured,
+            "fitted": fit.fitted,
         }
         for name, fit in estimate.fits.items()
-    }  # fmt: skip
-    content = {key: value for key, value in vars(estimate).items() if key not in ("fits", "law_error")}
+    }
+    content = {
+        key: value for key, value in vars(estimate).items() if key not in ("fits", "law_error")
+    }
     parameters = {name: vars(p) for name, p in estimate.parameters.items()}
     return plain(content | {"parameters": parameters, "channels": channels})
 
@@ -87,7 +112,9 @@ def picture(estimate: TableEstimate) -> bytes:
     factor = {"m": (1e3, "mm"), "N": (1.0, "N"), "N m": (1.0, "N m")}
     figure = Figure(figsize=(max(8.0, 4.4 * len(estimate.fits)), 5.8), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0))
+    axes = figure.subplots(
+        2, len(estimate.fits), sharex=True, squeeze=False, height_ratios=(2.2, 1.0)
+    )
     groups = load_groups(estimate.load)
     colors = [(0.55, 0.55, 0.55)] if len(groups) > 6 else [f"C{k}" for k in range(6)]
     for (name, fit), (top, below) in zip(estimate.fits.items(), axes.T, strict=True):
@@ -97,9 +124,25 @@ def picture(estimate: TableEstimate) -> bytes:
             order = members[np.argsort(estimate.slip[members])]
             slip = estimate.slip[order]
             distinct = len(groups) <= 6 and np.all(np.diff(slip) > 1e-3)  # else a line would zigzag
-            top.plot(slip, scale * fit.fitted[order], "-" if distinct else "x", color=color, lw=1.2, label=label)
+            top.plot(
+                slip,
+                scale * fit.fitted[order],
+                "-" if distinct else "x",
+                color=color,
+                lw=1.2,
+                label=label,
+            )
             bar = scale * 1.96 * fit.noise * fit.relative[order]
-            top.errorbar(slip, scale * fit.measured[order], bar, fmt="o", ms=3.5, lw=0.9, color=color, capsize=2)
+            top.errorbar(
+                slip,
+                scale * fit.measured[order],
+                bar,
+                fmt="o",
+                ms=3.5,
+                lw=0.9,
+                color=color,
+                capsize=2,
+            )
             below.plot(slip, fit.residual[order], "o", ms=3.5, color=color)
         below.axhspan(-1.96, 1.96, color="0.92", zorder=0)
         below.axhline(0.0, color="0.5", lw=0.8)
@@ -110,7 +153,9 @@ def picture(estimate: TableEstimate) -> bytes:
     if len(groups) <= 6:
         handles, labels = axes[0, 0].get_legend_handles_labels()
         labels = [f"load {label}" for label in labels]
-        figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=6, fontsize=9, frameon=False
+        )
     p = estimate.parameters
     figure.suptitle(
         f"phi {p['friction_angle_deg'].value:.1f} deg, K {1e3 * p['shear_modulus'].value:.1f} mm, "

@@ -12,7 +12,12 @@ from soil_env.terramechanics.steady import predict_rows
 
 
 def predict_table(
-    setup: Setup, rows: Rows, values: dict[str, float], unit_weight: float, fx: Effects, guess: np.ndarray
+    setup: Setup,
+    rows: Rows,
+    values: dict[str, float],
+    unit_weight: float,
+    fx: Effects,
+    guess: np.ndarray,
 ) -> np.ndarray:
     """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name; `guess` [N] is renewed.
 
@@ -20,7 +25,9 @@ def predict_table(
     with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of `values`), and of a vertical load the tilt
     and the grade of the row. S of wheels of another width than the setup's is k_c/b + k_phi where these are given.
     """
-    soil, tilt, along = soil_state(values, known_digging(setup)), math.radians(values.get("tilt_deg", 0.0)), np.zeros(1)
+    soil = soil_state(values, known_digging(setup))
+    tilt = math.radians(values.get("tilt_deg", 0.0))
+    along = np.zeros(1)
     if setup.load == "vertical":
         fx = fx._replace(grade_share=fx.grade_share + 1.0)
         if tilt != 0.0:
@@ -30,15 +37,27 @@ def predict_table(
     elif tilt != 0.0:
         along = rows.load * math.sin(tilt)
         rows = rows._replace(load=rows.load * math.cos(tilt))
-    out, width = np.empty((rows.slip.size, 3)), rows.wheels[:, 1]
+    out = np.empty((rows.slip.size, 3))
+    width = rows.wheels[:, 1]
     for b in np.unique(width) if setup.soil.k_c is not None else (None,):
         here = slice(None) if b is None else width == b
-        there = soil if b is None else soil._replace(sinkage_coefficient=soil.sinkage_coefficient * _factor(setup, b))
-        start, values_here = guess[here].copy(), np.empty_like(out[here])
-        predict_rows(
-            *(np.ascontiguousarray(column[here]) for column in rows), there, unit_weight, fx, start, values_here
+        there = (
+            soil
+            if b is None
+            else soil._replace(sinkage_coefficient=soil.sinkage_coefficient * _factor(setup, b))
         )
-        out[here], guess[here] = values_here, start
+        start = guess[here].copy()
+        values_here = np.empty_like(out[here])
+        predict_rows(
+            *(np.ascontiguousarray(column[here]) for column in rows),
+            there,
+            unit_weight,
+            fx,
+            start,
+            values_here,
+        )
+        out[here] = values_here
+        guess[here] = start
     out[:, 1] -= along
     return out
 
@@ -47,6 +66,7 @@ def _factor(setup: Setup, width: float) -> float:
     """S under a wheel of this width [m] over that under the setup's wheel."""
     if width == setup.wheel.width:
         return 1.0
-    here, usual = setup.soil.lumped(width), setup.soil.lumped(setup.wheel.width)
+    here = setup.soil.lumped(width)
+    usual = setup.soil.lumped(setup.wheel.width)
     assert here is not None and usual is not None  # k_c and k_phi are given
     return here.value / usual.value

@@ -71,9 +71,16 @@ def suspension_of(scenario: RoverScenario) -> Suspension:
     v = scenario.vehicle
     places = np.array(v.axles)
     return Suspension(
-        len(places), v.base, places, np.array(v.shares), v.centre - places, v.centre_height, v.first_on_bogie,
-        v.centre - v.pivot, v.pivot_height,
-    )  # fmt: skip
+        len(places),
+        v.base,
+        places,
+        np.array(v.shares),
+        v.centre - places,
+        v.centre_height,
+        v.first_on_bogie,
+        v.centre - v.pivot,
+        v.pivot_height,
+    )
 
 
 @compiled_inline
@@ -94,7 +101,8 @@ def _moment(forces, k, height):
 def bear(forces, weight, s, loads):
     """Loads [N] of the axles of eight rovers into `loads`, eight a axle, in equilibrium with the torques and drawbar
     pulls of `forces`; `weight` [N] is normal to the body."""
-    least, moment = (LEAST_LOAD / s.axles) * weight, fill(0.0)
+    least = (LEAST_LOAD / s.axles) * weight
+    moment = fill(0.0)
     for a in range(s.axles):
         moment = moment + _moment(forces, a * COUNT, s.height)
     if s.bogie < 0:
@@ -128,13 +136,19 @@ def rise_of_body(wheels, axles, first, s):
     length = s.base
     if s.bogie >= 0:
         b = s.bogie
-        share = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])  # of the rear one of its axles
+        share = (s.arms[b] - s.pivot_arm) / (
+            s.arms[b] - s.arms[b + 1]
+        )  # of the rear one of its axles
         k = first + b * COUNT
-        pivot = (1.0 - share) * _axle_height(wheels, axles, k) + share * _axle_height(wheels, axles, k + COUNT)
+        pivot = (1.0 - share) * _axle_height(wheels, axles, k) + share * _axle_height(
+            wheels, axles, k + COUNT
+        )
         if b == 0:
-            front, length = pivot, s.pivot_arm - s.arms[2]
+            front = pivot
+            length = s.pivot_arm - s.arms[2]
         else:
-            rear, length = pivot, s.arms[0] - s.pivot_arm
+            rear = pivot
+            length = s.arms[0] - s.pivot_arm
     return smaller(larger((front - rear) * (1.0 / length), -0.9), 0.9)
 
 

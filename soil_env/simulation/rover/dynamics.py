@@ -42,7 +42,8 @@ from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.vehicle import MOST_AXLES
 
-_period, _changes = scratch_rows(Period, MOST_AXLES * COUNT), scratch(MOST_AXLES * COUNT)
+_period = scratch_rows(Period, MOST_AXLES * COUNT)
+_changes = scratch(MOST_AXLES * COUNT)
 
 
 class Rovers(NamedTuple):
@@ -68,7 +69,11 @@ def _climb(wheels, axles, ruts, k, before, grade):
 def take_pitch(rovers, j, s):
     """Pitch of the bodies of the eight rovers of which j is one, from where their wheels stand."""
     block = j // COUNT * COUNT
-    to_array(angle_of(rise_of_body(rovers.wheels, rovers.axles, block * s.axles, s)), rovers.body.pitch, block)
+    to_array(
+        angle_of(rise_of_body(rovers.wheels, rovers.axles, block * s.axles, s)),
+        rovers.body.pitch,
+        block,
+    )
 
 
 @compiled_part
@@ -78,8 +83,12 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force)
     A rover for which Newton's method fails stays as it was before that stage, with the rest of its time in
     `period.left`; with `force` = 1 it goes on.
     """
-    body, wheels, axles, counts = rovers.body, rovers.wheels, rovers.axles, rovers.counts
-    sub, trial = Substep(new_footing(), new_equations(), new_nodes(), new_newton()), new_newton()
+    body = rovers.body
+    wheels = rovers.wheels
+    axles = rovers.axles
+    counts = rovers.counts
+    sub = Substep(new_footing(), new_equations(), new_nodes(), new_newton())
+    trial = new_newton()
     first = block * s.axles
     while left > 1e-9 * longest:
         h = min(longest, left)
@@ -87,9 +96,30 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force)
             stage = stage_of(number, h)
             for a in range(s.axles):
                 gather_ground(
-                    wheels, counts, first, a * COUNT, period, sub.footing, courses, ruts, world, stage.duration
+                    wheels,
+                    counts,
+                    first,
+                    a * COUNT,
+                    period,
+                    sub.footing,
+                    courses,
+                    ruts,
+                    world,
+                    stage.duration,
                 )
-            set_up(wheels, body, block, first, period, sub, world, s, GAMMA * h, stage.lead, stage.duration)
+            set_up(
+                wheels,
+                body,
+                block,
+                first,
+                period,
+                sub,
+                world,
+                s,
+                GAMMA * h,
+                stage.lead,
+                stage.duration,
+            )
             solve_speeds(sub, trial, period, weight_of(body, block, world), world, s, GAMMA * h)
             for a in range(s.axles):
                 i = a * COUNT
@@ -99,7 +129,8 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force)
             take_pitch(rovers, block, s)
             for i in range(s.axles * COUNT):
                 if period.alive[i] > 0.0:
-                    gain, recovery = sub.footing.dig_gain[i], sub.footing.dig_recovery[i]
+                    gain = sub.footing.dig_gain[i]
+                    recovery = sub.footing.dig_recovery[i]
                     cell = counts.cell[first + i]
                     leave_ruts(wheels, counts, first + i, ruts, gain, recovery, COMPACTION_OF_RUT)
                     pass_on(ruts, first + i, s.axles - 1 - i // COUNT, cell, counts.cell[first + i])
@@ -109,15 +140,18 @@ def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force)
 @compiled_part
 def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
     """The rest of the control period of one rover of a block, by steps halved while Newton's method fails."""
-    longest, end = world.period / (world.substeps * period.steps[lane]), s.axles * COUNT
+    longest = world.period / (world.substeps * period.steps[lane])
+    end = s.axles * COUNT
     for i in range(end):
         period.alive[i] = 0.0
-    left, h = period.left[lane], longest
+    left = period.left[lane]
+    h = longest
     while left > 1e-9 * longest:
         h = min(h, left)
         finest = h <= longest / FINEST
         for i in range(lane, end, COUNT):
-            period.alive[i], period.left[i] = 1.0, h
+            period.alive[i] = 1.0
+            period.left[i] = h
         _drive(rovers, block, period, courses, ruts, world, s, h, h, 1.0 if finest else 0.0)
         failed = period.alive[lane] == 0.0
         left -= h - (period.left[lane] if failed else 0.0)
@@ -129,16 +163,30 @@ def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
 @compiled_inline
 def _choose_steps(rovers, block, period, world, s):
     """Steps that eight rovers take in this control period where others take one (`newton.change_ahead`)."""
-    wheels, body, first = rovers.wheels, rovers.body, block * s.axles
+    wheels = rovers.wheels
+    body = rovers.body
+    first = block * s.axles
     changes = _changes()
     dv = foresee(
-        wheels, first, period, world, s, world.period / world.substeps, from_array(body.mass, block), 0.0, changes
-    )  # fmt: skip
+        wheels,
+        first,
+        period,
+        world,
+        s,
+        world.period / world.substeps,
+        from_array(body.mass, block),
+        0.0,
+        changes,
+    )
     change = abs(dv)
     for a in range(s.axles):
         i = a * COUNT
-        change = larger(change, held_change(from_array(changes, i), wheels, first + i, i, period, world))
-    steps = steps_for(change / (world.wheel.radius * world.no_load_speed), from_array(body.halt_left, block))
+        change = larger(
+            change, held_change(from_array(changes, i), wheels, first + i, i, period, world)
+        )
+    steps = steps_for(
+        change / (world.wheel.radius * world.no_load_speed), from_array(body.halt_left, block)
+    )
     for a in range(s.axles):
         to_array(steps, period.steps, a * COUNT)
 
@@ -150,10 +198,14 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
     `commands` [wheels] in [-1, 1]: actions, see `wheel.commanded`. During a halt the drive ignores them and holds the
     wheels. `rovers`, `courses`, `ruts` and `streams` are renewed in place.
     """
-    body, wheels, period = rovers.body, rovers.wheels, _period()
-    first, end = block * s.axles, s.axles * COUNT
+    body = rovers.body
+    wheels = rovers.wheels
+    period = _period()
+    first = block * s.axles
+    end = s.axles * COUNT
     for i in range(end):
-        k, j = first + i, block + i % COUNT
+        k = first + i
+        j = block + i % COUNT
         going = j < what.size and what[j] == STEP
         begin_period(wheels, k, i, period, commands, going, body.halt_left[j] > 0.0, world)
     _choose_steps(rovers, block, period, world, s)
@@ -179,7 +231,8 @@ def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
 @compiled_inline
 def _as_a_whole(rovers, j, period, lane, streams, world, s):
     """The end of a control period of rover j, in a lane of its block."""
-    body, wheels = rovers.body, rovers.wheels
+    body = rovers.body
+    wheels = rovers.wheels
     fastest = slip = deepest = pull = work = 0.0
     for a in range(s.axles):
         k = wheel_of(j, a, s.axles)
@@ -193,8 +246,12 @@ def _as_a_whole(rovers, j, period, lane, streams, world, s):
         work += max(wheels.motor_work[k], 0.0)
     rear = wheel_of(j, s.axles - 1, s.axles)
     start = body.x[j]
-    body.x[j], body.speed[j], body.wheel_speed[j] = wheels.x[rear], wheels.speed[rear], fastest
+    body.x[j] = wheels.x[rear]
+    body.speed[j] = wheels.speed[rear]
+    body.wheel_speed[j] = fastest
     body.best_x[j] = max(body.best_x[j], body.x[j])
-    body.sinkage[j], body.drawbar_pull[j], body.motor_work[j] = deepest, pull, work
+    body.sinkage[j] = deepest
+    body.drawbar_pull[j] = pull
+    body.motor_work[j] = work
     finish(body, rovers.body_counts, j, start, streams, world)
     body.slip[j] = slip / s.axles

@@ -51,22 +51,28 @@ def _turned(dv, torque_by_v, net_by_u, f2, cu):
 def foresee(wheels, first, period, world, s, h, mass, lead, changes):
     """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
     rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
-    cv, cu = h / mass, h * world.wheel.radius / world.inertia
+    cv = h / mass
+    cu = h * world.wheel.radius / world.inertia
     back_v, _ = behind(wheels, first, 0, period, world, lead)
-    f1, slope = back_v, fill(1.0)
+    f1 = back_v
+    slope = fill(1.0)
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
+        i = a * COUNT
+        k = first + a * COUNT
         _, back_u = behind(wheels, k, i, period, world, lead)
         f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
-        along = world.wheel.gravity * from_array(wheels.mass, k) * sine_of(from_array(wheels.grade, k))
+        along = (
+            world.wheel.gravity * from_array(wheels.mass, k) * sine_of(from_array(wheels.grade, k))
+        )
         by_slope, by_residual = _eliminate(
             from_array(wheels.pull_by_rim, k), from_array(wheels.torque_by_speed, k), net, f2, cu
-        )  # fmt: skip
+        )
         slope = slope - cv * (from_array(wheels.pull_by_speed, k) - by_slope)
         f1 = f1 - cv * (from_array(wheels.drawbar_pull, k) - along - by_residual)
     dv = -1.0 * f1 / _apart(slope)
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
+        i = a * COUNT
+        k = first + a * COUNT
         _, back_u = behind(wheels, k, i, period, world, lead)
         f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
         to_array(_turned(dv, from_array(wheels.torque_by_speed, k), net, f2, cu), changes, i)
@@ -84,12 +90,16 @@ def weight_of(body, block, world):
 def _bear_ahead(wheels, first, sub, short, dv, weight, s):
     """Loads by the forces of the last stage and, where that is a `short` way, how they change to first order with `dv`
     and the changes of the rim speeds that are in `try_u`."""
-    e, n = sub.equations, sub.newton
+    e = sub.equations
+    n = sub.newton
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
+        i = a * COUNT
+        k = first + a * COUNT
         du = from_array(e.try_u, i)
         pull = from_array(wheels.pull_by_speed, k) * dv + from_array(wheels.pull_by_rim, k) * du
-        torque = from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
+        torque = (
+            from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
+        )
         to_array(from_array(wheels.drawbar_pull, k) + short * pull, n.drawbar_pull, i)
         to_array(from_array(wheels.torque, k) + short * torque, n.torque, i)
     bear(n, weight, s, e.load)
@@ -98,20 +108,24 @@ def _bear_ahead(wheels, first, sub, short, dv, weight, s):
 @compiled_inline
 def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
     """The equations of a stage of eight rovers, and where Newton's method starts."""
-    e, mass = sub.equations, from_array(body.mass, block)
+    e = sub.equations
+    mass = from_array(body.mass, block)
     for a in range(s.axles):
         stand(wheels, first, a * COUNT, sub, world, duration)
     dv = foresee(wheels, first, period, world, s, h, mass, lead, e.try_u)
     short = fill(1.0)
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
+        i = a * COUNT
+        k = first + a * COUNT
         rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
         change = larger(abs(dv), abs(from_array(e.try_u, i)))
         short = short * below(change, SHORT * (abs(rim) + REST_SPEED))
     _bear_ahead(wheels, first, sub, short, dv, weight_of(body, block, world), s)
     for a in range(s.axles):
-        i, k = a * COUNT, first + a * COUNT
-        speed, rim = from_array(wheels.speed, k), world.wheel.radius * from_array(wheels.wheel_speed, k)
+        i = a * COUNT
+        k = first + a * COUNT
+        speed = from_array(wheels.speed, k)
+        rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
         back_v, back_u = behind(wheels, k, i, period, world, lead)
         to_array(speed - back_v, e.speed0, i)
         to_array(rim - back_u, e.rim0, i)
@@ -125,7 +139,9 @@ def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration)
 @compiled_inline
 def _evaluate(sub, trial, cu, world, s):
     """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""
-    e, along, largest = sub.equations, fill(0.0), fill(0.0)
+    e = sub.equations
+    along = fill(0.0)
+    largest = fill(0.0)
     v = from_array(e.try_v, 0)
     for a in range(s.axles):
         i = a * COUNT
@@ -133,7 +149,7 @@ def _evaluate(sub, trial, cu, world, s):
         f = reaction_at(v, u, sub, i, world.wheel)
         torque, slope, _ = motor(
             from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world
-        )  # fmt: skip
+        )
         residual = u - from_array(e.rim0, i) - cu * (torque - f.torque)
         along = along + (f.drawbar_pull - from_array(e.weight_along, i))
         largest = larger(largest, abs(residual))
@@ -163,9 +179,12 @@ def _keep_better(sub, trial, better, s):
 @compiled_inline
 def _try_next(sub, share, cu, world, s):
     """The speeds to try next: a share of the step of Newton's method from the best so far."""
-    e, n, r = sub.equations, sub.newton, world.wheel.radius
+    e = sub.equations
+    n = sub.newton
+    r = world.wheel.radius
     cv = from_array(e.gain_v, 0)
-    f1, slope = from_array(n.f1, 0), fill(1.0)
+    f1 = from_array(n.f1, 0)
+    slope = fill(1.0)
     for a in range(s.axles):
         i = a * COUNT
         f = load_reaction(n, i)
@@ -186,7 +205,8 @@ def _try_next(sub, share, cu, world, s):
 @compiled_inline
 def _begin(sub, s):
     """State of the iteration at its start."""
-    n, zero = sub.newton, fill(0.0)
+    n = sub.newton
+    zero = fill(0.0)
     for a in range(s.axles):
         i = a * COUNT
         to_array(from_array(sub.equations.speed0, i), n.v, i)
@@ -200,7 +220,8 @@ def _begin(sub, s):
 @compiled_inline
 def _largest_change(sub, s):
     """Largest change of a speed of eight rovers since the start of the stage [m/s]."""
-    e, n = sub.equations, sub.newton
+    e = sub.equations
+    n = sub.newton
     change = abs(from_array(n.v, 0) - from_array(e.speed0, 0))
     for a in range(s.axles):
         change = larger(change, abs(from_array(n.u, a * COUNT) - from_array(e.rim0, a * COUNT)))
@@ -215,12 +236,18 @@ def _iterate(sub, trial, alive, world, s, h):
     they are while others go on.
     """
     cu = h * world.wheel.radius / world.inertia
-    going, converged = alive, fill(0.0)
-    norm, share, tries = fill(HUGE), fill(1.0), fill(0.0)
+    going = alive
+    converged = fill(0.0)
+    norm = fill(HUGE)
+    share = fill(1.0)
+    tries = fill(0.0)
     for _ in range(PASSES):
         reached = _evaluate(sub, trial, cu, world, s)
         found = compare(reached, norm, share, tries)
-        better, failed, share, tries = going * found.better, going * found.failed, found.share, found.tries
+        better = going * found.better
+        failed = going * found.failed
+        share = found.share
+        tries = found.tries
         _keep_better(sub, trial, better, s)
         norm = chosen(better, reached, norm)
         there = going * better * below(norm, TOLERANCE)
@@ -236,7 +263,8 @@ def _iterate(sub, trial, alive, world, s, h):
 @compiled_inline
 def _bear_anew(sub, trial, weight, alive, s):
     """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
-    e, n = sub.equations, sub.newton
+    e = sub.equations
+    n = sub.newton
     bear(n, weight, s, trial.load)
     changed = fill(0.0)
     for a in range(s.axles):
@@ -257,7 +285,8 @@ def solve_speeds(sub, trial, period, weight, world, s, h):
 
     `weight` [N] is that normal to the body, of one side.
     """
-    n, going = sub.newton, from_array(period.alive, 0)
+    n = sub.newton
+    going = from_array(period.alive, 0)
     _begin(sub, s)
     converged = fill(0.0)
     for turn in range(_TURNS):

@@ -14,10 +14,22 @@ from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
 from soil_env.readings import SensorReading
-from soil_env.simulation.rover.body import AxleState, BodyCounts, BodyState, Suspension, suspension_of
+from soil_env.simulation.rover.body import (
+    AxleState,
+    BodyCounts,
+    BodyState,
+    Suspension,
+    suspension_of,
+)
 from soil_env.simulation.rover.dynamics import Rovers, advance, take_pitch
 from soil_env.simulation.rover.ruts import Ruts, clear_ruts, new_ruts
-from soil_env.simulation.rover.task import BodyReading, rover_task_numbers, write_axle, write_body, write_true_soils
+from soil_env.simulation.rover.task import (
+    BodyReading,
+    rover_task_numbers,
+    write_axle,
+    write_body,
+    write_true_soils,
+)
 from soil_env.simulation.task.observation import clip
 from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, reward_terms, total_of
 from soil_env.simulation.wheels import (
@@ -43,7 +55,14 @@ from soil_env.simulation.world.courses import (
 )
 from soil_env.simulation.world.sensors import roll_odometer, sense, start_odometry
 from soil_env.simulation.world.terrain import Courses, new_courses
-from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumbers, settle_at, wheel_of, world_numbers
+from soil_env.simulation.world.wheel import (
+    WheelCounts,
+    WheelState,
+    WorldNumbers,
+    settle_at,
+    wheel_of,
+    world_numbers,
+)
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.vehicle import RoverScenario
 
@@ -66,12 +85,20 @@ class RoverWorlds(NamedTuple):
     going: np.ndarray  # [rovers] int8, scratch of a step: STEP while the rover drives
 
 
-def new_rover_worlds(rovers: int, scenario: RoverScenario, task: TaskNumbers, recorded: bool) -> RoverWorlds:
+def new_rover_worlds(
+    rovers: int, scenario: RoverScenario, task: TaskNumbers, recorded: bool
+) -> RoverWorlds:
     """Worlds for so many rovers, to be restarted; `recorded`: keep the sensor record of each step."""
     wheels = -(-rovers // COUNT) * COUNT * scenario.axles
     courses = new_courses(rovers, _with_front(scenario))
     return RoverWorlds(
-        Rovers(BodyState(rovers), BodyCounts(rovers), WheelState(wheels), WheelCounts(wheels), AxleState(wheels)),
+        Rovers(
+            BodyState(rovers),
+            BodyCounts(rovers),
+            WheelState(wheels),
+            WheelCounts(wheels),
+            AxleState(wheels),
+        ),
         courses,
         new_ruts(wheels, courses.rut.shape[1]),
         np.zeros(rovers, dtype=np.uint64),
@@ -100,7 +127,9 @@ class RoverNumbers(NamedTuple):
     suspension: Suspension
 
 
-def rover_numbers(scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None) -> RoverNumbers:
+def rover_numbers(
+    scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None
+) -> RoverNumbers:
     """Pack a scenario; `model` gives the effects that are on in this world."""
     return RoverNumbers(
         world_numbers(scenario, model, scenario.axles),
@@ -122,8 +151,10 @@ def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistr
 @compiled_part
 def _settle(worlds, numbers, j, mass):
     """Put rover j at rest at the start of its course."""
-    rovers, s = worlds.rovers, numbers.suspension
-    body, wheels = rovers.body, rovers.wheels
+    rovers = worlds.rovers
+    s = numbers.suspension
+    body = rovers.body
+    wheels = rovers.wheels
     zero_column(body, j)
     zero_column(rovers.body_counts, j)
     body.mass[j] = mass * s.axles
@@ -131,7 +162,15 @@ def _settle(worlds, numbers, j, mass):
         k = wheel_of(j, a, s.axles)
         worlds.wheel_streams[k] = word(worlds.streams, j)
         ahead = s.base - s.places[a]
-        settle_at(wheels, rovers.counts, k, ahead, body.mass[j] * s.shares[a], worlds.courses, numbers.world)
+        settle_at(
+            wheels,
+            rovers.counts,
+            k,
+            ahead,
+            body.mass[j] * s.shares[a],
+            worlds.courses,
+            numbers.world,
+        )
         rovers.axles.height[k] = ahead * math.sin(wheels.grade[k])
         rovers.axles.floor[k] = 0.0
         clear_ruts(worlds.ruts, k)
@@ -145,7 +184,9 @@ def lay_rovers(worlds, numbers, orders, first, end):
 
     RESTART starts a new course and puts the rover at rest at its start.
     """
-    courses, s, body = worlds.courses, numbers.suspension, worlds.rovers.body
+    courses = worlds.courses
+    s = numbers.suspension
+    body = worlds.rovers.body
     course = CourseNumbers(numbers.drawn, numbers.world.wheel)
     failed = 0
     for j in range(first, end):
@@ -178,10 +219,13 @@ def _restart(worlds, numbers, j):
 @compiled_inline
 def _sense_body(worlds, numbers, j):
     """Readings of the body of rover j: speed, pitch, acceleration."""
-    sd, body = numbers.task.sensors.noise, worlds.rovers.body
+    sd = numbers.task.sensors.noise
+    body = worlds.rovers.body
     a, b, c, _ = four_normals(worlds.streams, j)
     return BodyReading(
-        body.speed[j] + sd[5] * a, body.pitch[j] + sd[7] * b, body.drawbar_pull[j] / body.mass[j] + sd[9] * c
+        body.speed[j] + sd[5] * a,
+        body.pitch[j] + sd[7] * b,
+        body.drawbar_pull[j] / body.mass[j] + sd[9] * c,
     )
 
 
@@ -190,16 +234,27 @@ def _sense_wheel(worlds, numbers, k, of_body):
     """Readings of wheel k; speed, pitch and acceleration are the body's, which has one sensor of each."""
     r = sense(worlds.rovers.wheels, k, worlds.wheel_streams, numbers.task.sensors)
     return SensorReading(
-        r.slip, r.sinkage, r.drawbar_pull, r.load, r.torque, of_body.speed, r.rim_speed, of_body.pitch, r.motor_torque,
+        r.slip,
+        r.sinkage,
+        r.drawbar_pull,
+        r.load,
+        r.torque,
+        of_body.speed,
+        r.rim_speed,
+        of_body.pitch,
+        r.motor_torque,
         of_body.acceleration,
-    )  # fmt: skip
+    )
 
 
 @compiled_part
 def _observe(worlds, numbers, j, period, reading):
     """Sense the wheels of rover j after a control period, keep the record, and fill the observation."""
-    rovers, axles, record = worlds.rovers, numbers.suspension.axles, worlds.record
-    recorded, out = record.periods.size > 0, worlds.observation[j]
+    rovers = worlds.rovers
+    axles = numbers.suspension.axles
+    record = worlds.record
+    recorded = record.periods.size > 0
+    out = worlds.observation[j]
     for a in range(axles):
         k = wheel_of(j, a, axles)
         of_wheel = _sense_wheel(worlds, numbers, k, reading)
@@ -207,7 +262,8 @@ def _observe(worlds, numbers, j, period, reading):
         if recorded:
             store_reading(of_wheel, record.readings[k, period])
     if recorded:
-        record.periods[j], record.places[j, period] = period + 1, rovers.body.odometer[j]
+        record.periods[j] = period + 1
+        record.places[j, period] = rovers.body.odometer[j]
         record.halted[j, period] = rovers.body.halt_left[j] > 0.0
     write_body(out, rovers.body, j, reading, numbers.task)
     if numbers.task.variant == 2:
@@ -218,7 +274,8 @@ def _observe(worlds, numbers, j, period, reading):
 @compiled_inline
 def _after_period(worlds, numbers, j, period):
     """End of a control period of rover j: sense, judge, reward, observe."""
-    task, body = numbers.task, worlds.rovers.body
+    task = numbers.task
+    body = worlds.rovers.body
     reading = _sense_body(worlds, numbers, j)
     roll_odometer(body, j, reading.speed, task.sensors)
     _observe(worlds, numbers, j, period, reading)
@@ -236,9 +293,16 @@ def _step_block(worlds, numbers, commands, block):
     end = min(block + COUNT, worlds.going.size)
     for period in range(numbers.task.repeat):
         advance(
-            worlds.rovers, block, worlds.going, commands, worlds.courses, worlds.ruts, worlds.streams, numbers.world,
+            worlds.rovers,
+            block,
+            worlds.going,
+            commands,
+            worlds.courses,
+            worlds.ruts,
+            worlds.streams,
+            numbers.world,
             numbers.suspension,
-        )  # fmt: skip
+        )
         left = 0
         for j in range(block, end):
             if worlds.going[j] == STEP:
@@ -273,6 +337,9 @@ def step_rovers(worlds, numbers, commands, what, first, end):
 @compiled_root(nogil=True)
 def observe_true_soils(worlds, numbers, out):
     """Fill the true soils under the axles into observations `out` [rovers, D] of the variant `true_soil`."""
-    rovers, axles = worlds.rovers, numbers.suspension.axles
+    rovers = worlds.rovers
+    axles = numbers.suspension.axles
     for j in range(len(out)):
-        write_true_soils(out[j], j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task)
+        write_true_soils(
+            out[j], j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task
+        )

@@ -19,8 +19,12 @@ class Ruts(NamedTuple):
     """Cells of a course as each wheel meets them: as `Courses.rut_factors` and `Courses.rut`."""
 
     rut_factors: np.ndarray  # [wheels, cells] factor on S [-]
-    rut: np.ndarray  # [wheels, cells] depth of the wheel's own rut below the floor [m]; 0 before its first pass
-    floor: np.ndarray  # [wheels, cells] depth of the rut of the wheels ahead, below the undisturbed surface [m]
+    rut: (
+        np.ndarray
+    )  # [wheels, cells] depth of the wheel's own rut below the floor [m]; 0 before its first pass
+    floor: (
+        np.ndarray
+    )  # [wheels, cells] depth of the rut of the wheels ahead, below the undisturbed surface [m]
 
 
 def new_ruts(wheels: int, cells: int) -> Ruts:

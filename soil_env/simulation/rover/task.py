@@ -20,8 +20,16 @@ from soil_env.vehicle import RoverScenario
 
 _OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
 _OF_AXLE = (
-    "slip", "sinkage", "drawbar_pull", "load", "torque", "rim_speed", "motor_torque", "last_action", "rim_command",
-)  # fmt: skip
+    "slip",
+    "sinkage",
+    "drawbar_pull",
+    "load",
+    "torque",
+    "rim_speed",
+    "motor_torque",
+    "last_action",
+    "rim_command",
+)
 
 
 def axle_names(axles: int) -> tuple[str, ...]:
@@ -35,14 +43,20 @@ def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
     known = [e for e in layout(variant) if e.name not in {b.name for b in layout("blind")}]
     entries = [wheel[name] for name in _OF_BODY]
     for of_axle in ([wheel[name] for name in _OF_AXLE], known):
-        entries += [replace(e, name=f"{axle}_{e.name}") for axle in axle_names(axles) for e in of_axle]
+        entries += [
+            replace(e, name=f"{axle}_{e.name}") for axle in axle_names(axles) for e in of_axle
+        ]
     return tuple(entries)
 
 
-def rover_task_numbers(scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+def rover_task_numbers(
+    scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None
+) -> TaskNumbers:
     """`task_numbers` with the bounds of a rover's observation."""
     entries = rover_layout(variant, scenario.axles)
-    low, high = (np.array([getattr(e, side) for e in entries], dtype=np.float32) for side in ("low", "high"))
+    low, high = (
+        np.array([getattr(e, side) for e in entries], dtype=np.float32) for side in ("low", "high")
+    )
     return task_numbers(scenario, variant, model)._replace(low=low, high=high)
 
 
@@ -51,7 +65,9 @@ class BodyReading(NamedTuple):
 
     speed: float  # [m/s]
     pitch: float  # [rad], front up positive
-    acceleration: float  # [m/s2] of an accelerometer along the course: that of travel, and of gravity
+    acceleration: (
+        float  # [m/s2] of an accelerometer along the course: that of travel, and of gravity
+    )
 
 
 @compiled_inline
@@ -69,10 +85,15 @@ def write_axle(out, wheels, k, axle, reading, task):
     """Fill the entries of an axle with the readings of its wheel k."""
     o = out[5 + 9 * axle :]
     twist = task.weight * task.radius
-    o[0], o[1] = reading.slip, reading.sinkage / task.radius
-    o[2], o[3] = reading.drawbar_pull / task.weight, reading.load / task.weight
-    o[4], o[5] = reading.torque / twist, reading.rim_speed / task.top_speed
-    o[6], o[7], o[8] = reading.motor_torque / twist, wheels.last_action[k], wheels.rim_command[k]
+    o[0] = reading.slip
+    o[1] = reading.sinkage / task.radius
+    o[2] = reading.drawbar_pull / task.weight
+    o[3] = reading.load / task.weight
+    o[4] = reading.torque / twist
+    o[5] = reading.rim_speed / task.top_speed
+    o[6] = reading.motor_torque / twist
+    o[7] = wheels.last_action[k]
+    o[8] = wheels.rim_command[k]
 
 
 @compiled_inline

@@ -3,4 +3,13 @@
 from soil_env.simulation.task.layout import AXLES, LINES, VARIANTS, ObservedNumber, layout, truth
 from soil_env.simulation.task.rules import REWARD_TERMS, Cause
 
-__all__ = ["AXLES", "LINES", "REWARD_TERMS", "VARIANTS", "Cause", "ObservedNumber", "layout", "truth"]
+__all__ = [
+    "AXLES",
+    "LINES",
+    "REWARD_TERMS",
+    "VARIANTS",
+    "Cause",
+    "ObservedNumber",
+    "layout",
+    "truth",
+]

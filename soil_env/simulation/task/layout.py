@@ -21,7 +21,9 @@ class ObservedNumber:
     unit: str
     low: float
     high: float
-    centre: float = 0.0  # observed is (value - centre)/scale, unless the values themselves are asked for
+    centre: float = (
+        0.0  # observed is (value - centre)/scale, unless the values themselves are asked for
+    )
     scale: float = 1.0
 
 
@@ -86,8 +88,12 @@ def _seen(classes: int, lines: int) -> list[ObservedNumber]:
     entries = [ObservedNumber("border_distance", "m", 0.0, 100.0, 1.0, 0.5)]
     entries += [ObservedNumber(f"here_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
     for line in LINES[:lines]:
-        entries.append(ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15))
-        entries += [ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)]
+        entries.append(
+            ObservedNumber(f"{line}_grade", "rad, uphill positive", -1.6, 1.6, 0.0, 0.15)
+        )
+        entries += [
+            ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)
+        ]
     return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
 
 
@@ -103,7 +109,11 @@ def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumb
     entries = _BLIND + {"blind": (), "identified": _IDENTIFIED, "true_soil": _TRUE}[variant]
     if course is None or course.classes == 0:
         return entries
-    ahead = [replace(e, name=f"{line}_{e.name}") for line in LINES[: course.lines] for e in _AHEAD[variant]]
+    ahead = [
+        replace(e, name=f"{line}_{e.name}")
+        for line in LINES[: course.lines]
+        for e in _AHEAD[variant]
+    ]
     return (*entries, *_seen(course.classes, course.lines), *ahead)
 
 

@@ -49,15 +49,19 @@ def write_observation(out, state, counts, k, reading, courses, sight, task):
 def write_soil(out, soil):
     """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
-    out[1], out[2] = math.log10(soil.shear_modulus), math.log10(soil.sinkage_coefficient)
-    out[3], out[4] = soil.cohesion / 1000.0, soil.sinkage_exponent
-    out[5], out[6] = soil.dig_gain, soil.dig_recovery
+    out[1] = math.log10(soil.shear_modulus)
+    out[2] = math.log10(soil.sinkage_coefficient)
+    out[3] = soil.cohesion / 1000.0
+    out[4] = soil.sinkage_exponent
+    out[5] = soil.dig_gain
+    out[6] = soil.dig_recovery
 
 
 @compiled_inline
 def write_truth(out, state, counts, k, courses, task):
     """Fill `out` with the entries of `layout.truth` at the true place of wheel k; `task` is that of `true_soil`."""
-    x, edges = state.x[k], courses.edges
+    x = state.x[k]
+    edges = courses.edges
     soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
     write_soil(out, soil)
     if task.camera.classes > 0:
@@ -68,7 +72,8 @@ def write_truth(out, state, counts, k, courses, task):
 @compiled_inline
 def write_soils_ahead(out, k, courses, sight, camera):
     """Fill `out` [lines x 8] with the true soils of the lines ahead and their margins over the grade that is seen."""
-    ahead, lines = patch_ahead(courses, k, sight, camera), courses.lines
+    ahead = patch_ahead(courses, k, sight, camera)
+    lines = courses.lines
     for line in range(camera.lines):
         o = out[line * 8 :]
         if ahead >= 0 and line < lines.count[k, ahead]:
@@ -82,10 +87,16 @@ def write_soils_ahead(out, k, courses, sight, camera):
 @compiled_inline
 def write_moments(out, six, four, mean, sd, task):
     """Mean and sd [5] of (phi, ln K, ln S, c, ln gain): of the first three from `six` on, of the rest from `four`."""
-    out[six], out[six + 1], out[six + 2] = mean[0], mean[1] / math.log(10.0), mean[2] / math.log(10.0)
-    out[six + 3], out[six + 4], out[six + 5] = sd[0], sd[1], sd[2]
-    out[four], out[four + 1] = mean[3] / 1000.0, task.dig_gain * math.exp(mean[4])
-    out[four + 2], out[four + 3] = sd[3] / 1000.0, sd[4]
+    out[six] = mean[0]
+    out[six + 1] = mean[1] / math.log(10.0)
+    out[six + 2] = mean[2] / math.log(10.0)
+    out[six + 3] = sd[0]
+    out[six + 4] = sd[1]
+    out[six + 5] = sd[2]
+    out[four] = mean[3] / 1000.0
+    out[four + 1] = task.dig_gain * math.exp(mean[4])
+    out[four + 2] = sd[3] / 1000.0
+    out[four + 3] = sd[4]
 
 
 @compiled_inline
@@ -93,4 +104,5 @@ def write_estimate(out, mean, sd, pull, converged, task):
     """Fill `out` [13] with an estimate: mean and sd [5] of (phi, ln K, ln S, c, ln gain), best drawbar pull, its sd."""
     write_moments(out, 0, 7, mean, sd, task)
     out[6] = 1.0 if converged else 0.0
-    out[11], out[12] = pull[0], pull[1]
+    out[11] = pull[0]
+    out[12] = pull[1]

@@ -33,7 +33,8 @@ class Cause(enum.IntEnum):
 _FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
     c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 )
-_TIME_LIMIT, _RUNNING = Cause.TIME_LIMIT.value, Cause.RUNNING.value
+_TIME_LIMIT = Cause.TIME_LIMIT.value
+_RUNNING = Cause.RUNNING.value
 
 
 #: `Limits` and `RewardWeights` as the kernels take them.
@@ -64,10 +65,14 @@ class TaskNumbers(NamedTuple):
     seen: int  # index of the first entry of the camera
 
 
-def task_numbers(scenario: Scenario, variant: str, model: WheelSoilModel | None = None) -> TaskNumbers:
+def task_numbers(
+    scenario: Scenario, variant: str, model: WheelSoilModel | None = None
+) -> TaskNumbers:
     """Pack the task of a scenario; `model` gives the effects that are on in this world."""
     if variant == "identified" and scenario.belief.method == "none":
-        raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
+        raise ParameterError(
+            "belief.method = 'none': expected 'filter' for observation 'identified'"
+        )
     entries = layout(variant, scenario.course)
     w = scenario.wheel
     return TaskNumbers(

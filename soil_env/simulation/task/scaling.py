@@ -30,22 +30,33 @@ class Scaling:
         self.entries: tuple[ObservedNumber, ...] = tuple(entries)
         self.scaled: bool = bool(scaled)
         names = [e.name for e in self.entries]
-        self.centre: NDArray[np.float32] = np.array([e.centre for e in self.entries], dtype=np.float32)
-        self.scale: NDArray[np.float32] = np.array([e.scale for e in self.entries], dtype=np.float32)
+        self.centre: NDArray[np.float32] = np.array(
+            [e.centre for e in self.entries], dtype=np.float32
+        )
+        self.scale: NDArray[np.float32] = np.array(
+            [e.scale for e in self.entries], dtype=np.float32
+        )
         # for each entry one that is 0 if its line is out of sight, and 1 if it is kept then
-        self._mark, self._kept = np.arange(len(names)), np.ones(len(names), dtype=np.float32)
+        self._mark = np.arange(len(names))
+        self._kept = np.ones(len(names), dtype=np.float32)
         self._wide: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._lines = []  # the entries of each line that are not 0 in sight
         for line in _OF_LINES:
             if line + _ALWAYS in names:
-                columns = [k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0]
-                self._mark[columns], self._kept[columns] = names.index(line + _ALWAYS), 0.0
+                columns = [
+                    k for k, n in enumerate(names) if n.startswith(line) and self.centre[k] != 0.0
+                ]
+                self._mark[columns] = names.index(line + _ALWAYS)
+                self._kept[columns] = 0.0
                 self._lines.append(columns)
 
     @property
     def space(self) -> gymnasium.spaces.Box:
         """Box of the observations."""
-        low, high = (np.array([getattr(e, side) for e in self.entries], np.float32) for side in ("low", "high"))
+        low, high = (
+            np.array([getattr(e, side) for e in self.entries], np.float32)
+            for side in ("low", "high")
+        )
         if self.scaled:
             low, high = ((side - self.centre) / self.scale for side in (low, high))
         return gymnasium.spaces.Box(low, high, dtype=np.float32)
@@ -56,7 +67,11 @@ class Scaling:
             return +values
         if not isinstance(values, np.ndarray):  # recorded for an export
             out = (values - self.centre) / self.scale
-            return out if not self._lines else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
+            return (
+                out
+                if not self._lines
+                else np.where(values[..., self._mark] == 0.0, out * self._kept + 0.0, out)
+            )
         centre, scale = self._rows(values)
         out = values - centre
         out /= scale
@@ -69,7 +84,10 @@ class Scaling:
     def _rows(self, values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Centre and scale in the shape of `values`, kept: broadcast they would take twice as long."""
         if self._wide is None or self._wide[0].shape != values.shape:
-            self._wide = (np.tile(self.centre, (*values.shape[:-1], 1)), np.tile(self.scale, (*values.shape[:-1], 1)))
+            self._wide = (
+                np.tile(self.centre, (*values.shape[:-1], 1)),
+                np.tile(self.scale, (*values.shape[:-1], 1)),
+            )
             if values.ndim == 1:
                 self._wide = self.centre, self.scale
         return self._wide
@@ -79,9 +97,13 @@ class Scaling:
         try:
             given = np.array(observation, dtype=np.float32)
         except (TypeError, ValueError):
-            raise ValueError(f"observation {observation!r}: expected {self.centre.size} numbers") from None
+            raise ValueError(
+                f"observation {observation!r}: expected {self.centre.size} numbers"
+            ) from None
         if given.shape[-1:] != self.centre.shape:
-            raise ValueError(f"observation of shape {given.shape}: expected (..., {self.centre.size})")
+            raise ValueError(
+                f"observation of shape {given.shape}: expected (..., {self.centre.size})"
+            )
         if not self.scaled:
             return given
         out: NDArray[np.float32] = given * self.scale + self.centre

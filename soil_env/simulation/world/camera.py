@@ -50,14 +50,19 @@ class Image(NamedTuple):
 def camera_numbers(scenario: Scenario) -> CameraNumbers:
     """Pack what the functions below need."""
     c = scenario.course
-    return CameraNumbers(c.classes, c.lines, scenario.camera.range, c.border, scenario.camera.border_noise)
+    return CameraNumbers(
+        c.classes, c.lines, scenario.camera.range, c.border, scenario.camera.border_noise
+    )
 
 
 @compiled_inline
 def look(state, counts, k, courses, streams, camera):
     """`Sight` of a new image of wheel k."""
-    errors, edges, last = courses.lines.border_errors, courses.edges, courses.patches[k] - 1
-    x, patch = state.x[k] + camera.border_noise * normal_pair(streams, k)[0], counts.patch[k]
+    errors = courses.lines.border_errors
+    edges = courses.edges
+    last = courses.patches[k] - 1
+    x = state.x[k] + camera.border_noise * normal_pair(streams, k)[0]
+    patch = counts.patch[k]
     while patch < last and x >= edges[k, patch + 1] + errors[k, patch + 1]:
         patch += 1
     while patch > 0 and x < edges[k, patch] + errors[k, patch]:
@@ -88,20 +93,30 @@ def seen_grade(courses, k, patch, line):
 @compiled_inline
 def image_of(state, k, courses, sight, camera):
     """`Image` of wheel k, for what identifies the ground on board."""
-    lines, ahead = courses.lines, patch_ahead(courses, k, sight, camera)
+    lines = courses.lines
+    ahead = patch_ahead(courses, k, sight, camera)
     patch = max(ahead, 0)
     return Image(
-        sight.patch, sight.since, sight.left, label_here(courses, k, sight),
-        1.0 if ahead >= 0 else 0.0, 1.0 if settled(state, k, courses, patch) else 0.0,
-        lines.count[k, patch], lines.taken[k, patch], lines.labels[k, patch, 0], lines.labels[k, patch, 1],
-        seen_grade(courses, k, patch, 0), seen_grade(courses, k, patch, 1),
-    )  # fmt: skip
+        sight.patch,
+        sight.since,
+        sight.left,
+        label_here(courses, k, sight),
+        1.0 if ahead >= 0 else 0.0,
+        1.0 if settled(state, k, courses, patch) else 0.0,
+        lines.count[k, patch],
+        lines.taken[k, patch],
+        lines.labels[k, patch, 0],
+        lines.labels[k, patch, 1],
+        seen_grade(courses, k, patch, 0),
+        seen_grade(courses, k, patch, 1),
+    )
 
 
 @compiled_inline
 def write_view(out, state, counts, k, courses, sight, camera):
     """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
-    n, ahead = camera.classes, patch_ahead(courses, k, sight, camera)
+    n = camera.classes
+    ahead = patch_ahead(courses, k, sight, camera)
     out[0] = max(sight.left, 0.0) if ahead >= 0 else camera.sight
     for c in range(n):
         out[1 + c] = 1.0 if label_here(courses, k, sight) == c else 0.0

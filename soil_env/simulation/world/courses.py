@@ -30,17 +30,23 @@ from soil_env.terramechanics.ground import row_soil
 from soil_env.terramechanics.model import WheelSoilModel
 
 _MAX_REDRAWS = 30
-_ACTIONS_AHEAD = 3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
+_ACTIONS_AHEAD = (
+    3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
+)
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
     """Pack the numbers of `draw_course`; `model` gives the effects that are on in this world."""
-    c, s, w, camera = scenario.course, scenario.spread, scenario.wheel, scenario.camera
+    c = scenario.course
+    s = scenario.spread
+    w = scenario.wheel
+    camera = scenario.camera
     ahead = _ACTIONS_AHEAD * w.radius * w.no_load_speed * scenario.control.duration
     if c.classes:  # the patch after one in sight is drawn, so that what is seen is final
         ahead += camera.range + c.patch_length[1] + c.border
     if model is not None and model.soil is not None:
-        library, weights = [model.soil.state(w.width)], np.ones(1)
+        library = [model.soil.state(w.width)]
+        weights = np.ones(1)
     else:
         presets = scenario.library
         library = [presets[name].state(w.width) for name in scenario.soils]
@@ -66,8 +72,11 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
 @compiled_part
 def _margin_at_border(k, courses, i, load, numbers):
     """Margin in the middle of the passage from patch i - 1 to patch i."""
-    soils, grades = courses.soils[k], courses.grades[k]
-    return margin_between(row_soil(soils[i - 1]), row_soil(soils[i]), grades[i - 1], grades[i], load, numbers)
+    soils = courses.soils[k]
+    grades = courses.grades[k]
+    return margin_between(
+        row_soil(soils[i - 1]), row_soil(soils[i]), grades[i - 1], grades[i], load, numbers
+    )
 
 
 @compiled_part
@@ -112,7 +121,9 @@ def extend_course(k, courses, mass, x, numbers):
     found = True
     while courses.ready[k] < x:
         tries = 0
-        while tries < _MAX_REDRAWS and not _try_patch(k, courses, mass * numbers.wheel.gravity, numbers):
+        while tries < _MAX_REDRAWS and not _try_patch(
+            k, courses, mass * numbers.wheel.gravity, numbers
+        ):
             tries += 1
         if tries == _MAX_REDRAWS:
             found = False
@@ -122,8 +133,11 @@ def extend_course(k, courses, mass, x, numbers):
             else:
                 for j in range(7):
                     courses.soils[k, p, j] = courses.soils[k, p - 1, j]
-                courses.grades[k, p], courses.margins[k, p] = courses.grades[k, p - 1], courses.margins[k, p - 1]
-            _add_patch(k, courses, within(courses.streams, k, numbers.drawn.course.patch_length), numbers)
+                courses.grades[k, p] = courses.grades[k, p - 1]
+                courses.margins[k, p] = courses.margins[k, p - 1]
+            _add_patch(
+                k, courses, within(courses.streams, k, numbers.drawn.course.patch_length), numbers
+            )
     return found
 
 
@@ -134,7 +148,9 @@ def _try_patch(k, courses, load, numbers):
     The blend at the border to the patch before is checked too, and the grades on both sides lowered if it falls short.
     So the grade of a patch is final when the next one is drawn.
     """
-    p, streams, spec = courses.patches[k], courses.streams, numbers.drawn.course
+    p = courses.patches[k]
+    streams = courses.streams
+    spec = numbers.drawn.course
     length = within(streams, k, spec.patch_length)
     if spec.classes > 0:
         found = draw_patch(k, courses, load, numbers)
@@ -157,9 +173,11 @@ def _try_patch(k, courses, load, numbers):
     courses.margins[k, p] = capacity - tangent
     courses.grades[k, p] = math.atan(tangent)
     if p > 0:
-        grade, margin = courses.grades[k, p - 1], courses.margins[k, p - 1]
+        grade = courses.grades[k, p - 1]
+        margin = courses.margins[k, p - 1]
         if not _joined(k, courses, p, load, numbers):
-            courses.grades[k, p - 1], courses.margins[k, p - 1] = grade, margin
+            courses.grades[k, p - 1] = grade
+            courses.margins[k, p - 1] = margin
             return False
     _add_patch(k, courses, length, numbers)
     return True
@@ -177,10 +195,14 @@ def _joined(k, courses, i, load, numbers):
         courses.grades[k, j] = math.atan(lowered)
         courses.margins[k, j] += tangent - lowered
     least = _margin_at_border(k, courses, i, load, numbers)
-    if numbers.wheel.effects.grade_weakening != 0.0:  # a lowered grade may be a steep descent on weaker ground
+    if (
+        numbers.wheel.effects.grade_weakening != 0.0
+    ):  # a lowered grade may be a steep descent on weaker ground
         for j in (i - 1, i):
             tangent = math.tan(courses.grades[k, j])
-            courses.margins[k, j] = capacity(load, row_soil(courses.soils[k, j]), tangent, numbers) - tangent
+            courses.margins[k, j] = (
+                capacity(load, row_soil(courses.soils[k, j]), tangent, numbers) - tangent
+            )
             least = min(least, courses.margins[k, j])
         if i > 1:
             least = min(least, _margin_at_border(k, courses, i - 1, load, numbers))
@@ -194,12 +216,15 @@ def _add_patch(k, courses, length, numbers):
     start = 0.0 if p == 0 else courses.edges[k, p]
     end = start + length
     whole = end >= numbers.drawn.course.length or p + 1 == courses.soils.shape[1]
-    courses.edges[k, p], courses.edges[k, p + 1] = start, end
+    courses.edges[k, p] = start
+    courses.edges[k, p + 1] = end
     courses.patches[k] = p + 1
     courses.ready[k] = np.inf if whole else start - 0.5 * numbers.drawn.course.border
     first = 0 if p == 0 else cell_at(courses, start) + 1
     cells = courses.rut_factors.shape[1]
-    last = cells - 1 if whole else min(cell_at(courses, end) + 1, cells - 1)  # `between_cells` reads one further
+    last = (
+        cells - 1 if whole else min(cell_at(courses, end) + 1, cells - 1)
+    )  # `between_cells` reads one further
     for i in range(first, last + 1):
         courses.rut_factors[k, i] = 1.0
         courses.rut[k, i] = 0.0

@@ -34,7 +34,13 @@ from soil_env.simulation.world.stage import (
     set_up,
 )
 from soil_env.simulation.world.terrain import COMPACTION, cell_after, leave_rut
-from soil_env.simulation.world.wheel import SHALLOWEST, bearing_sinkage, commanded, finish, relax_sinkage
+from soil_env.simulation.world.wheel import (
+    SHALLOWEST,
+    bearing_sinkage,
+    commanded,
+    finish,
+    relax_sinkage,
+)
 from soil_env.terramechanics.effects import digging_ratio, onto_fresh
 from soil_env.terramechanics.motor import motor
 from soil_env.terramechanics.steady import DEEPEST
@@ -71,21 +77,32 @@ def move(state, first, i, period, sub, world, stage, force):
 
     Lanes that are not alive stay as they are. Lanes that did not converge are masked out, unless `force` is 1.
     """
-    n, k, r = sub.newton, first + i, world.wheel.radius
-    v, u, f = from_array(n.v, i), from_array(n.u, i), load_reaction(n, i)
+    n = sub.newton
+    k = first + i
+    r = world.wheel.radius
+    v = from_array(n.v, i)
+    u = from_array(n.u, i)
+    f = load_reaction(n, i)
     converged = from_array(n.converged, i)
     alive = from_array(period.alive, i) * larger(converged, force)
     to_array(alive, period.alive, i)
     keep_where(alive, from_array(period.clean, i) * converged, period.clean, i)
-    torque, _, available = motor(from_array(period.command, i), from_array(period.by_speed, i), u / r, world)
-    speed, rim, turned = from_array(state.speed, k), r * from_array(state.wheel_speed, k), from_array(state.torque, k)
-    pulled, drove = from_array(state.drawbar_pull, k), from_array(state.motor_torque, k)
+    torque, _, available = motor(
+        from_array(period.command, i), from_array(period.by_speed, i), u / r, world
+    )
+    speed = from_array(state.speed, k)
+    rim = r * from_array(state.wheel_speed, k)
+    turned = from_array(state.torque, k)
+    pulled = from_array(state.drawbar_pull, k)
+    drove = from_array(state.motor_torque, k)
     moved = stage.first * speed + stage.last * v
     slid = stage.first * abs(rim - speed) + stage.last * abs(u - v)
     _sink(state, k, i, alive, sub, world, f.sinkage_coefficient, moved, slid, stage.duration)
     work = (stage.first * (drove * rim) + stage.last * (torque * u)) / r
     keep_where(alive, from_array(state.motor_work, k) + work, state.motor_work, k)
-    work = stage.first * (turned * rim / r - pulled * speed) + stage.last * (f.torque * u / r - f.drawbar_pull * v)
+    work = stage.first * (turned * rim / r - pulled * speed) + stage.last * (
+        f.torque * u / r - f.drawbar_pull * v
+    )
     keep_where(alive, from_array(state.soil_work, k) + work, state.soil_work, k)
     work = _taken(state, period, k, i, v, u, stage, world)
     keep_where(alive, from_array(state.numerical_work, k) + work, state.numerical_work, k)
@@ -114,13 +131,15 @@ def _taken(state, period, k, i, v, u, stage, world):
     m (d^2 - e^2)/2, and the same of the rotation: what the products of the stages with their speeds leave.
     """
     r = world.wheel.radius
-    speed, rim = from_array(state.speed, k), r * from_array(state.wheel_speed, k)
-    e, e2 = (
-        stage.lead * (speed - from_array(period.speed_before, i)),
-        stage.lead * (rim - from_array(period.rim_before, i)),
+    speed = from_array(state.speed, k)
+    rim = r * from_array(state.wheel_speed, k)
+    e = stage.lead * (speed - from_array(period.speed_before, i))
+    e2 = stage.lead * (rim - from_array(period.rim_before, i))
+    d = v - speed - e
+    d2 = u - rim - e2
+    return 0.5 * (
+        from_array(state.mass, k) * (d * d - e * e) + world.inertia / (r * r) * (d2 * d2 - e2 * e2)
     )
-    d, d2 = v - speed - e, u - rim - e2
-    return 0.5 * (from_array(state.mass, k) * (d * d - e * e) + world.inertia / (r * r) * (d2 * d2 - e2 * e2))
 
 
 @compiled_inline
@@ -130,18 +149,30 @@ def _sink(state, k, i, alive, sub, world, mobilised, moved, slid, duration):
     Ground beyond the furthest places of a wheel is fresh. Where it has been the ground has the depth of the rut, which
     grows where the wheel digs and not where it climbs out of its hole.
     """
-    g, soil, sinkage, rut = sub.footing, load_soil(sub.footing, i), from_array(state.sinkage, k), state.rut_depth
+    g = sub.footing
+    soil = load_soil(sub.footing, i)
+    sinkage = from_array(state.sinkage, k)
+    rut = state.rut_depth
     bearing = bearing_sinkage(from_array(g.sinkage, i), mobilised, soil)
     if world.wheel.on:
         bearing = bearing + from_array(g.lift, i)
-    x, low, high = from_array(state.x, k) + moved, from_array(state.lowest_x, k), from_array(state.best_x, k)
+    x = from_array(state.x, k) + moved
+    low = from_array(state.lowest_x, k)
+    high = from_array(state.best_x, k)
     fresh = smaller(onto_fresh(x, low, high) / larger(abs(moved), 1e-12), 1.0)
     onto = fresh * bearing + (1.0 - fresh) * from_array(rut, k)
     over = 1.0 / duration
-    relaxed = relax_sinkage(sinkage, bearing, onto, over * moved, over * slid, soil, world.relaxation, duration)
+    relaxed = relax_sinkage(
+        sinkage, bearing, onto, over * moved, over * slid, soil, world.relaxation, duration
+    )
     depth = smaller(larger(relaxed, SHALLOWEST * world.wheel.radius), DEEPEST * world.wheel.radius)
     keep_where(alive, over * (depth - sinkage), state.sinking, k)
-    keep_where(alive, where_less(sinkage, depth, larger(from_array(rut, k), depth), from_array(rut, k)), rut, k)
+    keep_where(
+        alive,
+        where_less(sinkage, depth, larger(from_array(rut, k), depth), from_array(rut, k)),
+        rut,
+        k,
+    )
     keep_where(alive, x, state.x, k)
     keep_where(alive, larger(x, high), state.best_x, k)
     keep_where(alive, smaller(x, low), state.lowest_x, k)
@@ -163,7 +194,18 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
         for number in range(2):
             stage = stage_of(number, h)
             for i in range(begin, end, COUNT):
-                gather_ground(state, counts, first, i, period, sub.footing, courses, courses, world, stage.duration)
+                gather_ground(
+                    state,
+                    counts,
+                    first,
+                    i,
+                    period,
+                    sub.footing,
+                    courses,
+                    courses,
+                    world,
+                    stage.duration,
+                )
                 set_up(state, first, i, period, sub, world, GAMMA * h, stage.lead, stage.duration)
             solve_speeds(sub, period, begin, end, world, GAMMA * h)
             for i in range(begin, end, COUNT):
@@ -178,7 +220,8 @@ def _drive(state, counts, first, begin, end, period, courses, world, left, longe
 @compiled_inline
 def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
     """Mark the cells that wheel k has passed in this stage."""
-    cell, after = counts.cell[k], cell_after(ruts, counts.cell[k], state.x[k])
+    cell = counts.cell[k]
+    after = cell_after(ruts, counts.cell[k], state.x[k])
     if after == cell:
         return
     # how much the wheel dug here; its sinkage over z_w does not say, since it lags behind a change of the ground
@@ -188,13 +231,16 @@ def leave_ruts(state, counts, k, ruts, gain, recovery, compaction):
         cell += 1 if after > cell else -1
         rut = ruts.rut[k, cell]
         state.rut_depth[k] = rut if rut > 0.0 else state.sinkage[k]
-    counts.cell[k], state.slid[k], state.cell_x[k] = cell, 0.0, state.x[k]
+    counts.cell[k] = cell
+    state.slid[k] = 0.0
+    state.cell_x[k] = state.x[k]
 
 
 @compiled_part
 def _drive_together(state, counts, first, end, period, courses, world, steps):
     """The control period of the wheels that take `steps` steps where others take one."""
-    longest, begin = world.period / (world.substeps * steps), 0
+    longest = world.period / (world.substeps * steps)
+    begin = 0
     for block in range(0, end + COUNT, COUNT):
         going = 0.0
         if block < end:
@@ -203,22 +249,49 @@ def _drive_together(state, counts, first, end, period, courses, world, steps):
                 going += period.alive[i]
         if going == 0.0:
             if begin < block:
-                _drive(state, counts, first, begin, block, period, courses, world, world.period, longest, 0.0)
+                _drive(
+                    state,
+                    counts,
+                    first,
+                    begin,
+                    block,
+                    period,
+                    courses,
+                    world,
+                    world.period,
+                    longest,
+                    0.0,
+                )
             begin = block + COUNT
 
 
 @compiled_part
 def _drive_alone(state, counts, first, i, period, courses, world):
     """The rest of the control period of the wheel in column i, by steps halved while Newton's method fails."""
-    block, longest = i // COUNT * COUNT, world.period / (world.substeps * period.steps[i])
+    block = i // COUNT * COUNT
+    longest = world.period / (world.substeps * period.steps[i])
     for j in range(block, block + COUNT):
         period.alive[j] = 0.0
-    left, h = period.left[i], longest
+    left = period.left[i]
+    h = longest
     while left > 1e-9 * longest:
         h = min(h, left)
         finest = h <= longest / FINEST
-        period.alive[i], period.left[i] = 1.0, h
-        _drive(state, counts, first, block, block + COUNT, period, courses, world, h, h, 1.0 if finest else 0.0)
+        period.alive[i] = 1.0
+        period.left[i] = h
+        _drive(
+            state,
+            counts,
+            first,
+            block,
+            block + COUNT,
+            period,
+            courses,
+            world,
+            h,
+            h,
+            1.0 if finest else 0.0,
+        )
         failed = period.alive[i] == 0.0
         left -= h - (period.left[i] if failed else 0.0)
         h = 0.5 * h if failed else longest
@@ -241,7 +314,8 @@ def begin_period(state, k, i, period, commands, going, halted, world):
 @compiled_inline
 def steps_for(change, halt_left):
     """Steps that eight wheels take where others take one, for a change of speeds ahead [of the top rim speed]."""
-    steps, driven = fill(1.0), below(halt_left, 1e-9)  # a halt has its speed loop
+    steps = fill(1.0)  # a halt has its speed loop
+    driven = below(halt_left, 1e-9)
     for limit in REFINED_BEYOND:
         steps = steps * (1.0 + driven * below(limit, change))
     return steps

@@ -19,7 +19,9 @@ _REDRAWS = 30
 @compiled_part
 def draw_classes(k, courses, load, numbers):
     """Draw the soils of the classes of course k; False if none was found that leaves the highest margin."""
-    drawn, streams, library = numbers.drawn, courses.streams, courses.lines.library
+    drawn = numbers.drawn
+    streams = courses.streams
+    library = courses.lines.library
     for c in range(drawn.course.classes):
         tries = 0
         while tries < _REDRAWS:
@@ -64,7 +66,8 @@ def _draw_line(k, courses, p, line, margin, load, numbers):
 
     A negative margin is a deficit: the line is steeper by it than the steepest that it could be.
     """
-    lines, drawn = courses.lines, numbers.drawn
+    lines = courses.lines
+    drawn = numbers.drawn
     mean = row_soil(lines.library[k, lines.classes[k, p, line]])
     soil = scattered(mean, drawn.course.class_scatter, courses.streams, k, numbers)
     tangent, pull = steepest(load, soil, max(margin, 0.0), numbers)
@@ -76,7 +79,8 @@ def _draw_line(k, courses, p, line, margin, load, numbers):
             return False
     for j in range(7):
         lines.soils[k, p, line, j] = soil[j]
-    lines.grades[k, p, line], lines.capacities[k, p, line] = math.atan(tangent), pull
+    lines.grades[k, p, line] = math.atan(tangent)
+    lines.capacities[k, p, line] = pull
     return True
 
 
@@ -85,7 +89,8 @@ def _copy_line(k, courses, p):
     """Line 1 of a patch with one line is line 0."""
     lines = courses.lines
     lines.classes[k, p, 1] = lines.classes[k, p, 0]
-    lines.grades[k, p, 1], lines.capacities[k, p, 1] = lines.grades[k, p, 0], lines.capacities[k, p, 0]
+    lines.grades[k, p, 1] = lines.grades[k, p, 0]
+    lines.capacities[k, p, 1] = lines.capacities[k, p, 0]
     for j in range(7):
         lines.soils[k, p, 1, j] = lines.soils[k, p, 0, j]
 
@@ -97,10 +102,14 @@ def draw_patch(k, courses, load, numbers):
     Where the border between a passable line of this patch and one of the patch before falls short of the least margin,
     the grades of both are lowered, so that the grades of a patch are final when the next one is drawn.
     """
-    p, streams, lines, drawn = courses.patches[k], courses.streams, courses.lines, numbers.drawn
+    p = courses.patches[k]
+    streams = courses.streams
+    lines = courses.lines
+    drawn = numbers.drawn
     spec = drawn.course
     two = spec.lines > 1 and p >= spec.classes
-    margin, other = within(streams, k, spec.margin), within(streams, k, spec.margin)
+    margin = within(streams, k, spec.margin)
+    other = within(streams, k, spec.margin)
     if p == 0:
         margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
     lines.count[k, p] = 2 if two else 1
@@ -136,11 +145,10 @@ def repeat_patch(k, courses, p):
     line = 0 if passable(k, courses, p - 1, 0) else 1
     lines.count[k, p] = 1
     for i in range(2):
-        lines.classes[k, p, i], lines.labels[k, p, i] = lines.classes[k, p - 1, line], lines.labels[k, p - 1, line]
-        lines.grades[k, p, i], lines.capacities[k, p, i] = (
-            lines.grades[k, p - 1, line],
-            lines.capacities[k, p - 1, line],
-        )
+        lines.classes[k, p, i] = lines.classes[k, p - 1, line]
+        lines.labels[k, p, i] = lines.labels[k, p - 1, line]
+        lines.grades[k, p, i] = lines.grades[k, p - 1, line]
+        lines.capacities[k, p, i] = lines.capacities[k, p - 1, line]
         lines.grade_errors[k, p, i] = lines.grade_errors[k, p - 1, line]
         for j in range(7):
             lines.soils[k, p, i, j] = lines.soils[k, p - 1, line, j]
@@ -150,18 +158,23 @@ def repeat_patch(k, courses, p):
 @compiled_inline
 def _draw_looks(k, courses, p, drawn):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
-    lines, streams, spec, camera = courses.lines, courses.streams, drawn.course, drawn.camera
+    lines = courses.lines
+    streams = courses.streams
+    spec = drawn.course
+    camera = drawn.camera
     for line in range(2):
         label = lines.classes[k, p, line]
         if uniform(streams, k) < camera.label_error and spec.classes > 1:
             label = _another(streams, k, spec.classes, label)
         lines.labels[k, p, line] = label
     a, b = normal_pair(streams, k)
-    lines.grade_errors[k, p, 0], lines.grade_errors[k, p, 1] = camera.grade_noise * a, camera.grade_noise * b
+    lines.grade_errors[k, p, 0] = camera.grade_noise * a
+    lines.grade_errors[k, p, 1] = camera.grade_noise * b
     a, b = normal_pair(streams, k)
     lines.border_errors[k, p] = camera.border_noise * a
     if lines.count[k, p] == 1:
-        lines.labels[k, p, 1], lines.grade_errors[k, p, 1] = lines.labels[k, p, 0], lines.grade_errors[k, p, 0]
+        lines.labels[k, p, 1] = lines.labels[k, p, 0]
+        lines.grade_errors[k, p, 1] = lines.grade_errors[k, p, 0]
     lines.halts[k, p] = -within(streams, k, spec.halt_before)
 
 
@@ -174,9 +187,15 @@ def passable(k, courses, p, line):
 @compiled_part
 def _border_margin(k, courses, p, before, line, load, numbers):
     """Margin in the middle of the passage from line `before` of patch p - 1 to `line` of patch p."""
-    soils, grades = courses.lines.soils[k], courses.lines.grades[k]
+    soils = courses.lines.soils[k]
+    grades = courses.lines.grades[k]
     return margin_between(
-        row_soil(soils[p - 1, before]), row_soil(soils[p, line]), grades[p - 1, before], grades[p, line], load, numbers
+        row_soil(soils[p - 1, before]),
+        row_soil(soils[p, line]),
+        grades[p - 1, before],
+        grades[p, line],
+        load,
+        numbers,
     )
 
 
@@ -186,8 +205,10 @@ def _joined(k, courses, p, load, numbers):
 
     Ground that slopes weaken may not have its grades changed afterwards: there a short border is a failure.
     """
-    lines, drawn = courses.lines, numbers.drawn
-    kept0, kept1 = lines.grades[k, p - 1, 0], lines.grades[k, p - 1, 1]
+    lines = courses.lines
+    drawn = numbers.drawn
+    kept0 = lines.grades[k, p - 1, 0]
+    kept1 = lines.grades[k, p - 1, 1]
     least = np.inf
     for attempt in range(2):
         least = np.inf
@@ -195,7 +216,9 @@ def _joined(k, courses, p, load, numbers):
             for line in range(lines.count[k, p]):
                 if not (passable(k, courses, p - 1, before) and passable(k, courses, p, line)):
                     continue
-                short = drawn.course.margin[0] - _border_margin(k, courses, p, before, line, load, numbers)
+                short = drawn.course.margin[0] - _border_margin(
+                    k, courses, p, before, line, load, numbers
+                )
                 least = min(least, -short)
                 if short > 0.0 and attempt == 0 and numbers.wheel.effects.grade_weakening == 0.0:
                     _lower(k, courses, p - 1, before, short, drawn.grade_low)
@@ -205,7 +228,8 @@ def _joined(k, courses, p, load, numbers):
     if lines.count[k, p] == 1:
         lines.grades[k, p, 1] = lines.grades[k, p, 0]
     if least < -1e-6:
-        lines.grades[k, p - 1, 0], lines.grades[k, p - 1, 1] = kept0, kept1
+        lines.grades[k, p - 1, 0] = kept0
+        lines.grades[k, p - 1, 1] = kept1
         return False
     take_line(k, courses, p - 1, 0)
     return True
@@ -259,5 +283,6 @@ def choosing(state, counts, k, courses, numbers):
 def settled(state, k, courses, patch):
     """True if wheel k has no choice of a line over a patch: it had none, or has come to the halt before it."""
     return (
-        courses.lines.count[k, patch] < 2 or state.best_x[k] >= courses.edges[k, patch] + courses.lines.halts[k, patch]
+        courses.lines.count[k, patch] < 2
+        or state.best_x[k] >= courses.edges[k, patch] + courses.lines.halts[k, patch]
     )

@@ -35,16 +35,20 @@ PASSES = 60  # evaluations of the reaction in a substep, at most
 TRIES = 8  # of them at most along one step of Newton's method
 # Residual that is let pass where no shorter step makes it smaller: at most this [m/s], and this share of the change of
 # speed that was found. Without the second a step that is short enough would leave the speeds as they are.
-NEARLY, OF_CHANGE = 1e-4, 0.1
+NEARLY = 1e-4
+OF_CHANGE = 0.1
 HUGE = 1e300
 _Queue: type[Rows] = rows("_Queue", "wheel", kind=np.int64)
-_queue, _occupants = scratch_rows(_Queue, MANY), scratch_rows(_Queue, COUNT)
+_queue = scratch_rows(_Queue, MANY)
+_occupants = scratch_rows(_Queue, COUNT)
 
 
 @compiled_inline
 def _residual(v, u, f, e, i, cu, world):
     """(f1, f2, d motor torque/dw): the residuals of implicit Euler [m/s] at speeds v, u with the `Reaction` f."""
-    torque, slope, _ = motor(from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world)
+    torque, slope, _ = motor(
+        from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world
+    )
     along = f.drawbar_pull - from_array(e.weight_along, i)
     f1 = v - from_array(e.speed0, i) - from_array(e.gain_v, i) * along
     return f1, u - from_array(e.rim0, i) - cu * (torque - f.torque), slope
@@ -53,7 +57,8 @@ def _residual(v, u, f, e, i, cu, world):
 @compiled_inline
 def _begin(e, n, i):
     """Newton's state of the eight wheels from column i on, at the start of a substep."""
-    zero, huge = fill(0.0), fill(HUGE)
+    zero = fill(0.0)
+    huge = fill(HUGE)
     to_array(from_array(e.speed0, i), n.v, i)
     to_array(from_array(e.rim0, i), n.u, i)
     store_reaction(same_reaction(zero), n, i)
@@ -87,7 +92,10 @@ def compare(reached, norm, share, tries):
     last = below(TRIES - 1.5, tries)
     better = below(reached, norm * chosen(last, fill(1.0), 1.0 - 0.1 * share))
     return Comparison(
-        better, last * (1.0 - better), chosen(better, fill(1.0), 0.4 * share), chosen(better, fill(0.0), tries + 1.0)
+        better,
+        last * (1.0 - better),
+        chosen(better, fill(1.0), 0.4 * share),
+        chosen(better, fill(0.0), tries + 1.0),
     )
 
 
@@ -100,14 +108,19 @@ def near_enough(norm, change):
 @compiled_inline
 def _accept(sub, i, cu, world):
     """Evaluate the trial speeds and keep them where they are better; (better, failed), 1 or 0 in each lane."""
-    e, n = sub.equations, sub.newton
-    v, u = from_array(e.try_v, i), from_array(e.try_u, i)
+    e = sub.equations
+    n = sub.newton
+    v = from_array(e.try_v, i)
+    u = from_array(e.try_u, i)
     trial = reaction_at(v, u, sub, i, world.wheel)
     f1, f2, slope = _residual(v, u, trial, e, i, cu, world)
-    reached, norm = larger(abs(f1), abs(f2)), from_array(n.norm, i)
+    reached = larger(abs(f1), abs(f2))
+    norm = from_array(n.norm, i)
     found = compare(reached, norm, from_array(n.share, i), from_array(n.tries, i))
     better = found.better
-    first_before = chosen(below(norm, 0.5 * HUGE), norm, 0.1 * reached)  # the first residual predicts nothing
+    first_before = chosen(
+        below(norm, 0.5 * HUGE), norm, 0.1 * reached
+    )  # the first residual predicts nothing
     keep_where(better, first_before, n.before, i)
     keep_where(better, reached, n.norm, i)
     keep_where(better, v, n.v, i)
@@ -139,23 +152,44 @@ def _iterate(sub, i, world, h):
     Once the residual is predicted to fall far below the tolerance, the step is taken with the reaction to first order
     instead of being computed once more.
     """
-    e, n, r = sub.equations, sub.newton, world.wheel.radius
+    e = sub.equations
+    n = sub.newton
+    r = world.wheel.radius
     cu = h * r / world.inertia
     better, failed = _accept(sub, i, cu, world)
-    v, u, norm, f = from_array(n.v, i), from_array(n.u, i), from_array(n.norm, i), load_reaction(n, i)
+    v = from_array(n.v, i)
+    u = from_array(n.u, i)
+    norm = from_array(n.norm, i)
+    f = load_reaction(n, i)
     dv, du = newton_step(
-        from_array(n.f1, i), from_array(n.f2, i), from_array(e.gain_v, i), cu, f.dp_v, f.dp_u, f.torque_v,
+        from_array(n.f1, i),
+        from_array(n.f2, i),
+        from_array(e.gain_v, i),
+        cu,
+        f.dp_v,
+        f.dp_u,
+        f.torque_v,
         f.torque_u - from_array(n.motor_slope, i) / r,
-    )  # fmt: skip
+    )
     predicted = _predicted_residual(
-        norm, from_array(n.before, i), dv, du, u, from_array(e.theta1, i), from_array(e.shear_modulus, i), r
+        norm,
+        from_array(n.before, i),
+        dv,
+        du,
+        u,
+        from_array(e.theta1, i),
+        from_array(e.shear_modulus, i),
+        r,
     )
     ahead = moved(f, dv, du)
     f1, f2, _ = _residual(v + dv, u + du, ahead, e, i, cu, world)
-    skip = below(predicted, _PREDICTED * TOLERANCE) * below(larger(abs(f1), abs(f2)), 0.1 * TOLERANCE)
+    skip = below(predicted, _PREDICTED * TOLERANCE) * below(
+        larger(abs(f1), abs(f2)), 0.1 * TOLERANCE
+    )
     skip = skip * below(0.0, ahead.sinkage_coefficient) * better
     converged = larger(skip, better * below(norm, TOLERANCE))
-    passes, share = from_array(n.passes, i) + 1.0, from_array(n.share, i)
+    passes = from_array(n.passes, i) + 1.0
+    share = from_array(n.share, i)
     to_array(passes, n.passes, i)
     to_array(v + share * dv, e.try_v, i)
     to_array(u + share * du, e.try_u, i)
@@ -173,7 +207,8 @@ def _copy_wheel(sub, source, target):
     """A wheel with its state of Newton's method from one column to another."""
     copy_column(sub.equations, source, sub.equations, target)
     copy_column(sub.newton, source, sub.newton, target)
-    a, b = (source // COUNT) * NODE_COLUMNS + source % COUNT, (target // COUNT) * NODE_COLUMNS + target % COUNT
+    a = (source // COUNT) * NODE_COLUMNS + source % COUNT
+    b = (target // COUNT) * NODE_COLUMNS + target % COUNT
     for node in range(0, NODE_COLUMNS, COUNT):
         copy_column(sub.nodes, a + node, sub.nodes, b + node)
 
@@ -185,8 +220,12 @@ def solve_speeds(sub, period, begin, end, world, h):
     One pass for all, on the spot; those that have not ended go on in the last block, where a lane takes the next as
     soon as its wheel has ended.
     """
-    queue, occupants = _queue(), _occupants()
-    block, queued, following, working = begin, 0, 0, 0
+    queue = _queue()
+    occupants = _occupants()
+    block = begin
+    queued = 0
+    following = 0
+    working = 0
     while True:
         filling = block < end
         if filling:
@@ -200,7 +239,8 @@ def solve_speeds(sub, period, begin, end, world, h):
             block += COUNT
             if block < end:
                 continue
-            block, ended = MANY, (1 << COUNT) - 1
+            block = MANY
+            ended = (1 << COUNT) - 1
             for i in range(COUNT):
                 occupants.wheel[i] = -1
         for i in range(COUNT):
@@ -211,7 +251,9 @@ def solve_speeds(sub, period, begin, end, world, h):
                 copy_column(sub.newton, block + i, sub.newton, k)
                 occupants.wheel[i] = -1
                 working -= 1
-            if following < queued or (filling and queued > 0):  # a lane without a wheel of its own repeats another's
+            if following < queued or (
+                filling and queued > 0
+            ):  # a lane without a wheel of its own repeats another's
                 k = queue.wheel[min(following, queued - 1)]
                 _copy_wheel(sub, k, block + i)
                 if following < queued:

@@ -39,7 +39,9 @@ class CourseDistribution(NamedTuple):
     stall_torque: float
     bogged_sinkage: float  # [m]
     reference_sinkage: float
-    spread: np.ndarray  # [6] coefficients of variation: friction, cohesion, K, stiffness, dig gain, exponent
+    spread: (
+        np.ndarray
+    )  # [6] coefficients of variation: friction, cohesion, K, stiffness, dig gain, exponent
     factor: np.ndarray  # [5, 5] Cholesky factor of the correlations of the first five
     library: np.ndarray  # [soils, 7] `SoilState` of the presets
     cumulative: np.ndarray  # [soils] cumulative share of the presets
@@ -66,8 +68,11 @@ def draw_soil(streams, k, numbers):
 @compiled_part
 def scattered(mean, share, streams, k, numbers):
     """A soil that scatters about `mean` by a share of `SoilSpread` (deviations cut at 2.5 sigma)."""
-    spread, factor = numbers.drawn.spread, numbers.drawn.factor
-    z, d, scale = _six(), _six(), _six()
+    spread = numbers.drawn.spread
+    factor = numbers.drawn.factor
+    z = _six()
+    d = _six()
+    scale = _six()
     for j in range(3):
         z[2 * j], z[2 * j + 1] = normal_pair(streams, k)
     for row in range(5):
@@ -96,14 +101,28 @@ def scattered(mean, share, streams, k, numbers):
 @compiled_part
 def _best_pull(load, soil, speed, sin_grade, numbers):
     """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
-    wheel, drawn, at = numbers.wheel, numbers.drawn, Conditions(speed, 1.0, sin_grade)
-    r, b = wheel.radius, wheel.width
+    wheel = numbers.wheel
+    drawn = numbers.drawn
+    at = Conditions(speed, 1.0, sin_grade)
+    r = wheel.radius
+    b = wheel.width
     best = best_working_point_with(
-        load, soil, Rim(r, b, wheel.grouser_height), at, wheel.unit_weight, wheel.effects, drawn.stall_torque
+        load,
+        soil,
+        Rim(r, b, wheel.grouser_height),
+        at,
+        wheel.unit_weight,
+        wheel.effects,
+        drawn.stall_torque,
     )
-    groups = dimensionless_groups(best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, wheel.gravity)
+    groups = dimensionless_groups(
+        best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, wheel.gravity
+    )
     _, pull, torque = residual_at(wheel.residual, groups)
-    if best.sinkage > 0.9 * drawn.bogged_sinkage or best.torque + torque * load * r > drawn.stall_torque:
+    if (
+        best.sinkage > 0.9 * drawn.bogged_sinkage
+        or best.torque + torque * load * r > drawn.stall_torque
+    ):
         return -np.inf
     return best.drawbar_pull / load + pull
 
@@ -117,7 +136,8 @@ def capacity(load, soil, tangent, numbers):
     """
     wheel = numbers.wheel
     sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
-    rim, at_rest = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, sin_grade)
+    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
+    at_rest = Conditions(0.0, 1.0, sin_grade)
     rest = steady_with(0.0, load, soil, rim, at_rest, wheel.unit_weight, wheel.effects, 0.0)
     if rest.sinkage > 0.9 * numbers.drawn.bogged_sinkage or not rest.supported:
         return -np.inf
@@ -140,7 +160,8 @@ def steepest(load, soil, margin, numbers):
 
     On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it is sought for.
     """
-    low, high = numbers.drawn.grade_low, numbers.drawn.grade_high
+    low = numbers.drawn.grade_low
+    high = numbers.drawn.grade_high
     flat = min(max(0.0, low), high)
     pull = capacity(load, soil, flat, numbers)
     if numbers.wheel.effects.grade_weakening == 0.0:
@@ -154,7 +175,8 @@ def steepest(load, soil, margin, numbers):
         middle = 0.5 * (flat + high)
         there = capacity(load, soil, middle, numbers)
         if there - margin >= middle:
-            flat, pull = middle, there
+            flat = middle
+            pull = there
         else:
             high = middle
     return flat, pull

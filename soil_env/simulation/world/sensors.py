@@ -39,14 +39,19 @@ def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> S
     effects = NO_EFFECTS if model is None else model.numbers
     errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
     return SensorNumbers(
-        scenario.wheel.radius, sensor_noise(scenario), scenario.noise.odometry_scale, scenario.control.period, errors
+        scenario.wheel.radius,
+        sensor_noise(scenario),
+        scenario.noise.odometry_scale,
+        scenario.control.period,
+        errors,
     )
 
 
 @compiled_inline
 def start_odometry(state, k, streams, sensors):
     """Odometry of wheel k at the start of a course, with a scale that stays the same over it."""
-    state.odometer[k], state.odometer_scale[k] = 0.0, 1.0 + sensors.odometry_scale * normal_pair(streams, k)[0]
+    state.odometer[k] = 0.0
+    state.odometer_scale[k] = 1.0 + sensors.odometry_scale * normal_pair(streams, k)[0]
 
 
 @compiled_inline
@@ -61,12 +66,16 @@ def roll_odometer(state, k, speed, sensors):
 @compiled_inline
 def sense(state, k, streams, sensors):
     """Noisy `SensorReading` of wheel k."""
-    sd, slip, depth = sensors.noise, state.slip[k], state.sinkage[k]
+    sd = sensors.noise
+    slip = state.slip[k]
+    depth = state.sinkage[k]
     a, b, c, d, e, f, g, h, i, j = ten_normals(streams, k)
     fx = sensors.errors
     sinkage = depth + fx.sinkage_offset_offset
     if fx.slip_sinkage_apparent > 0.0:
-        sinkage += depth * (slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0)
+        sinkage += depth * (
+            slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0
+        )
     return SensorReading(
         min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
         sinkage + sd[1] * b,

@@ -33,7 +33,9 @@ class Lines(NamedTuple):
     grades: np.ndarray  # [wheels, patches, 2] [rad]
     capacities: np.ndarray  # [wheels, patches, 2] best steady drawbar pull [of weight]
     taken: np.ndarray  # [wheels, patches] the line whose soil and grade `Courses` has
-    halts: np.ndarray  # [wheels, patches] place of the halt before a patch with two lines, from its beginning [m]
+    halts: (
+        np.ndarray
+    )  # [wheels, patches] place of the halt before a patch with two lines, from its beginning [m]
     labels: np.ndarray  # [wheels, patches, 2] the class that the camera sees
     grade_errors: np.ndarray  # [wheels, patches, 2] of the grade that it sees [rad]
     border_errors: np.ndarray  # [wheels, patches] of where it sees the beginning of a patch [m]
@@ -68,10 +70,14 @@ class Courses(NamedTuple):
     grades: np.ndarray  # [wheels, patches] grade angle [rad], uphill positive
     margins: np.ndarray  # [wheels, patches] drawbar pull in reserve at best slip [of weight]
     patches: np.ndarray  # [wheels] patches drawn
-    ready: np.ndarray  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
+    ready: (
+        np.ndarray
+    )  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
     streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
     rut_factors: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
-    rut: np.ndarray  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
+    rut: (
+        np.ndarray
+    )  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
     lines: Lines
 
 
@@ -100,12 +106,15 @@ def ground_at(courses, k, x, patch, border):
 
     Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the next (`share_of_next`).
     """
-    edges, last = courses.edges[k], courses.patches[k] - 1
+    edges = courses.edges[k]
+    last = courses.patches[k] - 1
     while patch < last and x >= edges[patch + 1]:
         patch += 1
     while patch > 0 and x < edges[patch]:
         patch -= 1
-    near = patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch  # index of the nearer border
+    near = (
+        patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch
+    )  # index of the nearer border
     w, _ = share_of_next((x - edges[near]) / border)
     if near < 1 or near > last or w <= 0.0 or w >= 1.0:
         return row_soil(courses.soils[k, patch]), courses.grades[k, patch], patch
@@ -136,7 +145,11 @@ def cell_after(courses, cell, x):
     none.
     """
     place = x / CELL + (CELLS_BEHIND - 0.5)
-    after = math.floor(place) if place >= cell + 1.0 else (math.ceil(place) if place <= cell - 1.0 else float(cell))
+    after = (
+        math.floor(place)
+        if place >= cell + 1.0
+        else (math.ceil(place) if place <= cell - 1.0 else float(cell))
+    )
     return int(min(max(after, 0.0), courses.rut_factors.shape[1] - 1.0))
 
 

@@ -29,7 +29,9 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+REVERSE = (
+    0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+)
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 
 #: Wheels. Numbers that follow from the others in the same step are kept for sensors and info.
@@ -115,9 +117,12 @@ def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> I
     return interaction(rim, effects, law, scenario.gravity, density * scenario.gravity)
 
 
-def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None, axles: int = 1) -> WorldNumbers:
+def world_numbers(
+    scenario: Scenario, model: WheelSoilModel | None = None, axles: int = 1
+) -> WorldNumbers:
     """Pack the numbers of `dynamics.advance`; `model` gives the effects that are on in this world."""
-    w, c = scenario.wheel, scenario.control
+    w = scenario.wheel
+    c = scenario.control
     return WorldNumbers(
         interaction_of(scenario, model),
         w.inertia,
@@ -130,7 +135,9 @@ def world_numbers(scenario: Scenario, model: WheelSoilModel | None = None, axles
         c.period,
         math.ceil(c.period / c.substep - 1e-9),
         c.action != "torque",
-        c.rim_acceleration * c.period / (w.radius * w.no_load_speed) if c.action == "rim_acceleration" else 0.0,
+        c.rim_acceleration * c.period / (w.radius * w.no_load_speed)
+        if c.action == "rim_acceleration"
+        else 0.0,
         scenario.course.lines,
         scenario.camera.range,
         axles,
@@ -172,8 +179,11 @@ def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
     """
     a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
     rut = abs(speed) * (onto - bearing) / length
-    yielding = where_less(sinkage, bearing, 1.0 / SETTLING_TIME, 0.0)  # under the load at once, travelling or not
-    a, b = a + yielding, b + yielding
+    yielding = where_less(
+        sinkage, bearing, 1.0 / SETTLING_TIME, 0.0
+    )  # under the load at once, travelling or not
+    a = a + yielding
+    b = b + yielding
     goal = (b * bearing + rut) / a
     return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
 
@@ -183,7 +193,8 @@ def commanded(state, k, action, halted, world):
     """Command of wheel k for a control period, as `motor` takes it: the action itself, or the rim speed that it leads
     to where it is a rim acceleration. In a halt it is 0, and so is the action that counts as the last one."""
     action = 0.0 if halted else action
-    command, state.last_action[k] = action, action
+    command = action
+    state.last_action[k] = action
     if world.rim_step > 0.0 and not halted:
         command = min(max(state.rim_command[k] + world.rim_step * action, -REVERSE), 1.0)
     state.rim_command[k] = command if world.speed_command else 0.0
@@ -194,7 +205,9 @@ def commanded(state, k, action, halted, world):
 def finish(state, counts, k, x_start, streams, world):
     """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
     x = state.x[k]
-    state.slip[k] = slip_ratio(state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED)
+    state.slip[k] = slip_ratio(
+        state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED
+    )
     state.travel[k] = x - x_start
     counts.steps[k] += 1
     if state.halt_left[k] > 0.0:
@@ -217,13 +230,18 @@ def settle_at(state, counts, k, x, mass, courses, world):
     wheel = world.wheel
     soil, grade, patch = ground_at(courses, course_of(k, world.axles), x, 0, world.border)
     load = mass * wheel.gravity * math.cos(grade)
-    rim, here = Rim(wheel.radius, wheel.width, wheel.grouser_height), Conditions(0.0, 1.0, math.sin(grade))
+    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
+    here = Conditions(0.0, 1.0, math.sin(grade))
     rest = steady_with(0.0, load, soil, rim, here, wheel.unit_weight, wheel.effects, 0.0)
     zero_column(state, k)
     zero_column(counts, k)
     state.x[k] = state.best_x[k] = state.lowest_x[k] = state.mark_x[k] = state.cell_x[k] = x
     state.sinkage[k] = state.bearing_sinkage[k] = max(rest.sinkage, SHALLOWEST * wheel.radius)
     state.rut_depth[k] = state.sinkage[k]
-    state.mass[k], state.load[k], state.grade[k] = mass, load, grade
+    state.mass[k] = mass
+    state.load[k] = load
+    state.grade[k] = grade
     state.available_torque[k] = world.stall_torque
-    counts.converged[k], counts.patch[k], counts.cell[k] = 1, patch, cell_at(courses, x)
+    counts.converged[k] = 1
+    counts.patch[k] = patch
+    counts.cell[k] = cell_at(courses, x)

@@ -40,17 +40,45 @@ from soil_env.terramechanics.effects.slip_sinkage import (
 )
 
 __all__ = [
-    "CATALOGUE", "NO_EFFECTS", "Effect", "Effects", "acting", "arc_ends", "depends_on_speed", "digging",
-    "digging_ratio", "drive_friction", "drive_torque", "excavated_depth", "excavation_rate", "measured_slip",
-    "onto_fresh", "pack_effects", "sliding_speed", "slip_sinkage_ratio", "soil_in_contact", "soil_resistance",
+    "CATALOGUE",
+    "NO_EFFECTS",
+    "Effect",
+    "Effects",
+    "acting",
+    "arc_ends",
+    "depends_on_speed",
+    "digging",
+    "digging_ratio",
+    "drive_friction",
+    "drive_torque",
+    "excavated_depth",
+    "excavation_rate",
+    "measured_slip",
+    "onto_fresh",
+    "pack_effects",
+    "sliding_speed",
+    "slip_sinkage_ratio",
+    "soil_in_contact",
+    "soil_resistance",
     "true_slip",
-]  # fmt: skip
+]
 
 #: Modules of this folder, one an effect.
 _NAMES = (
-    "slip_sinkage", "rear_contact", "stress_peak_shift", "grousers", "bulldozing", "multipass", "penetration_rate",
-    "shear_rate", "shear_softening", "grade", "drivetrain_friction", "slip_bias", "sinkage_offset",
-)  # fmt: skip
+    "slip_sinkage",
+    "rear_contact",
+    "stress_peak_shift",
+    "grousers",
+    "bulldozing",
+    "multipass",
+    "penetration_rate",
+    "shear_rate",
+    "shear_softening",
+    "grade",
+    "drivetrain_friction",
+    "slip_bias",
+    "sinkage_offset",
+)
 #: The effects by name.
 CATALOGUE: Mapping[str, Effect] = MappingProxyType(
     {name: import_module(f"{__name__}.{name}").EFFECT for name in _NAMES}
@@ -58,7 +86,10 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
 
 
 #: Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as the kernels take them.
-Effects = namedtuple("Effects", [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters])
+Effects = namedtuple(
+    "Effects",
+    [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters],
+)
 #: Every effect switched off: the base model.
 NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effect.parameters))
 
@@ -72,12 +103,15 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
         if name not in CATALOGUE:
             raise unknown_key(name, CATALOGUE, "effects")
         if not isinstance(parameters, Mapping) or not parameters:
-            raise ParameterError(f"effects: {name}: expected a mapping of its parameters, got {parameters!r}")
+            raise ParameterError(
+                f"effects: {name}: expected a mapping of its parameters, got {parameters!r}"
+            )
         known = {p.name: p for p in CATALOGUE[name].parameters}
         for key, value in parameters.items():
             if key not in known:
                 raise unknown_key(key, known, f"effects: {name}")
-            p, where = known[key], f"effects: {name}: {key}"
+            p = known[key]
+            where = f"effects: {name}: {key}"
             value = number(float, value, where)
             if not p.low <= value <= p.high:
                 raise ParameterError(
@@ -118,8 +152,10 @@ def _composed(join: Callable[[Compiled, Compiled], Compiled], place: str) -> Com
     return reduce(join, [law for law in laws if law is not None])
 
 
-_soil, _arc = _composed(_after, "soil"), _composed(_after, "arc")
-_resistance, _drive = _composed(_after, "resistance"), _composed(_after, "drive")
+_soil = _composed(_after, "soil")
+_arc = _composed(_after, "arc")
+_resistance = _composed(_after, "resistance")
+_drive = _composed(_after, "drive")
 _speed_dependent = _composed(_either, "speed_dependent")
 
 
@@ -159,4 +195,4 @@ def drive_torque(torque, wheel_speed, floor, fx):
 @compiled_part
 def depends_on_speed(fx):
     """True if the strength of the soil goes with the speed."""
-    return _speed_dependent(fx)  # fmt: skip
+    return _speed_dependent(fx)

@@ -21,10 +21,13 @@ def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
     """
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
         return alike(0.0, sinkage)
-    kp, z = passive_coefficient(soil.tan_phi), larger(sinkage, 0.0)
+    kp = passive_coefficient(soil.tan_phi)
+    z = larger(sinkage, 0.0)
     cot = sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
     rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * cot)
-    hegedus = 2.0 * cot * (soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + kp * soil.tan_phi))
+    hegedus = (
+        2.0 * cot * (soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + kp * soil.tan_phi))
+    )
     return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
 
 
@@ -35,19 +38,28 @@ def _resistance(force, at, fx):
 
 
 EFFECT = Effect(
-    "bulldozing", "bulldozing", (PULL,),
+    "bulldozing",
+    "bulldozing",
+    (PULL,),
     (
         P("rankine", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on Rankine's passive pressure"),
         P("hegedus", "f", "", 0.0, 0.0, 6.0, 1.0, "factor on the resistance of Hegedus"),
     ),
     (
-        Form("rankine", ("rankine",), "DP = DP_0 - {rankine} b [1/2 gamma z^2 Kp + 2 c z sqrt(Kp)]",
-             "Bekker (1969), Introduction to Terrain-Vehicle Systems"),
-        Form("hegedus", ("hegedus",),
-             "DP = DP_0 - {hegedus} b D1 [c z + D2 gamma z^2/2]; D1 = cot(X) + tan(X + phi); "
-             "D2 = cot(X) + cot(X)^2 tan(phi)",
-             "Hegedus (1960); Ishigami et al. (2007), J. Field Robotics 24:233-250"),
+        Form(
+            "rankine",
+            ("rankine",),
+            "DP = DP_0 - {rankine} b [1/2 gamma z^2 Kp + 2 c z sqrt(Kp)]",
+            "Bekker (1969), Introduction to Terrain-Vehicle Systems",
+        ),
+        Form(
+            "hegedus",
+            ("hegedus",),
+            "DP = DP_0 - {hegedus} b D1 [c z + D2 gamma z^2/2]; D1 = cot(X) + tan(X + phi); "
+            "D2 = cot(X) + cot(X)^2 tan(phi)",
+            "Hegedus (1960); Ishigami et al. (2007), J. Field Robotics 24:233-250",
+        ),
     ),
     symbols={"X": "45 deg - phi/2"},
     resistance=_resistance,
-)  # fmt: skip
+)

@@ -71,10 +71,14 @@ class Effect:
     forms: tuple[Form, ...]
     varies: str | None = None  # column that must vary in a table for the effect to show
     shows_without: bool = False  # shows, if faintly, where that column does not vary
-    beside: str | None = None  # column, or the time elapsed, that it may depend on in a way that no form has
+    beside: str | None = (
+        None  # column, or the time elapsed, that it may depend on in a way that no form has
+    )
     any_form: bool = False  # named by its place, as an error of one sensor is, however it goes with the conditions
     symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
-    sensed: tuple[str, ...] = ()  # parameters that act on sensors, or that the simulated world has anyway
+    sensed: tuple[
+        str, ...
+    ] = ()  # parameters that act on sensors, or that the simulated world has anyway
     #: Prior (standard deviation, low, high) by parameter, where the rig sets it.
     priors: Callable[[Bench], Mapping[str, tuple[float, float, float]]] = lambda bench: {}
     #: Neutral value, or centre, by parameter, where the rig sets it.
@@ -86,7 +90,9 @@ class Effect:
     arc: Compiled | None = None  # x: (exit angle, angle of the stress peak) [rad], at: `Entry`
     resistance: Compiled | None = None  # x: force against the travel [N], at: `Furrow`
     drive: Compiled | None = None  # x: `Friction` between motor and axle, at: `Axle`
-    speed_dependent: Compiled | None = None  # `speed_dependent(fx)`: True where the soil's strength goes with speed
+    speed_dependent: Compiled | None = (
+        None  # `speed_dependent(fx)`: True where the soil's strength goes with speed
+    )
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -147,10 +153,25 @@ class Friction(NamedTuple):
 
 #: Symbols that the equations of several effects share, in the order of a legend.
 SYMBOLS: Mapping[str, str] = {
-    "z": "sinkage", "i": "slip", "n": "sinkage exponent",
-    "theta1": "entry angle", "theta2": "exit angle", "thetam": "angle of the largest normal stress",
-    "r": "wheel radius", "b": "wheel width",
-    "DP": "drawbar pull", "DP_0": "drawbar pull without the effect", "T": "torque", "T_0": "torque without the effect",
-    "W": "load", "S": "sinkage coefficient", "N": "pass number", "K": "shear deformation modulus", "c": "cohesion",
-    "phi": "friction angle", "gamma": "unit weight of the soil", "Kp": "tan^2(45 deg + phi/2)", "V": "travel speed",
-}  # fmt: skip
+    "z": "sinkage",
+    "i": "slip",
+    "n": "sinkage exponent",
+    "theta1": "entry angle",
+    "theta2": "exit angle",
+    "thetam": "angle of the largest normal stress",
+    "r": "wheel radius",
+    "b": "wheel width",
+    "DP": "drawbar pull",
+    "DP_0": "drawbar pull without the effect",
+    "T": "torque",
+    "T_0": "torque without the effect",
+    "W": "load",
+    "S": "sinkage coefficient",
+    "N": "pass number",
+    "K": "shear deformation modulus",
+    "c": "cohesion",
+    "phi": "friction angle",
+    "gamma": "unit weight of the soil",
+    "Kp": "tan^2(45 deg + phi/2)",
+    "V": "travel speed",
+}

@@ -6,7 +6,14 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import asin_root, larger, power
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_inline
@@ -30,26 +37,54 @@ def slope_factor(soil, sin_grade, fx):
 def _soil(soil, at, fx):
     """Soil with S by the `slope_factor`."""
     return SoilState(
-        soil.tan_phi, soil.cohesion, soil.shear_modulus,
-        soil.sinkage_coefficient * slope_factor(at.undisturbed, at.sin_grade, fx), soil.sinkage_exponent, soil.dig_gain,
+        soil.tan_phi,
+        soil.cohesion,
+        soil.shear_modulus,
+        soil.sinkage_coefficient * slope_factor(at.undisturbed, at.sin_grade, fx),
+        soil.sinkage_exponent,
+        soil.dig_gain,
         soil.dig_recovery,
-    )  # fmt: skip
+    )
 
 
 _WEIGHT = "W_n = W [1 - {share} (1 - cos(b))]; DP = DP_0 - {share} W sin(b)"
 EFFECT = Effect(
-    "grade", "grade", (SINKAGE, PULL, TORQUE),
+    "grade",
+    "grade",
+    (SINKAGE, PULL, TORQUE),
     (
         P("share", "f", "", 0.0, -0.5, 2.0, 1.0, "share of the weight that acts along the slope"),
-        P("weakening", "w", "", 0.0, -1.0, 3.0, 0.7, "loss of bearing on slopes, 1 as Meyerhof has it"),
+        P(
+            "weakening",
+            "w",
+            "",
+            0.0,
+            -1.0,
+            3.0,
+            0.7,
+            "loss of bearing on slopes, 1 as Meyerhof has it",
+        ),
     ),
     (
-        Form("weight", ("share",), _WEIGHT, "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
-        Form("weight_and_bearing", ("share", "weakening"), _WEIGHT + "; S_b = S (1 - |b|/phi)^(2 {weakening})",
-             "Meyerhof (1957), bearing on slopes"),
+        Form(
+            "weight",
+            ("share",),
+            _WEIGHT,
+            "Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
+        ),
+        Form(
+            "weight_and_bearing",
+            ("share", "weakening"),
+            _WEIGHT + "; S_b = S (1 - |b|/phi)^(2 {weakening})",
+            "Meyerhof (1957), bearing on slopes",
+        ),
     ),
     varies="grade_deg",
-    symbols={"b": "grade", "W_n": "load normal to the slope", "S_b": "sinkage coefficient on the slope"},
+    symbols={
+        "b": "grade",
+        "W_n": "load normal to the slope",
+        "S_b": "sinkage coefficient on the slope",
+    },
     sensed=("share",),
     soil=_soil,
-)  # fmt: skip
+)

@@ -7,7 +7,15 @@ from soil_env._numba.elementary import larger, sqrt, tanh
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.bulldozing import passive_coefficient
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
@@ -28,9 +36,14 @@ def shear_radius_ratio(r, height, fx):
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
     return SoilState(
-        q * soil.tan_phi, q * soil.cohesion, shear_modulus, soil.sinkage_coefficient, soil.sinkage_exponent,
-        soil.dig_gain, soil.dig_recovery,
-    )  # fmt: skip
+        q * soil.tan_phi,
+        q * soil.cohesion,
+        shear_modulus,
+        soil.sinkage_coefficient,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+    )
 
 
 @compiled_part
@@ -62,32 +75,92 @@ def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
     # as many lugs a radian; part of each one's share is the other lugs'
-    return {} if bench.lugs is None else {"blades": (bench.lugs / (2.0 * math.pi), 0.0, bench.lugs / math.pi)}
+    return (
+        {}
+        if bench.lugs is None
+        else {"blades": (bench.lugs / (2.0 * math.pi), 0.0, bench.lugs / math.pi)}
+    )
 
 
 _DING = "Ding et al. (2011), J. Terramechanics 48:27-45"
 _AT_RIM = (("slip_at_rim", 1.0),)
 EFFECT = Effect(
-    "grousers", "grousers", (SINKAGE, PULL, TORQUE),
+    "grousers",
+    "grousers",
+    (SINKAGE, PULL, TORQUE),
     (
-        P("shear_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the shear radius"),
-        P("radius_share", "l", "", 0.0, 0.0, 2.0, 0.6, "share of the height added to the wheel radius"),
-        P("slip_at_rim", "", "", 0.0, 0.0, 1.0, 1.0,
-          "1: slip was taken at the rim, so soil between lug tips moves faster"),
-        P("blades", "m", "1/rad", 0.0, 0.0, 20.0, 4.0, "lugs in the ground for each radian of contact"),
+        P(
+            "shear_share",
+            "l",
+            "",
+            0.0,
+            0.0,
+            2.0,
+            0.6,
+            "share of the height added to the shear radius",
+        ),
+        P(
+            "radius_share",
+            "l",
+            "",
+            0.0,
+            0.0,
+            2.0,
+            0.6,
+            "share of the height added to the wheel radius",
+        ),
+        P(
+            "slip_at_rim",
+            "",
+            "",
+            0.0,
+            0.0,
+            1.0,
+            1.0,
+            "1: slip was taken at the rim, so soil between lug tips moves faster",
+        ),
+        P(
+            "blades",
+            "m",
+            "1/rad",
+            0.0,
+            0.0,
+            20.0,
+            4.0,
+            "lugs in the ground for each radian of contact",
+        ),
     ),
     (
         Form("shear_radius", ("shear_share",), "r_s = r + {shear_share} h", _DING),
-        Form("shear_radius_rim", ("shear_share",), "r_s = r + {shear_share} h, slip taken at the rim", _DING, _AT_RIM),
+        Form(
+            "shear_radius_rim",
+            ("shear_share",),
+            "r_s = r + {shear_share} h, slip taken at the rim",
+            _DING,
+            _AT_RIM,
+        ),
         Form("radius", ("radius_share",), "r_w = r + {radius_share} h", _DING),
-        Form("radius_rim", ("radius_share",), "r_w = r + {radius_share} h, slip taken at the rim", _DING, _AT_RIM),
-        Form("blades", ("blades",),
-             "F = {blades} theta1 b [1/2 gamma h (h + z) Kp + 2 c h sqrt(Kp)] tanh(i/0.015); DP = DP_0 + F; "
-             "T = T_0 + F (r + h/2)",
-             "Bekker (1969), Introduction to Terrain-Vehicle Systems"),
+        Form(
+            "radius_rim",
+            ("radius_share",),
+            "r_w = r + {radius_share} h, slip taken at the rim",
+            _DING,
+            _AT_RIM,
+        ),
+        Form(
+            "blades",
+            ("blades",),
+            "F = {blades} theta1 b [1/2 gamma h (h + z) Kp + 2 c h sqrt(Kp)] tanh(i/0.015); DP = DP_0 + F; "
+            "T = T_0 + F (r + h/2)",
+            "Bekker (1969), Introduction to Terrain-Vehicle Systems",
+        ),
     ),
-    symbols={"r_s": "radius at which the soil is sheared", "r_w": "radius of the wheel with its lugs",
-             "F": "thrust of the lugs", "h": "lug height"},
+    symbols={
+        "r_s": "radius at which the soil is sheared",
+        "r_w": "radius of the wheel with its lugs",
+        "F": "thrust of the lugs",
+        "h": "lug height",
+    },
     priors=_priors,
     hidden=lambda bench: "the wheel has no grousers (grouser_height 0)" if bench.smooth else "",
-)  # fmt: skip
+)

@@ -4,7 +4,15 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import exp, larger, log
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_part
@@ -29,12 +37,20 @@ def _speed_dependent(fx):
 def _soil(soil, at, fx):
     """Soil with S by the `rate_factor` of the travel speed."""
     factor = rate_factor(
-        at.speed, fx.penetration_rate_reference_speed, fx.penetration_rate_exponent, fx.penetration_rate_slope
+        at.speed,
+        fx.penetration_rate_reference_speed,
+        fx.penetration_rate_exponent,
+        fx.penetration_rate_slope,
     )
     return SoilState(
-        soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient * factor, soil.sinkage_exponent,
-        soil.dig_gain, soil.dig_recovery,
-    )  # fmt: skip
+        soil.tan_phi,
+        soil.cohesion,
+        soil.shear_modulus,
+        soil.sinkage_coefficient * factor,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+    )
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
@@ -42,19 +58,31 @@ def _neutral(bench: Bench) -> dict[str, float]:
 
 
 EFFECT = Effect(
-    "penetration_rate", "rate of penetration", (SINKAGE, PULL, TORQUE),
+    "penetration_rate",
+    "rate of penetration",
+    (SINKAGE, PULL, TORQUE),
     (
         P("exponent", "m", "", 0.0, -0.5, 1.0, 0.12, "power of the speed"),
         P("slope", "a", "", 0.0, -0.3, 1.0, 0.12, "change by a factor e of the speed"),
         P("reference_speed", "V0", "m/s", 0.05, 1e-4, 10.0, 0.0, "reference speed"),
     ),
     (
-        Form("power", ("exponent",), "S_V = S (V/{reference_speed})^{exponent}",
-             "Grahn (1991), J. Terramechanics 28:339-347"),
-        Form("logarithmic", ("slope",), "S_V = S [1 + {slope} ln(V/{reference_speed})]",
-             "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
+        Form(
+            "power",
+            ("exponent",),
+            "S_V = S (V/{reference_speed})^{exponent}",
+            "Grahn (1991), J. Terramechanics 28:339-347",
+        ),
+        Form(
+            "logarithmic",
+            ("slope",),
+            "S_V = S [1 + {slope} ln(V/{reference_speed})]",
+            "Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
+        ),
     ),
     varies="speed",
     symbols={"S_V": "sinkage coefficient at the speed V"},
-    neutral=_neutral, soil=_soil, speed_dependent=_speed_dependent,
-)  # fmt: skip
+    neutral=_neutral,
+    soil=_soil,
+    speed_dependent=_speed_dependent,
+)

@@ -1,7 +1,14 @@
 """Contact behind the lowest point of the rim."""
 
 from soil_env._numba.compiling import compiled_inline
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_inline
@@ -12,16 +19,36 @@ def _arc(ends, at, fx):
 
 
 EFFECT = Effect(
-    "rear_contact", "contact behind the lowest point", (SINKAGE, PULL, TORQUE),
+    "rear_contact",
+    "contact behind the lowest point",
+    (SINKAGE, PULL, TORQUE),
     (
         P("ratio", "l", "", 0.0, 0.0, 0.95, 0.35, "exit angle over entry angle"),
-        P("peak_follows", "", "", 1.0, 0.0, 1.0, 1.0, "1: the stress peak stays midway; 0: it stays at theta1/2"),
+        P(
+            "peak_follows",
+            "",
+            "",
+            1.0,
+            0.0,
+            1.0,
+            1.0,
+            "1: the stress peak stays midway; 0: it stays at theta1/2",
+        ),
     ),
     (
-        Form("midway", ("ratio",), "theta2 = -{ratio} theta1; thetam = (theta1 + theta2)/2",
-             "Wong & Reece (1967), J. Terramechanics 4(1):81-98"),
-        Form("peak_kept", ("ratio",), "theta2 = -{ratio} theta1; thetam = theta1/2",
-             "Ishigami et al. (2007), J. Field Robotics 24:233-250", (("peak_follows", 0.0),)),
+        Form(
+            "midway",
+            ("ratio",),
+            "theta2 = -{ratio} theta1; thetam = (theta1 + theta2)/2",
+            "Wong & Reece (1967), J. Terramechanics 4(1):81-98",
+        ),
+        Form(
+            "peak_kept",
+            ("ratio",),
+            "theta2 = -{ratio} theta1; thetam = theta1/2",
+            "Ishigami et al. (2007), J. Field Robotics 24:233-250",
+            (("peak_follows", 0.0),),
+        ),
     ),
     arc=_arc,
-)  # fmt: skip
+)

@@ -3,7 +3,15 @@
 from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, log, where_less
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 from soil_env.terramechanics.effects.penetration_rate import rate_factor
 
 
@@ -16,7 +24,9 @@ def sliding_speed(slip, travel_speed):
 @compiled_inline
 def _speed_dependent(fx):
     """True if the law is on."""
-    return fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
+    return (
+        fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
+    )
 
 
 @compiled_inline
@@ -24,16 +34,29 @@ def _soil(soil, at, fx):
     """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its own law."""
     c = soil.cohesion
     if fx.shear_rate_cohesion != 0.0:
-        c = c * larger(1.0 + fx.shear_rate_cohesion * log(1.0 + at.slide / fx.shear_rate_onset_speed), 0.1)
-    strength = rate_factor(at.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope)
+        c = c * larger(
+            1.0 + fx.shear_rate_cohesion * log(1.0 + at.slide / fx.shear_rate_onset_speed), 0.1
+        )
+    strength = rate_factor(
+        at.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope
+    )
     return SoilState(
-        soil.tan_phi * strength, c * strength, soil.shear_modulus, soil.sinkage_coefficient, soil.sinkage_exponent,
-        soil.dig_gain, soil.dig_recovery,
-    )  # fmt: skip
+        soil.tan_phi * strength,
+        c * strength,
+        soil.shear_modulus,
+        soil.sinkage_coefficient,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+    )
 
 
 def _neutral(bench: Bench) -> dict[str, float]:
-    return {"reference_speed": bench.sliding, "onset_speed": bench.sliding} if bench.sliding > 0.0 else {}
+    return (
+        {"reference_speed": bench.sliding, "onset_speed": bench.sliding}
+        if bench.sliding > 0.0
+        else {}
+    )
 
 
 def _hidden(bench: Bench) -> str:
@@ -43,29 +66,56 @@ def _hidden(bench: Bench) -> str:
 
 
 EFFECT = Effect(
-    "shear_rate", "rate of shear", (SINKAGE, PULL, TORQUE),
+    "shear_rate",
+    "rate of shear",
+    (SINKAGE, PULL, TORQUE),
     (
         P("exponent", "m", "", 0.0, -0.3, 0.6, 0.07, "power of the sliding speed"),
         P("slope", "a", "", 0.0, -0.3, 0.6, 0.07, "change by a factor e of the sliding speed"),
         P("cohesion", "d", "", 0.0, -0.2, 1.5, 0.2, "of the cohesion alone"),
-        P("onset_speed", "v1", "m/s", 0.02, 1e-5, 10.0, 1.5, "below which cohesion does not change", centre=0.02),
+        P(
+            "onset_speed",
+            "v1",
+            "m/s",
+            0.02,
+            1e-5,
+            10.0,
+            1.5,
+            "below which cohesion does not change",
+            centre=0.02,
+        ),
         P("reference_speed", "v0", "m/s", 0.02, 1e-5, 10.0, 0.0, "reference speed"),
     ),
     (
-        Form("power", ("exponent",),
-             "c_v = c (v/{reference_speed})^{exponent}; tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
-             "Grahn (1991), J. Terramechanics 28:339-347"),
-        Form("logarithmic", ("slope",),
-             "c_v = c [1 + {slope} ln(v/{reference_speed})]; "
-             "tan(phi_v) = tan(phi) [1 + {slope} ln(v/{reference_speed})]",
-             "Mitchell & Soga (2005), Fundamentals of Soil Behavior"),
-        Form("cohesion", ("cohesion", "onset_speed"),
-             "c_v = c [1 + {cohesion} ln(1 + v/{onset_speed})]; tan(phi_v) = tan(phi)",
-             "Stafford & Tanner (1983), Soil Tillage Res. 3:245-260"),
+        Form(
+            "power",
+            ("exponent",),
+            "c_v = c (v/{reference_speed})^{exponent}; tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
+            "Grahn (1991), J. Terramechanics 28:339-347",
+        ),
+        Form(
+            "logarithmic",
+            ("slope",),
+            "c_v = c [1 + {slope} ln(v/{reference_speed})]; "
+            "tan(phi_v) = tan(phi) [1 + {slope} ln(v/{reference_speed})]",
+            "Mitchell & Soga (2005), Fundamentals of Soil Behavior",
+        ),
+        Form(
+            "cohesion",
+            ("cohesion", "onset_speed"),
+            "c_v = c [1 + {cohesion} ln(1 + v/{onset_speed})]; tan(phi_v) = tan(phi)",
+            "Stafford & Tanner (1983), Soil Tillage Res. 3:245-260",
+        ),
     ),
     varies="speed",
     shows_without=True,  # the sliding speed varies with slip, too
-    symbols={"c_v": "cohesion at the sliding speed v", "phi_v": "friction angle at the sliding speed v",
-             "v": "sliding speed |r w - V|"},
-    neutral=_neutral, hidden=_hidden, soil=_soil, speed_dependent=_speed_dependent,
-)  # fmt: skip
+    symbols={
+        "c_v": "cohesion at the sliding speed v",
+        "phi_v": "friction angle at the sliding speed v",
+        "v": "sliding speed |r w - V|",
+    },
+    neutral=_neutral,
+    hidden=_hidden,
+    soil=_soil,
+    speed_dependent=_speed_dependent,
+)

@@ -2,7 +2,15 @@
 
 from soil_env._numba.compiling import compiled_part
 from soil_env.terramechanics.contact import ShearLaw
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_part
@@ -13,11 +21,14 @@ def shear_law(fx):
     Wong 1983). It is divided by its peak, so that phi and c stay those of the peak. `shear_softening_drop` lets the
     strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
     """
-    s, drop = fx.shear_softening_sharpness, fx.shear_softening_drop
+    s = fx.shear_softening_sharpness
+    drop = fx.shear_softening_drop
     if s < 1.0:
         s = 0.0  # no peak: off
     peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
-    return ShearLaw((1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset)
+    return ShearLaw(
+        (1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset
+    )
 
 
 @compiled_part
@@ -39,24 +50,62 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 _WONG = "Wong & Preston-Thomas (1983), J. Terramechanics 19:225-234"
 _HUMP = "tau = tau_max 4 {sharpness} (1 - x) (1 + {sharpness} x)/(1 + {sharpness})^2; "
 EFFECT = Effect(
-    "shear_softening", "peak and residual strength", (SINKAGE, PULL, TORQUE),
+    "shear_softening",
+    "peak and residual strength",
+    (SINKAGE, PULL, TORQUE),
     (
-        P("sharpness", "s", "", 0.0, 0.0, 30.0, 4.0, "off below 1; the residual share is 4 s/(1 + s)^2"),
-        P("slope_kept", "", "", 0.0, 0.0, 1.0, 1.0, "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1"),
+        P(
+            "sharpness",
+            "s",
+            "",
+            0.0,
+            0.0,
+            30.0,
+            4.0,
+            "off below 1; the residual share is 4 s/(1 + s)^2",
+        ),
+        P(
+            "slope_kept",
+            "",
+            "",
+            0.0,
+            0.0,
+            1.0,
+            1.0,
+            "1: K is that of the first slope, k = 4 s/(1 + s); 0: k = 1",
+        ),
         P("drop", "d", "", 0.0, 0.0, 0.9, 0.3, "share of the strength that is lost"),
-        P("length", "L", "m", 0.05, 2e-3, 1.0, 0.7, "displacement over which it is lost", centre=0.05),
+        P(
+            "length",
+            "L",
+            "m",
+            0.05,
+            2e-3,
+            1.0,
+            0.7,
+            "displacement over which it is lost",
+            centre=0.05,
+        ),
         P("onset", "j0", "m", 0.0, 0.0, 0.5, 0.0, "displacement from which it is lost"),
     ),
     (
         Form("hump", ("sharpness",), _HUMP + "x = exp(-j/K)", _WONG),
-        Form("hump_of_first_slope", ("sharpness",), _HUMP + "x = exp(-j/(k K)); k = 4 {sharpness}/(1 + {sharpness})",
-             _WONG, (("slope_kept", 1.0),)),
-        Form("decaying", ("drop", "length", "onset"),
-             "tau = tau_max (1 - exp(-j/K)) [1 - {drop} + {drop} exp(-(j - {onset})/{length})], "
-             "the bracket 1 up to j = {onset}",
-             "Oida (1979); Wong (2010), Terramechanics and Off-Road Vehicle Engineering"),
+        Form(
+            "hump_of_first_slope",
+            ("sharpness",),
+            _HUMP + "x = exp(-j/(k K)); k = 4 {sharpness}/(1 + {sharpness})",
+            _WONG,
+            (("slope_kept", 1.0),),
+        ),
+        Form(
+            "decaying",
+            ("drop", "length", "onset"),
+            "tau = tau_max (1 - exp(-j/K)) [1 - {drop} + {drop} exp(-(j - {onset})/{length})], "
+            "the bracket 1 up to j = {onset}",
+            "Oida (1979); Wong (2010), Terramechanics and Off-Road Vehicle Engineering",
+        ),
     ),
     symbols={"j": "shear displacement", "tau": "shear stress", "tau_max": "c + sigma tan(phi)"},
     priors=_priors,
     neutral=lambda bench: {"length": 0.3 * bench.radius},
-)  # fmt: skip
+)

@@ -2,7 +2,14 @@
 
 from soil_env._numba.compiling import compiled_part
 from soil_env.slip import slip_of_radius
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_part
@@ -23,17 +30,24 @@ def measured_slip(slip, fx):
 
 _WONG = "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"
 EFFECT = Effect(
-    "slip_bias", "bias of the measured slip", (SINKAGE, PULL, TORQUE),
+    "slip_bias",
+    "bias of the measured slip",
+    (SINKAGE, PULL, TORQUE),
     (
         P("offset", "d", "", 0.0, -0.3, 0.3, 0.03, "offset of the slip"),
         P("radius_error", "e", "", 0.0, -0.3, 0.3, 0.03, "relative error of the rolling radius"),
     ),
     (
         Form("offset", ("offset",), "i = i_measured + {offset}", _WONG),
-        Form("rolling_radius", ("radius_error",), "i = i_measured + {radius_error} (1 - i_measured)", _WONG),
+        Form(
+            "rolling_radius",
+            ("radius_error",),
+            "i = i_measured + {radius_error} (1 - i_measured)",
+            _WONG,
+        ),
     ),
     beside="speed",  # the zero of a speed sensor counts the more, the slower the wheel
     any_form=True,
     symbols={"i_measured": "measured slip"},
     sensed=("offset", "radius_error"),
-)  # fmt: skip
+)

@@ -4,7 +4,15 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, smaller, where_less
 from soil_env._numba.lanes import alike
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_part
@@ -47,7 +55,9 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
     if fx.slip_sinkage_gain != 0.0:
-        return alike(fx.slip_sinkage_gain, soil.dig_gain), alike(fx.slip_sinkage_recovery, soil.dig_gain)
+        return alike(fx.slip_sinkage_gain, soil.dig_gain), alike(
+            fx.slip_sinkage_recovery, soil.dig_gain
+        )
     return soil.dig_gain, soil.dig_recovery
 
 
@@ -65,7 +75,7 @@ def _soil(soil, at, fx):
     gain, recovery = digging(soil, fx)
     return SoilState(
         soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient, n, gain, recovery
-    )  # fmt: skip
+    )
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
@@ -77,22 +87,56 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 _RATIO = "[1 + {gain} i/(1 - i + {recovery} i)]"
 EFFECT = Effect(
-    "slip_sinkage", "slip-sinkage", (SINKAGE, PULL, TORQUE),
+    "slip_sinkage",
+    "slip-sinkage",
+    (SINKAGE, PULL, TORQUE),
     (
         P("gain", "g", "", 0.0, 0.0, 10.0, 1.5, "digging"),
         P("recovery", "h", "", 0.5, 0.0, 3.0, 0.5, "recovery", centre=0.5),
         P("exponent_slope", "n1", "", 0.0, -1.0, 2.0, 0.5, "exponent per slip"),
         P("length", "l", "m", 0.0, 0.0, 0.3, 0.02, "excavation length"),
-        P("apparent", "", "", 0.0, 0.0, 1.0, 1.0, "1: the wheel sinks, the stresses stay those of the undisturbed bed"),
+        P(
+            "apparent",
+            "",
+            "",
+            0.0,
+            0.0,
+            1.0,
+            1.0,
+            "1: the wheel sinks, the stresses stay those of the undisturbed bed",
+        ),
     ),
     (
-        Form("ratio", ("gain", "recovery"), f"z = z_w {_RATIO}", "Lyasko (2010), J. Terramechanics 47:21-31"),
-        Form("exponent", ("exponent_slope",), "n(i) = n + {exponent_slope} i",
-             "Ding et al. (2010), J. Cent. South Univ. 17:129-135"),
-        Form("excavation", ("length",), "z = z_w + {length} i/(1 - i)", "Reece (1965-66), Proc. IMechE 180:45-66"),
-        Form("apparent", ("gain", "recovery"), f"z_measured = z {_RATIO}",
-             "Lyasko (2010), applied to the sinkage alone", (("apparent", 1.0),)),
+        Form(
+            "ratio",
+            ("gain", "recovery"),
+            f"z = z_w {_RATIO}",
+            "Lyasko (2010), J. Terramechanics 47:21-31",
+        ),
+        Form(
+            "exponent",
+            ("exponent_slope",),
+            "n(i) = n + {exponent_slope} i",
+            "Ding et al. (2010), J. Cent. South Univ. 17:129-135",
+        ),
+        Form(
+            "excavation",
+            ("length",),
+            "z = z_w + {length} i/(1 - i)",
+            "Reece (1965-66), Proc. IMechE 180:45-66",
+        ),
+        Form(
+            "apparent",
+            ("gain", "recovery"),
+            f"z_measured = z {_RATIO}",
+            "Lyasko (2010), applied to the sinkage alone",
+            (("apparent", 1.0),),
+        ),
     ),
-    symbols={"z_w": "depth at which undisturbed soil bears the same pressure", "z_measured": "measured sinkage"},
-    priors=_priors, soil=_soil,
-)  # fmt: skip
+    symbols={
+        "z_w": "depth at which undisturbed soil bears the same pressure",
+        "z_measured": "measured sinkage",
+    },
+    priors=_priors,
+    soil=_soil,
+)

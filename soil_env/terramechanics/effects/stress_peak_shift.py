@@ -1,13 +1,23 @@
 """Stress peak that moves with slip."""
 
 from soil_env._numba.compiling import compiled_inline
-from soil_env.terramechanics.effects.entry import PULL, SINKAGE, TORQUE, Bench, Effect, EffectParameter as P, Form
+from soil_env.terramechanics.effects.entry import (
+    PULL,
+    SINKAGE,
+    TORQUE,
+    Bench,
+    Effect,
+    EffectParameter as P,
+    Form,
+)
 
 
 @compiled_inline
 def _arc(ends, at, fx):
     """Stress peak moved by (a + c |i|) theta1."""
-    return ends[0], ends[1] + (fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(at.slip)) * at.theta1
+    return ends[0], ends[1] + (
+        fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(at.slip)
+    ) * at.theta1
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
@@ -16,14 +26,21 @@ def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 
 EFFECT = Effect(
-    "stress_peak_shift", "moving stress peak", (SINKAGE, PULL, TORQUE),
+    "stress_peak_shift",
+    "moving stress peak",
+    (SINKAGE, PULL, TORQUE),
     (
         P("offset", "a", "", 0.0, -0.4, 0.4, 0.1, "shift without slip"),
         P("slope", "c", "", 0.0, -0.6, 0.9, 0.3, "shift per slip"),
     ),
     (
-        Form("linear", ("offset", "slope"), "thetam = (1/2 + {offset} + {slope} i) theta1",
-             "Wong & Reece (1967), J. Terramechanics 4(1):81-98"),
+        Form(
+            "linear",
+            ("offset", "slope"),
+            "thetam = (1/2 + {offset} + {slope} i) theta1",
+            "Wong & Reece (1967), J. Terramechanics 4(1):81-98",
+        ),
     ),
-    priors=_priors, arc=_arc,
-)  # fmt: skip
+    priors=_priors,
+    arc=_arc,
+)

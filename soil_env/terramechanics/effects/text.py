@@ -21,7 +21,9 @@ def published(effect: Effect, form: Form) -> str:
     return form.equation.format(**{p.name: p.symbol for p in effect.parameters})
 
 
-def fitted(effect: Effect, form: Form, values: Mapping[str, float], units: bool = True, digits: int = 3) -> str:
+def fitted(
+    effect: Effect, form: Form, values: Mapping[str, float], units: bool = True, digits: int = 3
+) -> str:
     """Equation of a form with numbers for its parameters, in so many digits, and their units."""
 
     def number(match: re.Match) -> str:
@@ -43,7 +45,11 @@ def used(form: Form) -> list[str]:
 def legend(effect: Effect, form: Form) -> dict[str, str]:
     """Meaning of the symbols of a form's equation that are no parameters."""
     words = set(_WORD.findall(_PARAMETER.sub("", form.equation)))
-    return {symbol: meaning for symbol, meaning in ({**SYMBOLS, **effect.symbols}).items() if symbol in words}
+    return {
+        symbol: meaning
+        for symbol, meaning in ({**SYMBOLS, **effect.symbols}).items()
+        if symbol in words
+    }
 
 
 def markdown() -> str:
@@ -52,8 +58,12 @@ def markdown() -> str:
     for effect in CATALOGUE.values():
         for form in effect.forms:
             free = [effect.parameter(name) for name in form.free]
-            names = ", ".join(f"`{p.name}` {p.symbol}" + (f" [{p.unit}]" if p.unit else "") for p in free)
+            names = ", ".join(
+                f"`{p.name}` {p.symbol}" + (f" [{p.unit}]" if p.unit else "") for p in free
+            )
             names += "".join(f", `{name}` = {value:g}" for name, value in form.fixed)
             equation = published(effect, form).replace("|", "\\|")
-            lines.append(f"| `{effect.name}` | {form.name} | `{equation}` | {names} | {form.source} |")
+            lines.append(
+                f"| `{effect.name}` | {form.name} | `{equation}` | {names} | {form.source} |"
+            )
     return "\n".join(lines) + "\n"

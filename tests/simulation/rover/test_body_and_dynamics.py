@@ -19,7 +19,12 @@ from tests.simulation.wheels import EVEN, started
 def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **changes) -> RoverScenario:
     """A rover on one soil without scatter and one grade, without halts and payload."""
     base = to_dict(load_rover(rover))["course"]
-    course = {"grade_deg": [grade_deg, grade_deg], "margin": [0.0, 0.0], "payload": [0.0, 0.0], "halt_time": 0.0}
+    course = {
+        "grade_deg": [grade_deg, grade_deg],
+        "margin": [0.0, 0.0],
+        "payload": [0.0, 0.0],
+        "halt_time": 0.0,
+    }
     course |= {"halt_interval": [1e5, 1e6], "patch_length": [1e3, 1e4], "length": base["length"]}
     given = {"soils": {soil: 1.0}, "spread": EVEN, "course": course | changes.pop("course", {})}
     control = {"action": "wheel_speed"} | changes.pop("control", {})
@@ -35,7 +40,8 @@ class Axles(NamedTuple):
 
 def now(simulation: RoverSimulation, j: int = 0) -> Axles:
     """The present state of rover j."""
-    rovers, rows = simulation.worlds.rovers, simulation.wheels[j]
+    rovers = simulation.worlds.rovers
+    rows = simulation.wheels[j]
     wheel = {name: rovers.wheels[name][rows].copy() for name in rovers.wheels.NAMES}
     wheel |= {name: rovers.axles[name][rows].copy() for name in rovers.axles.NAMES}
     return Axles(wheel, rovers.body[j] | rovers.body_counts[j])
@@ -51,14 +57,22 @@ def driven(simulation: RoverSimulation, command, periods: int) -> Axles:
 def left_over(simulation, a):
     """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing balances, over the
     weight and over weight times base."""
-    v, w = simulation.scenario.vehicle, a.wheel
+    v = simulation.scenario.vehicle
+    w = a.wheel
     weight = a.body["mass"] * simulation.scenario.gravity
     arm = v.centre - np.array(v.axles)
     off = [w["load"].sum() / weight - math.cos(a.body["pitch"])]
-    off.append((w["load"] * arm + w["drawbar_pull"] * v.centre_height + w["torque"]).sum() / (weight * v.base))
+    off.append(
+        (w["load"] * arm + w["drawbar_pull"] * v.centre_height + w["torque"]).sum()
+        / (weight * v.base)
+    )
     if v.bogie != "none":
         on = slice(v.first_on_bogie, v.first_on_bogie + 2)
-        about = w["load"] * (arm - (v.centre - v.pivot)) + w["drawbar_pull"] * v.pivot_height + w["torque"]
+        about = (
+            w["load"] * (arm - (v.centre - v.pivot))
+            + w["drawbar_pull"] * v.pivot_height
+            + w["torque"]
+        )
         off.append(about[on].sum() / (weight * v.base))
     return np.array(off)
 
@@ -90,13 +104,16 @@ def test_forces_and_moments_are_in_equilibrium(climbing):
 def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
     """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on what it has left."""
     simulation, a = climbing
-    scenario, w = simulation.scenario, a.wheel
+    scenario = simulation.scenario
+    w = a.wheel
     soil = scenario.library["dry_sand"].state(scenario.wheel.width)
     for i, k in enumerate(simulation.wheels[0]):
         cell = int(w["x"][i] / CELL) + CELLS_BEHIND
         left = soil.sinkage_coefficient * float(simulation.worlds.ruts.rut_factors[k, cell])
         here = soil._replace(sinkage_coefficient=left)
-        steady = steady_state(w["slip"][i], w["load"][i], here, scenario.wheel.radius, scenario.wheel.width)
+        steady = steady_state(
+            w["slip"][i], w["load"][i], here, scenario.wheel.radius, scenario.wheel.width
+        )
         assert w["sinkage"][i] == pytest.approx(steady.sinkage, rel=0.04 if i else 2e-3)
         assert w["drawbar_pull"][i] == pytest.approx(steady.drawbar_pull, rel=0.02 if i else 1e-3)
         assert w["torque"][i] == pytest.approx(steady.torque, rel=0.02 if i else 1e-3)
@@ -118,7 +135,9 @@ def test_the_body_pitches_with_the_slope_and_with_the_ruts(climbing):
 def test_at_rest_each_axle_bears_its_share(name):
     scenario = uniform(name)
     a = driven(started(scenario), 0.0, 30)
-    assert a.wheel["load"] / a.wheel["load"].sum() == pytest.approx(np.array(scenario.vehicle.shares), abs=5e-3)
+    assert a.wheel["load"] / a.wheel["load"].sum() == pytest.approx(
+        np.array(scenario.vehicle.shares), abs=5e-3
+    )
     assert abs(a.body["speed"]) < 1e-3
 
 
@@ -130,14 +149,18 @@ def test_no_axle_lifts_off():
 
 def test_energy_is_accounted_for():
     """Work of the motors less that on soil, of height, of speed, and of the integrator, over every period."""
-    simulation = started(load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seeds=[3])
-    world, w0 = simulation.numbers.world, now(simulation)
+    simulation = started(
+        load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seeds=[3]
+    )
+    world = simulation.numbers.world
+    w0 = now(simulation)
     rng = np.random.default_rng(0)
     for t in range(150):
         if t % 10 == 0:
             command = rng.uniform(0.1, 0.6, 3)
         w1 = driven(simulation, command, 1)
-        a, b = w1.wheel, w0.wheel
+        a = w1.wheel
+        b = w0.wheel
         kinetic = 0.5 * (a["mass"] * (a["speed"] ** 2 - b["speed"] ** 2)).sum()
         kinetic += 0.5 * world.inertia * (a["wheel_speed"] ** 2 - b["wheel_speed"] ** 2).sum()
         rise = (a["mass"] * simulation.scenario.gravity * (a["height"] - b["height"])).sum()
@@ -152,7 +175,9 @@ def course(seed, refine, rover):
     simulation = started(load_rover(rover, {"control": {"action": "wheel_speed"}}), seeds=[seed])
     simulation.worlds.rovers.body.next_halt = 1e9
     world = simulation.numbers.world
-    simulation.numbers = simulation.numbers._replace(world=world._replace(substeps=world.substeps * refine))
+    simulation.numbers = simulation.numbers._replace(
+        world=world._replace(substeps=world.substeps * refine)
+    )
     rows = []
     for t in range(300):
         a = driven(simulation, 0.4 + 0.1 * math.sin(0.05 * t), 1)
@@ -166,11 +191,18 @@ def test_halving_the_step_changes_little(rover):
     for seed in range(3):
         rows = [course(seed, refine, rover) for refine in (1, 2, 4)]
         scale = np.abs(rows[-1]).max(axis=0)
-        changes.append([np.sqrt(np.mean((a - b) ** 2, axis=0)) / scale for a, b in zip(rows, rows[1:], strict=False)])
+        changes.append(
+            [
+                np.sqrt(np.mean((a - b) ** 2, axis=0)) / scale
+                for a, b in zip(rows, rows[1:], strict=False)
+            ]
+        )
     first, second = np.mean(changes, axis=0)
     assert np.all(first < 0.01)
     moving = slice(None, 2 + load_rover(rover).axles)  # loads follow a step behind
-    assert np.all((second[moving] < 0.8 * first[moving]) | (second[moving] < 3e-4))  # or what the iteration leaves
+    assert np.all(
+        (second[moving] < 0.8 * first[moving]) | (second[moving] < 3e-4)
+    )  # or what the iteration leaves
 
 
 def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
@@ -179,7 +211,8 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
     for substep in (0.1, 0.0125):
         control = {"action": "wheel_speed", "substep": substep}
         simulation = started(
-            load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}), seeds=[3]
+            load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}),
+            seeds=[3],
         )
         states = [driven(simulation, 0.5, 1) for _ in range(300)]
         assert sum(a.body["halt_left"] > 0.0 for a in states) > 5
@@ -190,28 +223,39 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
 
 def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less():
     """Without digging; z goes with (W/S)^(2/(2n + 1)) (Bekker 1969), here n = 1."""
-    soil = {"friction_angle_deg": 33.0, "cohesion": 500.0, "shear_modulus": 0.01, "sinkage_exponent": 1.0}
+    soil = {
+        "friction_angle_deg": 33.0,
+        "cohesion": 500.0,
+        "shear_modulus": 0.01,
+        "sinkage_exponent": 1.0,
+    }
     own = {"even": soil | {"sinkage_coefficient": 1e6}}
     vehicle = {"centre_height": -0.1}  # on the ground: pulls do not shift the loads
     scenario = uniform("lunar_micro_rover", "even", own_soils=own, vehicle=vehicle)
     a = driven(started(scenario), 0.3, 200)
     per_load = a.wheel["sinkage"] / a.wheel["load"] ** (2.0 / 3.0)
     assert per_load[1] / per_load[0] == pytest.approx(COMPACTION_OF_RUT ** (-2.0 / 3.0), rel=0.02)
-    assert 2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)  # two passes, Abebe et al. (1989)
+    assert (
+        2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)
+    )  # two passes, Abebe et al. (1989)
     assert a.wheel["floor"][1] == pytest.approx(a.wheel["sinkage"][0], rel=1e-3)
 
 
 def test_a_wheel_that_digs_loosens_the_ground_for_those_behind():
-    a, b = (driven(started(uniform("mars_rover", grade_deg=grade)), 0.5, 250) for grade in (0.0, 12.0))
+    a, b = (
+        driven(started(uniform("mars_rover", grade_deg=grade)), 0.5, 250) for grade in (0.0, 12.0)
+    )
     assert b.wheel["slip"][0] > a.wheel["slip"][0] + 0.1
     assert b.wheel["sinkage"][1] > 1.3 * a.wheel["sinkage"][1]
 
 
 def test_what_is_left_is_passed_on_to_all_wheels_behind():
     ruts = new_ruts(24, 6)
-    ruts.rut[0, 2:4], ruts.rut_factors[0, 2:4] = (0.02, 0.03), (2.0, 1.5)
+    ruts.rut[0, 2:4] = (0.02, 0.03)
+    ruts.rut_factors[0, 2:4] = (2.0, 1.5)
     pass_on(ruts, 0, 2, 2, 4)
-    ruts.rut[8, 2], ruts.rut_factors[8, 2] = 0.01, 3.0
+    ruts.rut[8, 2] = 0.01
+    ruts.rut_factors[8, 2] = 3.0
     pass_on(ruts, 8, 1, 2, 3)
     assert ruts.floor[8, 1:5] == pytest.approx([0.0, 0.02, 0.03, 0.0])
     assert ruts.floor[16, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])

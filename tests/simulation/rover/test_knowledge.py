@@ -33,7 +33,9 @@ def errors(recorded, here) -> dict[str, np.ndarray]:
 def rear_leaves_the_border(recorded) -> np.ndarray:
     """Steps [T, courses, axles] of the rear wheel just behind a border, the front one on the same soil."""
     scenario, log = recorded
-    patch, since, half = log["soil"][..., 3], log["soil"][..., 4], 0.5 * scenario.course.border
+    patch = log["soil"][..., 3]
+    since = log["soil"][..., 4]
+    half = 0.5 * scenario.course.border
     here = log["driven"] & (patch > 0.0) & (patch == patch[:, :, :1]) & (since >= half)
     here &= since < half + 0.12 * scenario.vehicle.base
     here[:, :, :-1] = False
@@ -41,10 +43,15 @@ def rear_leaves_the_border(recorded) -> np.ndarray:
     return here
 
 
-@pytest.mark.xfail(strict=True, reason="pooling spreads a border found late: phi worse than by the wheel's own filter")
+@pytest.mark.xfail(
+    strict=True,
+    reason="pooling spreads a border found late: phi worse than by the wheel's own filter",
+)
 def test_the_rear_wheel_knows_the_soil_better_than_by_itself(recorded):
     of = errors(recorded, rear_leaves_the_border(recorded))
-    assert of["pooled"][0] < 0.8 * of["alone"][0] and np.all(of["pooled"][:2] < 0.5 * of["prior"][:2])
+    assert of["pooled"][0] < 0.8 * of["alone"][0] and np.all(
+        of["pooled"][:2] < 0.5 * of["prior"][:2]
+    )
 
 
 def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(recorded):
@@ -54,8 +61,15 @@ def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(recorded):
 
 def test_two_wheelbases_behind_a_border(recorded):
     scenario, log = recorded
-    patch, since, base = log["soil"][..., 3], log["soil"][..., 4], scenario.vehicle.base
-    here = log["driven"] & (patch > 0.0) & (patch == patch[:, :, :1]) & (since >= 0.5 * scenario.course.border)
+    patch = log["soil"][..., 3]
+    since = log["soil"][..., 4]
+    base = scenario.vehicle.base
+    here = (
+        log["driven"]
+        & (patch > 0.0)
+        & (patch == patch[:, :, :1])
+        & (since >= 0.5 * scenario.course.border)
+    )
     here &= np.abs(since[:, :, :1] / base - 2.0) < 0.06
     for axle in range(3):
         assert errors(recorded, here & (np.arange(3) == axle))["pooled"][0] < 1.5
@@ -64,11 +78,16 @@ def test_two_wheelbases_behind_a_border(recorded):
 def test_pooled_is_surer_than_alone(recorded):
     _, log = recorded
     settled = log["driven"] & (log["soil"][..., 4] > 1.0) & (log["soil"][..., 3] > 0)
-    ratio = log["pooled_sd"][settled][:, FRICTION_AND_COHESION] / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
+    ratio = (
+        log["pooled_sd"][settled][:, FRICTION_AND_COHESION]
+        / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
+    )
     assert np.all(np.median(ratio, axis=0) < 0.8)
 
 
-@pytest.mark.parametrize(("action", "read"), [("torque", True), ("wheel_speed", False), ("rim_acceleration", False)])
+@pytest.mark.parametrize(
+    ("action", "read"), [("torque", True), ("wheel_speed", False), ("rim_acceleration", False)]
+)
 def test_the_torque_of_a_speed_loop_is_no_reading_of_the_soil(action, read):
     scenario = load_rover("mars_rover", {"control": {"action": action}})
     task = rover_task_numbers(scenario, "identified")

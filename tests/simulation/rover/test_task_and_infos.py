@@ -12,11 +12,20 @@ from soil_env.vehicle import rover_names
 
 def drive(rover, variant, seed, steps=60, command=0.5, **changes):
     """(env, [(observation by name in its units, info, true soils)]) of a drive."""
-    env, rows = SoilRoverEnv(rover, variant, scaled=False, **changes), []
+    env = SoilRoverEnv(rover, variant, scaled=False, **changes)
+    rows = []
     observation, info = env.reset(seed=seed)
     for k in range(steps):
-        rows.append((dict(zip(env.observation_names, observation.tolist(), strict=True)), info, env.true_soils()))
-        observation, _, over, _, info = env.step(np.full(env.scenario.axles, command * (1.0 - 0.3 * (k // 7 % 2))))
+        rows.append(
+            (
+                dict(zip(env.observation_names, observation.tolist(), strict=True)),
+                info,
+                env.true_soils(),
+            )
+        )
+        observation, _, over, _, info = env.step(
+            np.full(env.scenario.axles, command * (1.0 - 0.3 * (k // 7 % 2)))
+        )
         if over:
             break
     return env, rows
@@ -25,19 +34,29 @@ def drive(rover, variant, seed, steps=60, command=0.5, **changes):
 @pytest.mark.parametrize("rover", rover_names())
 def test_readings_are_the_state_with_noise(rover):
     env, rows = drive(rover, "identified", 2)
-    s, noise, worst = env.scenario, env.scenario.noise, {}
-    top, weight, r = s.wheel.radius * s.wheel.no_load_speed, s.weight, s.wheel.radius
+    s = env.scenario
+    noise = env.scenario.noise
+    worst = {}
+    top = s.wheel.radius * s.wheel.no_load_speed
+    weight = s.weight
+    r = s.wheel.radius
     for seen, info, _ in rows:
         off = {"speed": (seen["speed"] - info["state"]["speed"] / top) * top / noise.speed}
         off["pitch"] = (seen["pitch"] - info["state"]["pitch"]) / noise.pitch
-        assert abs(seen["odometry"] * s.course.length - info["state"]["x"]) < 0.1 * abs(info["state"]["x"]) + 0.05
+        assert (
+            abs(seen["odometry"] * s.course.length - info["state"]["x"])
+            < 0.1 * abs(info["state"]["x"]) + 0.05
+        )
         for axle in axle_names(s.axles):
             state = info[axle]["state"]
             for name, unit, sd in (
-                ("slip", 1.0, noise.slip), ("sinkage", r, noise.sinkage / r), ("load", weight, noise.load),
-                ("drawbar_pull", weight, noise.drawbar_pull), ("torque", weight * r, noise.torque),
+                ("slip", 1.0, noise.slip),
+                ("sinkage", r, noise.sinkage / r),
+                ("load", weight, noise.load),
+                ("drawbar_pull", weight, noise.drawbar_pull),
+                ("torque", weight * r, noise.torque),
                 ("motor_torque", weight * r, noise.motor_torque),
-            ):  # fmt: skip
+            ):
                 if name != "slip" or abs(state[name]) < 0.9:  # a reading of slip is cut to 1
                     off[f"{axle}_{name}"] = (seen[f"{axle}_{name}"] - state[name] / unit) / sd
         for name, value in off.items():
@@ -53,15 +72,21 @@ def test_true_soil_is_that_under_each_axle(rover):
     """Observed as `true_soils` has it, which is the course's: the front axle comes to a patch first."""
     course = {"patch_length": [0.7, 0.9], "border": 0.3}
     env, rows = drive(rover, "true_soil", 1, 100, 0.9, action="wheel_speed", course=course)
-    names, met = axle_names(env.scenario.axles), {}
+    names = axle_names(env.scenario.axles)
+    met = {}
     for k, (seen, _, soils) in enumerate(rows):
         for axle, soil in zip(names, soils, strict=True):
             expected = {
-                "friction_angle": math.atan(soil.tan_phi), "log10_shear_modulus": math.log10(soil.shear_modulus),
-                "log10_sinkage_coefficient": math.log10(soil.sinkage_coefficient), "cohesion": soil.cohesion / 1e3,
-                "sinkage_exponent": soil.sinkage_exponent, "dig_gain": soil.dig_gain,
-            }  # fmt: skip
-            assert {name: seen[f"{axle}_{name}"] for name in expected} == pytest.approx(expected, rel=1e-6)
+                "friction_angle": math.atan(soil.tan_phi),
+                "log10_shear_modulus": math.log10(soil.shear_modulus),
+                "log10_sinkage_coefficient": math.log10(soil.sinkage_coefficient),
+                "cohesion": soil.cohesion / 1e3,
+                "sinkage_exponent": soil.sinkage_exponent,
+                "dig_gain": soil.dig_gain,
+            }
+            assert {name: seen[f"{axle}_{name}"] for name in expected} == pytest.approx(
+                expected, rel=1e-6
+            )
             if soil != rows[0][2][-1]:
                 met.setdefault(axle, k)
     courses = env.simulation.worlds.courses
@@ -72,12 +97,15 @@ def test_true_soil_is_that_under_each_axle(rover):
 
 def test_energy_and_progress_are_of_the_rover_as_a_whole():
     env, rows = drive("mars_rover", "blind", 4, 40, action="wheel_speed", repeat=1)
-    s, length, before = env.scenario, env.scenario.course.length, 0.0
+    s = env.scenario
+    length = env.scenario.course.length
+    before = 0.0
     mass = env.simulation.worlds.rovers.body.mass[0]
     payload = mass - 0.5 * s.vehicle.mass
     assert 0.0 <= payload <= 3.0 * s.course.payload[1]
     for _, info, _ in rows[1:]:
-        terms, state = info["reward_terms"], info["state"]
+        terms = info["reward_terms"]
+        state = info["state"]
         assert terms["progress"] == pytest.approx(10.0 * (state["x"] - before) / length, abs=1e-9)
         assert terms["energy"] == pytest.approx(-state["motor_work"] / (mass * s.gravity * length))
         before = state["x"]
@@ -87,7 +115,10 @@ def test_energy_and_progress_are_of_the_rover_as_a_whole():
 def test_the_information_term_is_the_mean_over_the_axles():
     """It sums up to the fall of entropy, discounted, and is the same whether an action lasts one period or five."""
     env = SoilRoverEnv(
-        "mars_rover", action="wheel_speed", reward={"information": 1.0, "information_discount": 1.0}, repeat=5
+        "mars_rover",
+        action="wheel_speed",
+        reward={"information": 1.0, "information_discount": 1.0},
+        repeat=5,
     )
     env.reset(seed=0)
     paid = sum(env.step([0.4, 0.5, 0.6])[4]["reward_terms"]["information"] for _ in range(25))
