@@ -6,21 +6,49 @@ Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front* meaning the side the
 wheel travels to. The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v*
 is the rim speed (`slip.motion_from_slip`, `motion_from_speeds`). `forces` combines integrals over the arc
-(`ArcIntegrals`), the same for the world, the steady prediction and the identifier. Every function takes floats (one
-wheel) or lanes (eight wheels, `_numba.lanes`).
+(`ArcIntegrals`), the same for the world and the steady prediction.
 """
 
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import asin_root, copysign, exp, sqrt, where_less
+import numpy as np
+from numba import njit
+
+from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
+from soil_env._compiled.flags import EXACT, SUMS, record
+
+NODES_PER_ZONE = 8  # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
+NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
+_x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
+NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2  # [-] u^2, distance of a node from the end of the arc over the zone's length
+NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
+_none = np.zeros(NODES_PER_ZONE)
+_all = np.ones(NODES_PER_ZONE)
+#: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's share of their weights.
+FRONT_AHEAD = np.concatenate([NODE_DEPTHS, _all])
+REAR_AHEAD = np.concatenate([_none, 1.0 - NODE_DEPTHS])
+FRONT_WEIGHT = np.concatenate([NODE_WEIGHTS, _none])
+REAR_WEIGHT = np.concatenate([_none, NODE_WEIGHTS])
+
+_PER_NODE = ("f8", NODES)
+#: Scratch of a thread for one arc: what its nodes have at any motion, then at the last one.
+ARC_NODES = record(
+    stress=_PER_NODE,  # [m^n rad] normal stress for S = 1, times the weight of the node
+    weight=_PER_NODE,  # [rad] of the node
+    rise=_PER_NODE,  # [-] (1 - cos(theta))/2
+    sin=_PER_NODE,
+    cos=_PER_NODE,
+    by_rim=_PER_NODE,  # [m] dj/d(rim)
+    by_travel=_PER_NODE,  # [m] dj/d(travel)
+    rate=_PER_NODE,  # [1/m] de/dj
+)
 
 
 class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K).
+    """Mobilised share of the shear strength with a peak and a residual: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K).
 
-    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it.
+    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it. The law of Janosi & Hanamoto, Eq. (10), is None.
     """
 
     a: float
@@ -30,8 +58,14 @@ class ShearLaw(NamedTuple):
     onset: float  # [m]
 
 
-#: Janosi & Hanamoto (1961), Eq. (10): e = 1 - exp(-|j|/K).
-JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
+class Arc(NamedTuple):
+    """A contact arc: where it begins and ends, and where its normal stress peaks."""
+
+    theta1: float  # [rad] entry angle
+    theta2: float  # [rad] exit angle
+    thetam: float  # [rad] angle of the largest normal stress
+    sheared_from: float  # [rad] angle from which the soil is sheared: theta1, but for lugs
+    radius: float  # [m] that carries the normal stress
 
 
 class ArcIntegrals(NamedTuple):
@@ -50,15 +84,15 @@ class ArcIntegrals(NamedTuple):
     e: float  # Int e
 
 
-class ArcRates(NamedTuple):
-    """Derivatives of the six shear integrals of `ArcIntegrals`, all with one motion variable."""
+class ShearRates(NamedTuple):
+    """Derivatives of Int tau cos, Int tau sin and Int tau with `rim` and `travel`, tau = (st p + c) e [Pa rad]."""
 
-    pe_cos: float
-    pe_sin: float
-    pe: float
-    e_cos: float
-    e_sin: float
-    e: float
+    cos_rim: float
+    sin_rim: float
+    one_rim: float
+    cos_travel: float
+    sin_travel: float
+    one_travel: float
 
 
 class Forces(NamedTuple):
@@ -69,59 +103,43 @@ class Forces(NamedTuple):
     torque: float  # T [N m], Eq. (3), the torque the soil takes from the axle
 
 
-class Arc(NamedTuple):
-    """A contact arc: where it begins and ends, and where its normal stress peaks."""
-
-    theta1: float  # [rad] entry angle
-    theta2: float  # [rad] exit angle
-    thetam: float  # [rad] angle of the largest normal stress
-    sheared_from: float  # [rad] angle from which the soil is sheared: theta1, but for lugs
-    radius: float  # [m] that carries the normal stress
-
-
-@compiled_inline
+@njit(**EXACT)
 def entry_angle(sinkage, r):
-    """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
+    """Entry angle theta1 [rad] of a wheel of radius r [m] at a sinkage [m]: z0 = r (1 - cos theta1)."""
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
-@compiled_inline
+@njit(**EXACT)
 def smooth_arc(sinkage, r):
     """`Arc` of the source paper: theta2 = 0 and the peak midway, Eq. (9)."""
     theta1 = entry_angle(sinkage, r)
-    return Arc(theta1, 0.0 * theta1, 0.5 * theta1, theta1, r)
+    return Arc(theta1, 0.0, 0.5 * theta1, theta1, r)
 
 
-@compiled_inline
-def smoothed_sign(speed, floor):
-    """(sign of a speed in (-1, 1), its derivative [s/m]): smooth through rest over about `floor` [m/s]."""
-    square = speed * speed + floor * floor
-    length = sqrt(square)
-    return speed / length, (floor * floor) / (square * length)
-
-
-@compiled_inline
+@njit(**EXACT)
 def motion_from_speeds(rim_speed, travel_speed, floor):
     """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
 
     `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
     resting.
     """
-    v = sqrt(rim_speed * rim_speed + floor * floor)
+    v = math.sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
 
 
-@compiled_part
+@njit(**EXACT)
 def relative_stress(theta, cos1, n, r):
     """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry point, to the n.
 
     cos1 = cos(theta1).
     """
     depth = r * (math.cos(theta) - cos1)
-    return depth**n if depth > 0.0 else (1.0 if n == 0.0 else 0.0)
+    if depth > 0.0:
+        return depth**n
+    return 1.0 if n == 0.0 else 0.0
 
 
-@compiled_part
+@njit(**EXACT)
 def mirror_angle(theta, theta1, theta2, thetam):
     """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
     if theta >= thetam:
@@ -129,26 +147,7 @@ def mirror_angle(theta, theta1, theta2, thetam):
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
 
 
-@compiled_inline
-def mobilised(j, K, law):
-    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) and `ShearLaw`."""
-    distance = abs(j)
-    rate = 1.0 / K
-    decay = exp(-1.0 * (rate * distance))
-    free = 1.0 - decay
-    if law.a == 1.0 and law.b == 0.0 and law.c == 0.0:
-        return copysign(free, j), rate * decay
-    share = law.a + law.b * decay
-    slope = rate * (law.b * decay)
-    if law.c != 0.0:
-        beyond = distance - law.onset
-        slow = law.c * exp(-(0.5 / law.length) * (beyond + abs(beyond)))
-        share = share + slow
-        slope = slope + (1.0 / law.length) * where_less(beyond, 0.0, 0.0, slow)
-    return copysign(free, j) * share, rate * decay * share - free * slope
-
-
-@compiled_part
+@njit(**EXACT)
 def shear_displacement(theta, theta1, sin1, rim, travel, r):
     """(j, dj/d(rim), dj/d(travel)) [m] of Eq. (10) at one angle; sin1 = sin(theta1)."""
     by_rim = r * (theta1 - theta)
@@ -156,46 +155,137 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
     return rim * by_rim + travel * by_travel, by_rim, by_travel
 
 
-@compiled_inline
-def shear_forces(q, st, c, r, b, direction):
-    """`Forces` of the shear stress alone, st = S tan(phi), from `ArcIntegrals`; from `ArcRates`, their derivatives."""
-    rb = r * b
-    return Forces(
-        direction * rb * (st * q.pe_sin + c * q.e_sin),
-        rb * (st * q.pe_cos + c * q.e_cos),
-        r * rb * (st * q.pe + c * q.e),
-    )
+@njit(**EXACT)
+def mobilised(j, K, law):
+    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) or a `ShearLaw`."""
+    distance = abs(j)
+    rate = 1.0 / K
+    decay = exp(-rate * distance)
+    free = math.copysign(1.0 - decay, j)
+    slope = rate * decay
+    if law is not None:
+        share = law.a + law.b * decay
+        change = rate * law.b * decay
+        if law.c != 0.0:
+            beyond = max(distance - law.onset, 0.0)
+            slow = law.c * exp(-beyond / law.length)
+            share += slow
+            change += slow / law.length if beyond > 0.0 else 0.0
+        slope = slope * share - (1.0 - decay) * change
+        free *= share
+    return free, slope
 
 
-@compiled_inline
-def forces(integrals, S, tan_phi, c, r, b, direction):
-    """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
+@njit(**SUMS)
+def lay_nodes(nodes, arc, n):
+    """Lay the nodes of an `Arc` into the scratch `nodes`, for a sinkage exponent n; (Int p cos, Int p sin).
+
+    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind. That
+    removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the two nodes have the same normal stress.
+    """
+    r = arc.radius
+    front = arc.theta1 - arc.thetam
+    rear = arc.thetam - arc.theta2
+    sine = half_sin(arc.theta1)
+    rise1 = sine * sine  # (1 - cos(theta1))/2
+    sheared_sin = 2.0 * half_sin(arc.sheared_from) * half_cos(arc.sheared_from)
+    for k in range(NODES):
+        theta = arc.theta1 - front * FRONT_AHEAD[k] - rear * REAR_AHEAD[k]
+        s = half_sin(theta)
+        c = half_cos(theta)
+        nodes.weight[k] = front * FRONT_WEIGHT[k] + rear * REAR_WEIGHT[k]
+        nodes.rise[k] = s * s
+        nodes.sin[k] = 2.0 * s * c
+        nodes.cos[k] = 1.0 - 2.0 * s * s
+        nodes.by_rim[k] = r * (arc.sheared_from - theta)
+        nodes.by_travel[k] = r * (2.0 * s * c - sheared_sin)
+    p_cos = 0.0
+    p_sin = 0.0
+    for k in range(NODES_PER_ZONE):
+        behind = k + NODES_PER_ZONE
+        stress = power(2.0 * r * (rise1 - nodes.rise[k]), n)  # Eqs. (7) and (8)
+        nodes.stress[k] = stress * nodes.weight[k]
+        nodes.stress[behind] = stress * nodes.weight[behind]
+        p_cos += nodes.stress[k] * nodes.cos[k] + nodes.stress[behind] * nodes.cos[behind]
+        p_sin += nodes.stress[k] * nodes.sin[k] + nodes.stress[behind] * nodes.sin[behind]
+    return p_cos, p_sin
+
+
+@njit(**SUMS)
+def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
+    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel, ...); notes de/dj at each node."""
+    rim = motion[0]
+    travel = motion[1]
+    pe_cos = 0.0
+    pe_sin = 0.0
+    pe = 0.0
+    e_cos = 0.0
+    e_sin = 0.0
+    e_sum = 0.0
+    for k in range(NODES):
+        e, rate = mobilised(rim * nodes.by_rim[k] + travel * nodes.by_travel[k], K, law)
+        nodes.rate[k] = rate
+        pe_cos += nodes.stress[k] * (e * nodes.cos[k])
+        pe_sin += nodes.stress[k] * (e * nodes.sin[k])
+        pe += nodes.stress[k] * e
+        e_cos += nodes.weight[k] * (e * nodes.cos[k])
+        e_sin += nodes.weight[k] * (e * nodes.sin[k])
+        e_sum += nodes.weight[k] * e
+    return ArcIntegrals(p_cos, p_sin, pe_cos, pe_sin, pe, e_cos, e_sin, e_sum)
+
+
+@njit(**SUMS)
+def shear_rates(nodes, st, c):
+    """`ShearRates` of the nodes at the motion of the last `shear_integrals`, with st = S tan(phi)."""
+    cos_rim = 0.0
+    sin_rim = 0.0
+    one_rim = 0.0
+    cos_travel = 0.0
+    sin_travel = 0.0
+    one_travel = 0.0
+    for k in range(NODES):
+        change = (st * nodes.stress[k] + c * nodes.weight[k]) * nodes.rate[k]
+        by_rim = change * nodes.by_rim[k]
+        by_travel = change * nodes.by_travel[k]
+        cos_rim += by_rim * nodes.cos[k]
+        sin_rim += by_rim * nodes.sin[k]
+        one_rim += by_rim
+        cos_travel += by_travel * nodes.cos[k]
+        sin_travel += by_travel * nodes.sin[k]
+        one_travel += by_travel
+    return ShearRates(cos_rim, sin_rim, one_rim, cos_travel, sin_travel, one_travel)
+
+
+@njit(**EXACT)
+def forces(q, S, tan_phi, c, r, b, direction):
+    """`Forces` from `ArcIntegrals` q: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
 
     `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the horizontal part of
     the normal stress and the vertical part of the shear stress change sign.
     """
-    shear = shear_forces(integrals, S * tan_phi, c, r, b, direction)
-    normal = r * b * S
+    st = S * tan_phi
+    rb = r * b
     return Forces(
-        normal * integrals.p_cos + shear.load,
-        shear.drawbar_pull - direction * normal * integrals.p_sin,
-        shear.torque,
+        rb * (S * q.p_cos + direction * (st * q.pe_sin + c * q.e_sin)),
+        rb * (st * q.pe_cos + c * q.e_cos - direction * S * q.p_sin),
+        r * rb * (st * q.pe + c * q.e),
     )
 
 
-@compiled_inline
-def bearing_share(integrals, tan_phi, direction):
+@njit(**EXACT)
+def bearing_share(q, tan_phi, direction):
     """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n]; Eq. (1)."""
-    return integrals.p_cos + direction * tan_phi * integrals.pe_sin
+    return q.p_cos + direction * tan_phi * q.pe_sin
 
 
-@compiled_inline
-def mobilised_sinkage_coefficient(integrals, load, tan_phi, c, r, b, direction):
-    """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
+@njit(**EXACT)
+def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
+    """Sinkage coefficient S [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
 
-    Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed form.
+    Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a closed form.
     """
-    q = integrals
     bearing = bearing_share(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin
-    return where_less(1e-12 * q.p_cos, bearing, where_less(0.0, rest, rest / bearing, 0.0), 0.0)
+    if rest <= 0.0 or bearing <= 1e-12 * q.p_cos:
+        return 0.0
+    return rest / bearing

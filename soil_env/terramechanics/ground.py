@@ -1,32 +1,42 @@
 """The ground between two soils: what a wheel on the border of them stands on."""
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.elementary import smooth_step
+from numba import njit
+
+from soil_env._compiled.elementary import exp, log, smooth_step
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 
 
-@compiled_inline
-def row_soil(s):
-    """`SoilState` of a row of an array of soils [n, 7]."""
-    return SoilState(s[0], s[1], s[2], s[3], s[4], s[5], s[6])
-
-
-@compiled_inline
-def blend(a, b, w):
-    """Soil between two soils, share w of the second: moduli geometrically, everything else linearly."""
-    v = 1.0 - w
+@njit(**EXACT)
+def soil_of(owner):
+    """`SoilState` of a record or a tuple that has its fields."""
     return SoilState(
-        v * a.tan_phi + w * b.tan_phi,
-        v * a.cohesion + w * b.cohesion,
-        a.shear_modulus**v * b.shear_modulus**w,
-        a.sinkage_coefficient**v * b.sinkage_coefficient**w,
-        v * a.sinkage_exponent + w * b.sinkage_exponent,
-        v * a.dig_gain + w * b.dig_gain,
-        v * a.dig_recovery + w * b.dig_recovery,
+        owner.tan_phi,
+        owner.cohesion,
+        owner.shear_modulus,
+        owner.sinkage_coefficient,
+        owner.sinkage_exponent,
+        owner.dig_gain,
+        owner.dig_recovery,
     )
 
 
-@compiled_inline
+@njit(**EXACT)
+def blend(a, b, share):
+    """Soil between two soils, share of the second: moduli geometrically, everything else linearly."""
+    rest = 1.0 - share
+    return SoilState(
+        rest * a.tan_phi + share * b.tan_phi,
+        rest * a.cohesion + share * b.cohesion,
+        exp(rest * log(a.shear_modulus) + share * log(b.shear_modulus)),
+        exp(rest * log(a.sinkage_coefficient) + share * log(b.sinkage_coefficient)),
+        rest * a.sinkage_exponent + share * b.sinkage_exponent,
+        rest * a.dig_gain + share * b.dig_gain,
+        rest * a.dig_recovery + share * b.dig_recovery,
+    )
+
+
+@njit(**EXACT)
 def share_of_next(distance):
     """(share of the next soil on a border, its derivative) at a distance from its middle, in lengths of the border.
 

@@ -1,42 +1,89 @@
 """Reaction of the soil and of effects to a driven wheel, with the derivatives that an implicit step needs.
 
-All functions take floats (one wheel) or lanes (eight wheels).
+`ground_under` says what a wheel stands on during a step: its soil, its arc and the forces beside the contact.
+`lay_footing` puts the arc's nodes into a scratch; `reaction` then gives the forces at any two speeds.
 """
 
+import math
 from typing import NamedTuple
 
-import soil_env.terramechanics.effects.grousers as grousers
-from soil_env._numba.compiling import compiled_inline, compiled_part, uncompiled
-from soil_env._numba.elementary import larger, sqrt, where_less
-from soil_env._numba.lanes import alike
+from numba import njit
+
+from soil_env._compiled.elementary import smoothed_sign
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.slip import signed_slip, slip_ratio
-from soil_env.terramechanics import contact
-from soil_env.terramechanics.arc_integrals import integrals_of
 from soil_env.terramechanics.contact import (
-    JANOSI,
     Arc,
     ShearLaw,
+    bearing_share,
     forces,
-    shear_forces,
+    lay_nodes,
+    mobilised_sinkage_coefficient,
+    shear_integrals,
+    shear_rates,
     smooth_arc,
-    smoothed_sign,
 )
 from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
     Effects,
+    Passage,
     drive_friction,
+    grousers,
     soil_in_contact,
     soil_resistance,
 )
 from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import Rim, arc_of
+from soil_env.terramechanics.steady import arc_of
 
-REST_SPEED = (
-    0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
-)
+REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
+LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
+
+
+class Acting(NamedTuple):
+    """What acts between wheel and soil beside the base model; None where nothing does, which compiles to no code."""
+
+    effects: Effects | None
+    law: ShearLaw | None  # None: Janosi & Hanamoto, Eq. (10)
+    residual: ResidualLaw | None
+
+
+#: The base model of Eqs. (1)-(10).
+BASE = Acting(None, None, None)
+
+
+class Standing(NamedTuple):
+    """How a wheel stands on the ground at the beginning of a step."""
+
+    sinkage: float  # [m]
+    speed: float  # V [m/s]
+    rim_speed: float  # r w [m/s]
+    weight: float  # [N] with the share of the body, along the vertical
+    sin_grade: float  # uphill positive
+    passes: float  # 1 = fresh soil
+
+
+class Beside(NamedTuple):
+    """Forces beside the contact, at the slip and the speeds that a step begins with."""
+
+    lift: float  # [m] sinkage beyond that which carries, as digging has it
+    bulldozing: float  # [N] resistance of the soil ahead
+    blades: float  # [N] thrust of the lugs of a slipping wheel
+    pull: float  # [N] of the residual law
+    torque: float  # [N m] of the residual law
+
+
+class Footing(NamedTuple):
+    """What a wheel stands on during a step: its arc's integrals of the stress, the soil as sheared, the load."""
+
+    theta1: float  # [rad] entry angle
+    p_cos: float  # as in `ArcIntegrals`
+    p_sin: float
+    tan_phi: float
+    cohesion: float  # [Pa]
+    shear_modulus: float  # [m]
+    load: float  # [N] normal to the ground
 
 
 class Reaction(NamedTuple):
@@ -45,222 +92,189 @@ class Reaction(NamedTuple):
     load: float
     drawbar_pull: float
     torque: float
-    sinkage_coefficient: float  # s, mobilised sinkage coefficient
-    dp_v: float
-    dp_u: float
+    sinkage_coefficient: float  # mobilised sinkage coefficient S [N/m^(n+2)]
+    pull_v: float
+    pull_u: float
     torque_v: float
     torque_u: float
     sinkage_coefficient_v: float
     sinkage_coefficient_u: float
 
 
-@compiled_inline
-def reaction_from(integrals, motion, speed, rim_speed, load, tan_phi, c, r, b):
-    """`Reaction` to a wheel that carries `load`: Eqs. (1)-(3) with (1) solved for S, from its arc's integrals."""
-    q, by_rim, by_travel = integrals
-    _, travel, direction = motion
-    s = contact.mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction)
-    f = forces(q, s, tan_phi, c, r, b, direction)
-    st = s * tan_phi
-    rest2 = REST_SPEED * REST_SPEED
-    u2 = rim_speed * rim_speed + rest2
-    travel_v = 1.0 / sqrt(u2)
-    rim_u = rest2 * travel_v / u2
-    travel_u = -travel * rim_speed / u2
-    turn = smoothed_sign(speed, REST_SPEED)[1]
+NO_REACTION = Reaction(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    # at the present s: through rim, travel and the direction
-    by_rim = shear_forces(by_rim, st, c, r, b, direction)
-    by_travel = shear_forces(by_travel, st, c, r, b, direction)
-    load_v = by_travel.load * travel_v + turn * (shear_forces(q, st, c, r, b, 1.0).load)
-    load_u = by_rim.load * rim_u + by_travel.load * travel_u
-    # through s, which keeps the load what it is
-    of_s = forces(q, 1.0, tan_phi, 0.0, r, b, direction)
-    s_by_load = where_less(
-        0.0, s, -1.0 / (r * b * contact.bearing_share(q, tan_phi, direction)), 0.0
+
+def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
+    """Pack effects and a residual law; `Acting.law` is None unless the strength has a peak."""
+    law = None if effects is None else shear_law(effects)
+    return Acting(effects, law, residual)
+
+
+@njit(**EXACT)
+def lay_footing(nodes, arc, soil, load):
+    """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
+    p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
+    return Footing(
+        arc.theta1, p_cos, p_sin, soil.tan_phi, soil.cohesion, soil.shear_modulus, load
     )
-    s_v = s_by_load * load_v
-    s_u = s_by_load * load_u
+
+
+@njit(**EXACT)
+def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
+    """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load stays what it is."""
+    r = wheel.contact_radius
+    b = wheel.width
+    rb = r * b
+    c = footing.cohesion
+    tan_phi = footing.tan_phi
+    square = rim_speed * rim_speed + REST_SPEED * REST_SPEED
+    travel_v = 1.0 / math.sqrt(square)
+    rim = rim_speed * travel_v
+    travel = speed * travel_v
+    rim_u = REST_SPEED * REST_SPEED * travel_v / square
+    travel_u = -travel * rim_speed / square
+    direction, turn = smoothed_sign(speed, REST_SPEED)
+    q = shear_integrals(
+        nodes, footing.p_cos, footing.p_sin, (rim, travel), footing.shear_modulus, law
+    )
+    S = mobilised_sinkage_coefficient(q, footing.load, tan_phi, c, r, b, direction)
+    f = forces(q, S, tan_phi, c, r, b, direction)
+
+    # at the present S: through rim, travel and the direction
+    rates = shear_rates(nodes, S * tan_phi, c)
+    cos_v = rates.cos_travel * travel_v
+    sin_v = rates.sin_travel * travel_v
+    one_v = rates.one_travel * travel_v
+    cos_u = rates.cos_rim * rim_u + rates.cos_travel * travel_u
+    sin_u = rates.sin_rim * rim_u + rates.sin_travel * travel_u
+    one_u = rates.one_rim * rim_u + rates.one_travel * travel_u
+    # through S, which keeps the load what it is
+    shear_sin = S * tan_phi * q.pe_sin + c * q.e_sin
+    by_load = -1.0 / bearing_share(q, tan_phi, direction) if S > 0.0 else 0.0
+    S_v = by_load * (direction * sin_v + turn * shear_sin)
+    S_u = by_load * (direction * sin_u)
+    pull_by_S = rb * (tan_phi * q.pe_cos - direction * q.p_sin)
+    torque_by_S = r * rb * (tan_phi * q.pe)
     return Reaction(
         f.load,
         f.drawbar_pull,
         f.torque,
-        s,
-        s_v * of_s.drawbar_pull + by_travel.drawbar_pull * travel_v - turn * (r * b * s * q.p_sin),
-        s_u * of_s.drawbar_pull + by_rim.drawbar_pull * rim_u + by_travel.drawbar_pull * travel_u,
-        s_v * of_s.torque + by_travel.torque * travel_v,
-        s_u * of_s.torque + by_rim.torque * rim_u + by_travel.torque * travel_u,
-        s_v,
-        s_u,
+        S,
+        S_v * pull_by_S + rb * (cos_v - turn * S * q.p_sin),
+        S_u * pull_by_S + rb * cos_u,
+        S_v * torque_by_S + r * rb * one_v,
+        S_u * torque_by_S + r * rb * one_u,
+        S_v,
+        S_u,
     )
 
 
-@compiled_part
-def reaction(speed, rim_speed, sinkage, load, soil, r, b):
-    """`Reaction` of the base model to one wheel at a given sinkage [m] that carries `load` [N]."""
-    motion = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
-    arc = smooth_arc(sinkage, r)
-    integrals = integrals_of(
-        arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, JANOSI
-    )
-    return reaction_from(
-        integrals, motion, speed, rim_speed, load, soil.tan_phi, soil.cohesion, r, b
-    )
+@njit(**EXACT)
+def ground_under(at, soil, wheel, acting):
+    """(`SoilState` as it is sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`; `Beside` may be None."""
+    return _ground_under(at, soil, wheel, acting.effects, acting.residual)
 
 
-class Interaction(NamedTuple):
-    """A wheel and what acts between it and any soil: its size and the effects that are on, as the kernels take them."""
-
-    radius: float  # [m] of the rim
-    width: float  # [m]
-    grouser_height: float  # [m]
-    contact_radius: float  # [m] that carries the normal stress
-    shear_ratio: float  # radius at which soil is sheared, over `contact_radius`
-    rim_ratio: float  # that radius over the rim's
-    law: ShearLaw
-    gravity: float
-    unit_weight: float  # of the soil [N/m3]
-    on: bool  # whether any effect or a residual law is on
-    effects: Effects
-    residual: ResidualLaw
-
-
-def interaction(
-    wheel: Rim, effects: Effects, residual: ResidualLaw, gravity: float, unit_weight: float
-) -> Interaction:
-    """`Interaction` of a wheel with the effects that act on it."""
-    r = uncompiled(grousers.contact_radius)(effects, wheel)
-    ratio = uncompiled(grousers.shear_radius_ratio)(r, wheel.grouser_height, effects)
-    on = effects != NO_EFFECTS or residual.coefficient.size > 0
-    law = uncompiled(shear_law)(effects)
-    return Interaction(
-        wheel.radius,
-        wheel.width,
-        wheel.grouser_height,
-        r,
-        ratio,
-        ratio * r / wheel.radius,
-        law,
-        gravity,
-        unit_weight,
-        on,
-        effects,
-        residual,
-    )
-
-
-class Ground(NamedTuple):
-    """Ground under a wheel during a substep, at the slip and the speeds that it begins with."""
-
-    soil: SoilState  # as it is sheared
-    arc: Arc
-    lift: float  # [m] sinkage beyond that which carries, as digging has it
-    bulldozing: float  # [N] resistance of the soil ahead
-    blades: float  # [N] thrust of the lugs of a slipping wheel
-    pull: float  # [N] of the residual law
-    torque: float  # [N m] of the residual law
-
-
-@compiled_inline
-def ground_under(sinkage, speed, rim_speed, weight, soil, sin_grade, passes, wheel):
-    """`Ground` under a wheel (`Interaction`) of this weight [N] on undisturbed `soil`."""
-    none = alike(0.0, sinkage)
-    if not wheel.on:
-        return Ground(soil, smooth_arc(sinkage, wheel.radius), none, none, none, none, none)
-    fx = wheel.effects
-    r = wheel.radius
-    b = wheel.width
-    h = wheel.grouser_height
-    slip = slip_ratio(rim_speed, speed, REST_SPEED)
-    pull = none
-    torque = none
-    if wheel.residual.coefficient.size > 0:
-        groups = dimensionless_groups(
-            slip, sinkage, weight, abs(speed), passes, sin_grade, soil, r, b, wheel.gravity
+@njit(**EXACT)
+def _ground_under(at, soil, wheel, fx, residual):
+    if fx is None:
+        return soil, smooth_arc(at.sinkage, wheel.radius), _residual_alone(at, soil, wheel, residual)
+    else:
+        slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
+        pull, torque = _residual_forces(at, slip, soil, wheel, residual)
+        passage = Passage(
+            soil, slip, abs(at.speed), abs(at.rim_speed - at.speed), at.passes, at.sin_grade
         )
-        moving = smoothed_sign(speed, REST_SPEED)[0] * weight
-        _, pull, torque = residual_at(wheel.residual, groups)
-        pull = moving * pull
-        torque = moving * torque * r
-    soil = soil_in_contact(soil, fx, slip, abs(speed), abs(rim_speed - speed), passes, sin_grade)
-    arc = arc_of(sinkage, slip, fx, Rim(r, b, h))
-    dug = larger(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), 1e-3)
-    q = wheel.shear_ratio
-    return Ground(
-        grousers.at_shear_radius(soil, q, soil.shear_modulus * shear_length_ratio(fx) / q),
-        arc,
-        excavated_depth(slip, fx) / dug,
-        soil_resistance(sinkage, soil, wheel.unit_weight, b, fx),
-        grousers.blade_thrust(arc.theta1, sinkage, soil, wheel.unit_weight, b, h, fx),
-        pull,
-        torque,
-    )
+        soil = soil_in_contact(soil, passage, fx)
+        arc = arc_of(at.sinkage, slip, fx, wheel)
+        dug = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
+        beside = Beside(
+            excavated_depth(slip, fx) / dug,
+            soil_resistance(at.sinkage, soil, wheel.unit_weight, wheel.width, fx),
+            grousers.blade_thrust(arc.theta1, at.sinkage, soil, wheel, fx),
+            pull,
+            torque,
+        )
+        q = wheel.shear_ratio
+        modulus = soil.shear_modulus * shear_length_ratio(fx) / q
+        return grousers.at_shear_radius(soil, q, modulus), arc, beside
 
 
-class Added(NamedTuple):
-    """A force or a torque that is added to the soil's, with its derivatives."""
-
-    value: float
-    by_v: float
-    by_u: float
-
-
-@compiled_inline
-def _blades(thrust, speed, rim_speed):
-    """`Added` thrust [N] of the lugs along the rim."""
-    slip, by_u, by_v = signed_slip(rim_speed, speed, REST_SPEED)
-    force, slope = grousers.blades_at(thrust, slip)
-    return Added(force, slope * by_v, slope * by_u)
+@njit(**EXACT)
+def _residual_alone(at, soil, wheel, residual):
+    if residual is None:
+        return None
+    else:
+        slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
+        pull, torque = _residual_forces(at, slip, soil, wheel, residual)
+        return Beside(0.0, 0.0, 0.0, pull, torque)
 
 
-@compiled_inline
-def _drive_friction(torque, rim_speed, r, fx):
-    """`Added` torque [N m] of `drive_friction` for an `Added` torque at the axle."""
-    friction, by_torque, by_wheel_speed = drive_friction(
-        torque.value, rim_speed / r, REST_SPEED / r, fx
-    )
-    return Added(friction, by_torque * torque.by_v, by_torque * torque.by_u + by_wheel_speed / r)
+@njit(**EXACT)
+def _residual_forces(at, slip, soil, wheel, residual):
+    """(pull [N], torque [N m]) of a residual law, which fade out where the wheel stands."""
+    if residual is None:
+        return 0.0, 0.0
+    else:
+        groups = dimensionless_groups(
+            slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade, soil, wheel
+        )
+        moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
+        _, pull, torque = residual_at(residual, groups)
+        return moving * pull, moving * torque * wheel.radius
 
 
-@compiled_inline
-def at_the_axle(f, bulldozing, blades, pull, torque, speed, rim_speed, wheel):
-    """`Reaction` `f` at the shear radius as one at the axle, with what `Ground` and the drivetrain add."""
-    q = wheel.shear_ratio
-    p = wheel.rim_ratio
-    lever = wheel.radius + 0.5 * wheel.grouser_height
-    direction, turn = smoothed_sign(speed, REST_SPEED)
-    blade = _blades(blades, speed, rim_speed)
-    at_axle = q * f.torque + lever * blade.value + torque
-    axle = Added(
-        at_axle, q * f.torque_v + lever * blade.by_v, q * p * f.torque_u + lever * blade.by_u
-    )
-    friction = _drive_friction(axle, rim_speed, wheel.radius, wheel.effects)
-    return Reaction(
-        f.load,
-        f.drawbar_pull + blade.value - direction * bulldozing + pull,
-        axle.value + friction.value,
-        f.sinkage_coefficient,
-        f.dp_v + blade.by_v - turn * bulldozing,
-        p * f.dp_u + blade.by_u,
-        axle.by_v + friction.by_v,
-        axle.by_u + friction.by_u,
-        f.sinkage_coefficient_v,
-        p * f.sinkage_coefficient_u,
-    )
+@njit(**EXACT)
+def reaction(nodes, footing, speed, rim_speed, wheel, beside, acting):
+    """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the drivetrain add."""
+    f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
+    return _at_the_axle(f, beside, speed, rim_speed, wheel, acting.effects)
 
 
-@compiled_inline
+@njit(**EXACT)
+def _at_the_axle(f, beside, speed, rim_speed, wheel, fx):
+    """`Reaction` f at the shear radius as one at the axle."""
+    if beside is None:
+        return f
+    else:
+        p = wheel.rim_ratio
+        q = wheel.shear_ratio
+        lever = wheel.radius + 0.5 * wheel.grouser_height
+        direction, turn = smoothed_sign(speed, REST_SPEED)
+        slip, slip_u, slip_v = signed_slip(rim_speed, speed, REST_SPEED)
+        thrust, slope = grousers.blades_at(beside.blades, slip)
+        thrust_v = slope * slip_v
+        thrust_u = slope * slip_u
+        torque = q * f.torque + lever * thrust + beside.torque
+        torque_v = q * f.torque_v + lever * thrust_v
+        torque_u = q * p * f.torque_u + lever * thrust_u
+        friction = drive_friction(torque, rim_speed / wheel.radius, REST_SPEED / wheel.radius, fx)
+        by_torque = 1.0 + friction.by_torque
+        return Reaction(
+            f.load,
+            f.drawbar_pull + thrust - direction * beside.bulldozing + beside.pull,
+            torque + friction.torque,
+            f.sinkage_coefficient,
+            f.pull_v + thrust_v - turn * beside.bulldozing,
+            p * f.pull_u + thrust_u,
+            by_torque * torque_v,
+            by_torque * torque_u + friction.by_wheel_speed / wheel.radius,
+            f.sinkage_coefficient_v,
+            p * f.sinkage_coefficient_u,
+        )
+
+
+@njit(**EXACT)
 def moved(f, dv, du):
-    """`Reaction` `f` to first order after a change of V and of u; its derivatives stay."""
+    """`Reaction` f to first order after a change of V and of u; its derivatives stay."""
+    coefficient = f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du
     return Reaction(
         f.load,
-        f.drawbar_pull + f.dp_v * dv + f.dp_u * du,
+        f.drawbar_pull + f.pull_v * dv + f.pull_u * du,
         f.torque + f.torque_v * dv + f.torque_u * du,
-        larger(
-            f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du, 0.0
-        ),
-        f.dp_v,
-        f.dp_u,
+        max(coefficient, 0.0),
+        f.pull_v,
+        f.pull_u,
         f.torque_v,
         f.torque_u,
         f.sinkage_coefficient_v,

@@ -1,165 +1,221 @@
 """The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env.parameters import Scenario
-from soil_env.terramechanics.ground import blend, row_soil, share_of_next
+from soil_env._compiled.elementary import smooth_step
+from soil_env._compiled.flags import EXACT, HUGE, INLINE, record
+from soil_env.parameters import Scenario, SoilState
+from soil_env.terramechanics.ground import blend, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
-CELLS_BEHIND = 10
-BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start of a course that has cells of its own
+CELLS_BEHIND = 10  # cells behind the start of a course
+BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start that has cells of its own
 
 # How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
 # digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
 # is ours: factor = COMPACTION * (digging ratio)^-LOOSENING, bounded.
-COMPACTION = 1.6
-LOOSENING = 1.5
-RUT_FACTOR_BOUNDS = (0.3, 3.0)
+COMPACTION = 1.6  # [-] factor on S behind a wheel that rolls, chosen
+LOOSENING = 1.5  # [-] power of the digging ratio, chosen
+LEAST_RUT_FACTOR = 0.3  # [-] on S
+LARGEST_RUT_FACTOR = 3.0  # [-] on S, unless a wheel compacts more
 
-
-class Lines(NamedTuple):
-    """The lines over the patches of courses with terrain classes, and what a camera sees of them; empty without.
-
-    Line 0 leads straight ahead, line 1 beside it. Patches with one line have it twice.
-    """
-
-    count: np.ndarray  # [wheels, patches] lines over each patch
-    classes: np.ndarray  # [wheels, patches, 2] number of the class of each line
-    soils: np.ndarray  # [wheels, patches, 2, 7] `SoilState`
-    grades: np.ndarray  # [wheels, patches, 2] [rad]
-    capacities: np.ndarray  # [wheels, patches, 2] best steady drawbar pull [of weight]
-    taken: np.ndarray  # [wheels, patches] the line whose soil and grade `Courses` has
-    halts: (
-        np.ndarray
-    )  # [wheels, patches] place of the halt before a patch with two lines, from its beginning [m]
-    labels: np.ndarray  # [wheels, patches, 2] the class that the camera sees
-    grade_errors: np.ndarray  # [wheels, patches, 2] of the grade that it sees [rad]
-    border_errors: np.ndarray  # [wheels, patches] of where it sees the beginning of a patch [m]
-    library: np.ndarray  # [wheels, classes, 7] `SoilState` of the classes
-
-
-def _new_lines(wheels: int, patches: int, classes: int) -> Lines:
-    n = patches if classes else 0
-    return Lines(
-        np.ones((wheels, n), dtype=np.int64),
-        np.zeros((wheels, n, 2), dtype=np.int64),
-        np.zeros((wheels, n, 2, 7)),
-        np.zeros((wheels, n, 2)),
-        np.zeros((wheels, n, 2)),
-        np.zeros((wheels, n), dtype=np.int64),
-        np.zeros((wheels, n)),
-        np.zeros((wheels, n, 2), dtype=np.int64),
-        np.zeros((wheels, n, 2)),
-        np.zeros((wheels, n)),
-        np.zeros((wheels, classes, 7)),
-    )
+#: A soil: the fields of `SoilState`.
+SOIL = record(*SoilState._fields)
+#: A patch of a course, with the soil and the grade of the line that is taken over it.
+PATCH = record(
+    "start",  # [m] along the course; `HUGE` of patches that are not drawn yet
+    "end",  # [m]
+    *SoilState._fields,
+    "grade",  # [rad] uphill positive
+    "margin",  # [of weight] drawbar pull in reserve at best slip
+)
+#: A cell of the rut.
+RUT = record(
+    factor=("f4",),  # [-] on the sinkage coefficient, left by earlier passes
+    depth=("f4",),  # [m] of the rut below the undisturbed surface, 0 before the first pass
+)
+#: A course as a whole. Only its first `patches` patches are drawn, and the cells below them cleared.
+COURSE = record(
+    "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
+    patches=("i8",),
+    stream=("u8",),  # from which the patches to come are drawn
+)
+#: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line 1 beside it.
+LINE = record(
+    *SoilState._fields,
+    "grade",  # [rad]
+    "capacity",  # [of weight] best steady drawbar pull
+    "grade_error",  # [rad] of the grade that a camera sees
+    terrain=("i8",),  # number of its class
+    label=("i8",),  # number of the class that a camera sees
+)
+#: What the lines over a patch share. A patch with one line has it twice.
+FORK = record(
+    "halt",  # [m] place of the halt before a patch with two lines, from its beginning
+    "border_error",  # [m] of where a camera sees the beginning of the patch
+    lines=("i8",),
+    taken=("i8",),  # line whose soil and grade the `PATCH` has
+)
 
 
 class Courses(NamedTuple):
-    """The ground of many wheels: arrays with one row a wheel. x [m] is the distance along the course.
+    """The ground of many wheels, one row a wheel; the last three are None without terrain classes."""
 
-    Only the first `patches` patches of a course are drawn, and the cells below them cleared.
-    """
+    heads: np.ndarray  # [wheels] `COURSE`
+    patches: np.ndarray  # [wheels, patches] `PATCH`
+    cells: np.ndarray  # [wheels, cells] `RUT`
+    forks: np.ndarray | None  # [wheels, patches] `FORK`
+    lines: np.ndarray | None  # [wheels, patches, 2] `LINE`
+    library: np.ndarray | None  # [wheels, classes] `SOIL` of the classes
 
-    edges: np.ndarray  # [wheels, patches + 1] patch borders [m]; those not drawn are +inf
-    soils: np.ndarray  # [wheels, patches, 7] `SoilState` of each patch
-    grades: np.ndarray  # [wheels, patches] grade angle [rad], uphill positive
-    margins: np.ndarray  # [wheels, patches] drawbar pull in reserve at best slip [of weight]
-    patches: np.ndarray  # [wheels] patches drawn
-    ready: (
-        np.ndarray
-    )  # [wheels] x [m] up to which the ground is final; +inf once the whole course is drawn
-    streams: np.ndarray  # [wheels] uint64, from which the patches to come are drawn
-    rut_factors: np.ndarray  # [wheels, cells] factor on S left by earlier passes [-]
-    rut: (
-        np.ndarray
-    )  # [wheels, cells] depth of the rut below the undisturbed surface [m]; 0 before the first pass
-    lines: Lines
+
+class Course(NamedTuple):
+    """One course of `Courses`, as compiled code takes it."""
+
+    head: Any
+    patches: np.ndarray
+    cells: np.ndarray
+    forks: np.ndarray | None
+    lines: np.ndarray | None
+    library: np.ndarray | None
 
 
 def new_courses(wheels: int, scenario: Scenario) -> Courses:
     """Empty courses for `wheels` wheels."""
     spec = scenario.course
-    patches = math.ceil(spec.length / spec.patch_length[0]) + 2
+    count = math.ceil(spec.length / spec.patch_length[0]) + 2
     cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
-    return Courses(
-        np.full((wheels, patches + 1), np.inf),
-        np.zeros((wheels, patches, 7)),
-        np.zeros((wheels, patches)),
-        np.zeros((wheels, patches)),
-        np.zeros(wheels, dtype=np.int64),
-        np.full(wheels, np.inf),
-        np.zeros(wheels, dtype=np.uint64),
-        np.ones((wheels, cells), dtype=np.float32),
-        np.zeros((wheels, cells), dtype=np.float32),
-        _new_lines(wheels, patches, spec.classes),
+    heads = np.zeros(wheels, COURSE)
+    heads["ready"] = HUGE
+    patches = np.zeros((wheels, count), PATCH)
+    patches["start"] = HUGE
+    patches["end"] = HUGE
+    ruts = np.zeros((wheels, cells), RUT)
+    ruts["factor"] = 1.0
+    if not spec.classes:
+        return Courses(heads, patches, ruts, None, None, None)
+    forks = np.zeros((wheels, count), FORK)
+    forks["lines"] = 1
+    lines = np.zeros((wheels, count, 2), LINE)
+    return Courses(heads, patches, ruts, forks, lines, np.zeros((wheels, spec.classes), SOIL))
+
+
+@njit(**INLINE)
+def course_of(courses, k):
+    """Course k."""
+    return _course(
+        courses.heads[k],
+        courses.patches[k],
+        courses.cells[k],
+        _row(courses.forks, k),
+        _row(courses.lines, k),
+        _row(courses.library, k),
     )
 
 
-@compiled_inline
-def ground_at(courses, k, x, patch, border):
-    """(soil, grade [rad], patch) of course k at x [m], undisturbed; `patch` is a first guess of the patch index.
+@njit(**INLINE)
+def _course(head, patches, cells, forks, lines, library):
+    return Course(head, patches, cells, forks, lines, library)
 
-    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the next (`share_of_next`).
-    """
-    edges = courses.edges[k]
-    last = courses.patches[k] - 1
-    while patch < last and x >= edges[patch + 1]:
+
+@njit(**EXACT)
+def _row(array, k):
+    if array is None:
+        return None
+    else:
+        return array[k]
+
+
+@njit(**EXACT)
+def patch_at(patches, x, patch):
+    """Index of the patch at x [m]; `patch` is a first guess. Patches that are not drawn begin at `HUGE`."""
+    while patch + 1 < patches.size and x >= patches[patch + 1].start:
         patch += 1
-    while patch > 0 and x < edges[patch]:
+    while patch > 0 and x < patches[patch].start:
         patch -= 1
-    near = (
-        patch + 1 if x - edges[patch] > edges[patch + 1] - x else patch
-    )  # index of the nearer border
-    w, _ = share_of_next((x - edges[near]) / border)
-    if near < 1 or near > last or w <= 0.0 or w >= 1.0:
-        return row_soil(courses.soils[k, patch]), courses.grades[k, patch], patch
-    soil = blend(row_soil(courses.soils[k, near - 1]), row_soil(courses.soils[k, near]), w)
-    return soil, (1.0 - w) * courses.grades[k, near - 1] + w * courses.grades[k, near], patch
+    return patch
 
 
-@compiled_inline
-def cell_at(courses, x):
+@njit(**EXACT)
+def border_near(patches, x, patch, border):
+    """(patch before the border, share of the patch behind it) of a wheel at x [m] on `patch`; the share is 0 or less
+    than 1 within `border` [m] around the border, -1 away from it."""
+    here = patches[patch]
+    at_end = x - here.start > here.end - x
+    first = patch if at_end else patch - 1
+    place = here.end if at_end else here.start
+    t = (x - place) / border + 0.5
+    drawn = first >= 0 and first + 1 < patches.size and patches[first + 1].start < HUGE
+    if not drawn or t <= 0.0 or t >= 1.0:
+        return patch, -1.0
+    return first, smooth_step(t)[0]
+
+
+@njit(**EXACT)
+def ground_at(patches, x, patch, border):
+    """(`SoilState`, grade [rad]) of undisturbed ground at x [m], which is on `patch` (`patch_at`).
+
+    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the next.
+    """
+    first, share = border_near(patches, x, patch, border)
+    here = patches[first]
+    if share < 0.0:
+        return soil_of(here), here.grade
+    following = patches[first + 1]
+    return blend(here, following, share), (1.0 - share) * here.grade + share * following.grade
+
+
+@njit(**EXACT)
+def cell_at(cells, x):
     """Index of the rut cell at x [m]; the first begins `BEHIND` metres before the start."""
-    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), courses.rut_factors.shape[1] - 1)
+    return min(max(int(math.floor(x / CELL)) + CELLS_BEHIND, 0), cells.size - 1)
 
 
-@compiled_inline
-def between_cells(values, k, x):
-    """Value of the rut cells [wheels, cells] of wheel k at x [m], linear between the middles of the cells."""
-    place = min(max(x / CELL + (CELLS_BEHIND - 0.5), 0.0), values.shape[1] - 1.0)
-    cell = min(int(place), values.shape[1] - 2)
-    here = values[k, cell]
-    return here + (place - cell) * (values[k, cell + 1] - here)
+@njit(**EXACT)
+def place_in_cells(x):
+    """Place x [m] in cells, from the middle of the first one."""
+    return x / CELL + (CELLS_BEHIND - 0.5)
 
 
-@compiled_inline
-def cell_after(courses, cell, x):
+@njit(**EXACT)
+def rut_factor_at(cells, x):
+    """Factor on the sinkage coefficient at x [m], linear between the middles of the cells."""
+    place = min(max(place_in_cells(x), 0.0), cells.size - 1.0)
+    i = min(int(place), cells.size - 2)
+    here = cells[i].factor
+    return here + (place - i) * (cells[i + 1].factor - here)
+
+
+@njit(**EXACT)
+def cell_after(cells, cell, x):
     """The cell of a wheel that comes from `cell` and is at x [m]: the next one begins for it in its middle.
 
-    So a cell is passed once the wheel no longer stands on any of it (`between_cells`), and rocking over a border passes
-    none.
+    So a cell is passed once the wheel no longer stands on any of it, and rocking over a border passes none.
     """
-    place = x / CELL + (CELLS_BEHIND - 0.5)
-    after = (
-        math.floor(place)
-        if place >= cell + 1.0
-        else (math.ceil(place) if place <= cell - 1.0 else float(cell))
-    )
-    return int(min(max(after, 0.0), courses.rut_factors.shape[1] - 1.0))
+    place = place_in_cells(x)
+    if cell - 1.0 < place < cell + 1.0:
+        return cell
+    after = math.floor(place) if place >= cell + 1.0 else math.ceil(place)
+    return int(min(max(after, 0.0), cells.size - 1.0))
 
 
-@compiled_inline
-def leave_rut(courses, k, cell, depth, dug, compaction):
+@njit(**EXACT)
+def leave_rut(cell, depth, dug, compaction):
     """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging.
 
-    `compaction`: the factor on S of a wheel that rolls without digging.
+    `dug`: the digging ratio; `compaction`: the factor on S of a wheel that rolls without digging.
     """
-    factor = courses.rut_factors[k, cell] * compaction * dug**-LOOSENING
-    highest = max(RUT_FACTOR_BOUNDS[1], compaction)
-    courses.rut_factors[k, cell] = min(max(factor, RUT_FACTOR_BOUNDS[0]), highest)
-    courses.rut[k, cell] = max(courses.rut[k, cell], depth)
+    factor = cell.factor * compaction * dug**-LOOSENING
+    cell.factor = min(max(factor, LEAST_RUT_FACTOR), max(LARGEST_RUT_FACTOR, compaction))
+    cell.depth = max(cell.depth, depth)
+
+
+def profile_at(courses: Courses, k: int, x: float, border: float) -> tuple[SoilState, float]:
+    """Return (`SoilState`, grade [rad]) of undisturbed ground of course k at x [m]: for pictures and analysis."""
+    patches = courses.patches[k]
+    soil, grade = ground_at(patches, x, patch_at(patches, x, 0), border)
+    return soil, grade

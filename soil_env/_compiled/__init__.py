@@ -1,0 +1,1 @@
+"""What all compiled functions share: numba's flags, elementary functions, random streams, the cache on disk."""

@@ -1,0 +1,83 @@
+"""Random numbers inside compiled code: one independent 64-bit stream for each wheel.
+
+SplitMix64 (Steele, Lea & Flood 2014, OOPSLA): a Weyl counter and a mixing function, state of one word. A stream is the
+field `stream` of a record. It is seeded from a `numpy.random.Generator`, so that everything random follows from
+`reset(seed=...)`; numpy's own generators cannot be handed to compiled code that runs in threads.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from soil_env._compiled.elementary import half_cos, half_sin, log
+from soil_env._compiled.flags import EXACT, SUMS, record
+
+WEYL = np.uint64(0x9E3779B97F4A7C15)  # odd, 2^64 over the golden ratio
+MIX_FIRST = np.uint64(0xBF58476D1CE4E5B9)  # multipliers and shifts of the mixing function (Stafford's variant 13)
+MIX_SECOND = np.uint64(0x94D049BB133111EB)
+SHIFT_FIRST = np.uint64(30)
+SHIFT_SECOND = np.uint64(27)
+SHIFT_LAST = np.uint64(31)
+SHIFT_TO_UNIT = np.uint64(11)  # leaves the 53 bits of a float64
+TO_UNIT = 2.0**-53
+
+PAIRS = 5  # pairs of normal numbers that `draw_normals` draws at once: those of all sensors of a wheel
+#: Scratch of `draw_normals`: the numbers of pair i are `first[i]` and `second[i]`; eight for the width of a register.
+NORMALS = record(first=("f8", 8), second=("f8", 8))
+
+
+def seed_stream(rng: np.random.Generator) -> np.uint64:
+    """Return a starting word for one stream, drawn from a Generator."""
+    return rng.integers(0, 2**64, dtype=np.uint64)
+
+
+@njit(**EXACT)
+def word(owner):
+    """Next 64 bits of the stream of a record. Another stream may start from them."""
+    owner.stream += WEYL
+    z = owner.stream
+    z = (z ^ (z >> SHIFT_FIRST)) * MIX_FIRST
+    z = (z ^ (z >> SHIFT_SECOND)) * MIX_SECOND
+    return z ^ (z >> SHIFT_LAST)
+
+
+@njit(**EXACT)
+def uniform(owner):
+    """Next number in [0, 1)."""
+    return float(word(owner) >> SHIFT_TO_UNIT) * TO_UNIT
+
+
+@njit(**EXACT)
+def between(owner, low, high):
+    """Next number, uniform in [low, high)."""
+    return low + (high - low) * uniform(owner)
+
+
+@njit(**EXACT)
+def normal_pair(owner):
+    """Two independent standard normal numbers (Box & Muller 1958)."""
+    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(owner)))
+    angle = 2.0 * math.pi * uniform(owner)
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@njit(**EXACT)
+def draw_normals(owner, normals, pairs):
+    """Fill the first `pairs` (at most 8) of the scratch `normals` with standard normal numbers, as `normal_pair`."""
+    for i in range(8):
+        normals.first[i] = uniform(owner) if i < pairs else 0.0
+        normals.second[i] = uniform(owner) if i < pairs else 0.0
+    _to_normal(normals)
+
+
+@njit(**SUMS)
+def _to_normal(normals):
+    """Make normal numbers of uniform ones; all eight at once."""
+    for i in range(8):
+        radius = math.sqrt(-2.0 * log(1.0 - normals.first[i]))
+        angle = math.pi * (2.0 * normals.second[i] - 1.0)  # half a turn back: sine and cosine change sign
+        sine = half_sin(angle)
+        cosine = half_cos(angle)
+        normals.first[i] = radius * (2.0 * sine * sine - 1.0)
+        normals.second[i] = radius * (-2.0 * sine * cosine)
