@@ -26,7 +26,7 @@ from soil_env.terramechanics.effects.slip_sinkage import digging_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.residual import residual_law
-from soil_env.terramechanics.steady import DEEPEST, Conditions, steady_state
+from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
 REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
@@ -151,8 +151,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         rig["grouser_height"] = model.wheel.grouser_height
         rig["unit_weight"] = model.density * scenario.gravity
     effects = acting_in(model).effects
-    r = grousers.contact_radius(effects, rig[0])
-    ratio = grousers.shear_radius_ratio(r, float(rig["grouser_height"][0]), effects)
+    r = grousers.contact_radius(rig[0], effects)
+    ratio = grousers.shear_radius_ratio(rig[0], effects)
     rig["contact_radius"] = r
     rig["shear_ratio"] = ratio
     rig["rim_ratio"] = ratio * r / w.radius
@@ -296,7 +296,8 @@ def settle_at(wheel, x, mass, course, world):
     soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)
     load = mass * rig.gravity * math.cos(grade)
     at_rest = Conditions(0.0, 1.0, math.sin(grade))
-    rest = steady_state(world.nodes, 0.0, load, soil, rig, at_rest, world.acting.effects)
+    point = Point(0.0, load, 0.0)
+    rest = steady_at(world.nodes, point, soil, rig, at_rest, world.acting.effects)
     wheel.x = x
     wheel.best_x = x
     wheel.lowest_x = x
