@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
-from soil_env._compiled.flags import EXACT, SUMS, record
+from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 
 NODES_PER_ZONE = (
     8  # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
@@ -162,22 +162,26 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 @njit(**EXACT)
 def mobilised(j, K, law):
     """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) or a `ShearLaw`."""
+    if law is None:
+        rate = 1.0 / K
+        decay = exp(-rate * abs(j))
+        return math.copysign(1.0 - decay, j), rate * decay
+    else:
+        return _mobilised_by(law, j, K)
+
+
+@njit(**INLINE)  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
+def _mobilised_by(law, j, K):
+    """`mobilised` by a `ShearLaw`."""
     distance = abs(j)
     rate = 1.0 / K
     decay = exp(-rate * distance)
-    free = math.copysign(1.0 - decay, j)
-    slope = rate * decay
-    if law is not None:
-        share = law.a + law.b * decay
-        change = rate * law.b * decay
-        if law.c != 0.0:
-            beyond = max(distance - law.onset, 0.0)
-            slow = law.c * exp(-beyond / law.length)
-            share += slow
-            change += slow / law.length if beyond > 0.0 else 0.0
-        slope = slope * share - (1.0 - decay) * change
-        free *= share
-    return free, slope
+    beyond = max(distance - law.onset, 0.0)
+    slow = law.c * exp(-beyond / law.length)
+    share = law.a + law.b * decay + slow
+    change = rate * law.b * decay + (slow / law.length if beyond > 0.0 else 0.0)
+    e = math.copysign((1.0 - decay) * share, j)
+    return e, rate * decay * share - (1.0 - decay) * change
 
 
 @njit(**SUMS)
@@ -227,7 +231,11 @@ def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
     e_sin = 0.0
     e_sum = 0.0
     for k in range(NODES):
-        e, rate = mobilised(rim * nodes.by_rim[k] + travel * nodes.by_travel[k], K, law)
+        j = rim * nodes.by_rim[k] + travel * nodes.by_travel[k]
+        if law is None:
+            e, rate = mobilised(j, K, None)
+        else:
+            e, rate = _mobilised_by(law, j, K)
         nodes.rate[k] = rate
         pe_cos += nodes.stress[k] * (e * nodes.cos[k])
         pe_sin += nodes.stress[k] * (e * nodes.sin[k])
