@@ -236,7 +236,7 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _solve_balance(nodes, p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
     deepest = math.log(DEEPEST * wheel.radius)

@@ -15,9 +15,8 @@ from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from tests.terramechanics.cases import of_every_form
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
-WHEEL = Rim(0.15, 0.12, 0.01)
+WHEEL = Rim(0.15, 0.12, 0.01, 16000.0)
 DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
-UNIT_WEIGHT = 16000.0
 
 
 def on(name, **parameters):
@@ -40,9 +39,7 @@ NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent")
 
 
 def steady(parameters, name, conditions=DRIVEN):
-    return steady_with(
-        0.3, 100.0, SOIL, WHEEL, conditions, UNIT_WEIGHT, pack_effects({name: parameters}), 0.0
-    )
+    return steady_with(0.3, 100.0, SOIL, WHEEL, conditions, pack_effects({name: parameters}))
 
 
 def strengths(effect, form):
@@ -166,7 +163,7 @@ def test_wongs_law_is_of_the_family(residual):
     x = np.exp(-J / 0.02)
     sharpness = math.e * (1.0 / (residual * (1.0 - math.exp(-1.0))) - 1.0)
     wong = residual * (1.0 + sharpness * x) * (1.0 - x)
-    law = shear_softening.shear_law(on("shear_softening", sharpness=sharpness))
+    law = shear_softening.mobilisation(on("shear_softening", sharpness=sharpness))
     found = [contact.mobilised(j, 0.02, law)[0] for j in J]
     np.testing.assert_allclose(found, wong / wong.max(), rtol=1e-4, atol=1e-7)
 
@@ -190,7 +187,7 @@ softening = st.fixed_dictionaries(
 )
 def test_slope_of_the_shear_law(parameters, relative, k, sign):
     """de/dj against central differences; e is odd in j, its slope even."""
-    law = shear_softening.shear_law(on("shear_softening", **parameters))
+    law = shear_softening.mobilisation(on("shear_softening", **parameters))
     j = sign * relative * k
     h = 1e-4 * min(k, abs(j), parameters["length"])
     assume(abs(abs(j) - parameters["onset"]) > h)  # a kink

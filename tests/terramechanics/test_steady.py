@@ -8,9 +8,9 @@ import pytest
 from soil_env.parameters import SoilState, soils
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import steady
-from soil_env.terramechanics.arc_integrals import arc_integrals
 from soil_env.terramechanics.contact import entry_angle, forces
 from soil_env.terramechanics.effects import slip_sinkage_ratio
+from tests.terramechanics.arcs import arc_integrals
 
 R = B = 0.15
 

@@ -189,9 +189,7 @@ def test_rows_are_single_points_whatever_the_guess(seed):
     guess = np.zeros(slip.size)
     carried, cold = predicted(case, guess)
     single = [
-        steady_with(
-            slip[k], load[k], soil, Rim(*wheels[k], weight), Conditions(*conditions[k]), fx
-        )
+        steady_with(slip[k], load[k], soil, Rim(*wheels[k], weight), Conditions(*conditions[k]), fx)
         for k in range(slip.size)
     ]
     np.testing.assert_array_equal(cold, np.array([s[:3] for s in single]))
