@@ -24,12 +24,11 @@ from torch import nn
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
 from soil_env.env import action_space
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario
 from soil_env.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.vehicle import RoverScenario
 
 from . import inputs
 from .config import NAMES, PPOConfig

@@ -10,10 +10,9 @@ import numpy as np
 from gymnasium import spaces
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import CourseSpec, Scenario
+from soil_env.parameters import CourseSpec, RoverScenario, Scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.vehicle import RoverScenario
 
 ACTION = "rim_acceleration"  # of the action; [s] between two actions
 PERIOD = 0.5

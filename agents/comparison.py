@@ -5,8 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from soil_env._io.loading import ParameterError, to_dict
-from soil_env.parameters import Scenario
-from soil_env.vehicle import RoverScenario
+from soil_env.parameters import RoverScenario, Scenario
 
 from . import cells
 from .agent import Agent

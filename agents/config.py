@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Literal
 
 from soil_env._io.loading import Checked, FieldError, load, quantity
-from soil_env.parameters import DEFAULT_SCENARIO, Scenario
+from soil_env.parameters import DEFAULT_SCENARIO, RoverScenario, Scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 #: Name of the agent of each observation variant in tables and files.
 NAMES = {"blind": "agent_blind", "identified": "agent_identified", "true_soil": "agent_true"}

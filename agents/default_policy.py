@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import Scenario, load_scenario
-from soil_env.vehicle import RoverScenario
+from soil_env.parameters import RoverScenario, Scenario, load_scenario
 
 from . import common_layout, inputs
 from .history import History, lines_of

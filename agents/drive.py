@@ -14,9 +14,8 @@ from click.core import ParameterSource
 from soil_env._io.files import check_outputs
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, seed_option
-from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, load_rover, load_scenario
 from soil_env.rendering.side_view import SCENE
-from soil_env.vehicle import load_rover
 
 from .cli import controllers_as
 from .controllers.rover import controllers_of

@@ -9,11 +9,10 @@ import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario
 from soil_env.terramechanics.effects import CATALOGUE
 from soil_env.terramechanics.effects.entry import Effect, EffectParameter
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 from . import common_layout
 from .choice import ChoiceVecEnv

@@ -13,8 +13,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
-from soil_env.parameters import Scenario
-from soil_env.vehicle import RoverScenario
+from soil_env.parameters import RoverScenario, Scenario
 
 from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_info
 from .config import PPOConfig

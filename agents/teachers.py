@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from soil_env.parameters import Scenario
-from soil_env.vehicle import RoverScenario
+from soil_env.parameters import RoverScenario, Scenario
 
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue

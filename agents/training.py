@@ -12,8 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.env import IMMOBILISED
-from soil_env.parameters import Scenario, load_scenario
-from soil_env.vehicle import RoverScenario, load_rover
+from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
 
 from . import ppo, student
 from .agent import Agent, load_agent

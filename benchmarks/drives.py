@@ -14,12 +14,11 @@ from soil_env._numba.compiling import compiled_root
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP
 from soil_env.identification.online.identifier import identifier_numbers
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario, load_rover
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
-from soil_env.vehicle import RoverScenario, load_rover
 
 #: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")

@@ -11,11 +11,10 @@ from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.driving.infos import asks, checked
 from soil_env.driving.rover_infos import RoverInfos
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.parameters import SoilState
+from soil_env.parameters import DEFAULT_ROVER, RoverScenario, SoilState, load_rover
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
-from soil_env.vehicle import DEFAULT_ROVER, RoverScenario, load_rover
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
 

@@ -2,8 +2,7 @@
 
 from functools import partial
 
-from soil_env.parameters import scenario_names, soils
-from soil_env.vehicle import rover_names
+from soil_env.parameters import rover_names, scenario_names, soils
 from tests.oracle_runs import (
     ROOT,
     SOFT,

@@ -14,12 +14,17 @@ from gymnasium.utils.env_checker import check_env
 
 from soil_env._io.loading import config_dir
 from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
-from soil_env.parameters import ParameterError, load_scenario, scenario_names
+from soil_env.parameters import (
+    ParameterError,
+    load_rover,
+    load_scenario,
+    rover_names,
+    scenario_names,
+)
 from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS, Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_working_point
-from soil_env.vehicle import load_rover, rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 BOTH = pytest.mark.parametrize("make", [SoilWheelEnv, SoilRoverEnv], ids=["wheel", "rover"])

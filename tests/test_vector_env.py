@@ -10,10 +10,10 @@ from gymnasium.vector import AutoresetMode
 from soil_env.driving.infos import flat
 from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.identification import Status
+from soil_env.parameters import rover_names
 from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import rover_names
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
 ROVERS = 11  # a block of eight and a part of one

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 import yaml
 
-from soil_env.parameters import ParameterError, load_scenario, to_dict
-from soil_env.vehicle import Vehicle, load_rover, rover_names
+from soil_env.parameters import (
+    ParameterError,
+    Vehicle,
+    load_rover,
+    load_scenario,
+    rover_names,
+    to_dict,
+)
 
 BOGIE = {"mass": 100.0, "axles": (0.0, 1.0, 2.2), "centre": 1.1, "centre_height": 0.3}
 

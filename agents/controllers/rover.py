@@ -19,10 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError, unknown_value
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.rover.task import axle_names, rover_layout
 from soil_env.simulation.task import layout
-from soil_env.vehicle import RoverScenario
 
 from ..controllers import CONTROLLERS, make_controller
 

@@ -12,10 +12,9 @@ from soil_env._io.loading import ParameterError
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import IDLE, STEP, Simulation
 from soil_env.env import IMMOBILISED
-from soil_env.parameters import Scenario
+from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 from .warning import Foresight
 

@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
-from soil_env.parameters import Scenario, load_scenario, scenario_names
+from soil_env.parameters import RoverScenario, Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 from ..controllers import CONTROLLERS, checked_settings
 from ..controllers.rover import ROVER_CONTROLLERS, controllers_of

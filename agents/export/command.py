@@ -11,9 +11,8 @@ import yaml
 from soil_env._io.files import check_outputs, plain, replace_files
 from soil_env._io.loading import ParameterError, nearest
 from soil_env.cli.running import PATH, WholeNumber
-from soil_env.parameters import DEFAULT_SCENARIO, Scenario, load_scenario
+from soil_env.parameters import DEFAULT_SCENARIO, RoverScenario, Scenario, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 from ..cli import needing_training
 from ..default_policy import WEIGHTS, DefaultPolicy

@@ -20,9 +20,8 @@ from soil_env._io.loading import (
     unknown_key,
     unknown_value,
 )
-from soil_env.parameters import Scenario, load_scenario
+from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario, load_rover
 
 from ..cells import code_version
 from ..cli import config_mapping

@@ -18,15 +18,15 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.compiler_lock import global_compiler_lock
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
-_ROOMS = ("_numba", "terramechanics", "simulation", "identification", "driving")
-_FILES = (
-    "course_parameters.py",
-    "parameters.py",
-    "readings.py",
-    "slip.py",
-    "soil_parameters.py",
-    "vehicle.py",
+_ROOMS = (
+    "_numba",
+    "driving",
+    "identification",
+    "parameters",
+    "simulation",
+    "terramechanics",
 )
+_FILES = ("slip.py",)
 
 
 @cache

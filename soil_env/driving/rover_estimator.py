@@ -28,12 +28,12 @@ from soil_env.identification.online.stretches import (
     note,
     pool_numbers,
 )
+from soil_env.parameters import RoverScenario
 from soil_env.simulation.rover.task import first_soil
 from soil_env.simulation.task.observation import clip, write_estimate
 from soil_env.simulation.task.rules import TaskNumbers, information_term, total_of
 from soil_env.simulation.wheels import RESTART, RUNNING, STEP, load_reading
 from soil_env.simulation.world.wheel import wheel_of
-from soil_env.vehicle import RoverScenario
 
 _LOAD_DRIFT = 0.05  # 1-sigma of the change of the load on a wheel from one point of the identifier to the next
 _CONVERGED = Status.CONVERGED.value

@@ -14,6 +14,7 @@ from soil_env.driving.rover_estimator import (
     new_rover_estimator,
     rover_estimator_numbers,
 )
+from soil_env.parameters import RoverScenario
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     RoverWorlds,
@@ -25,7 +26,6 @@ from soil_env.simulation.rover.rovers import (
 )
 from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 #: Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one.
 Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *RoverEstimator._fields))

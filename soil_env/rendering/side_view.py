@@ -12,6 +12,7 @@ import numpy as np
 
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.identification import Status
+from soil_env.parameters import Vehicle
 from soil_env.rendering import canvas, wheels as drawing
 from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
 from soil_env.rendering.ground import (
@@ -27,7 +28,6 @@ from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import sinkage_coefficient_at
-from soil_env.vehicle import Vehicle
 
 #: Box of the side view: left, top, width, height
 SCENE = (14, 52, 548, 302)

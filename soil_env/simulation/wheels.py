@@ -10,8 +10,7 @@ import numpy as np
 from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
-from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading
+from soil_env.parameters import Scenario, SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
 from soil_env.simulation.task.rules import (
     REWARD_TERMS,

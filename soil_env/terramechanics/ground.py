@@ -22,6 +22,20 @@ def soil_of(owner):
 
 
 @njit(**EXACT)
+def stiffened(soil, factor):
+    """`soil` with a sinkage coefficient that is `factor` times as large."""
+    return SoilState(
+        soil.tan_phi,
+        soil.cohesion,
+        soil.shear_modulus,
+        factor * soil.sinkage_coefficient,
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+    )
+
+
+@njit(**EXACT)
 def blend(a, b, share):
     """Soil between two soils, share of the second: moduli geometrically, everything else linearly."""
     rest = 1.0 - share

@@ -225,6 +225,15 @@ def _residual_forces(at, slip, soil, wheel, residual):
 
 
 @njit(**EXACT)
+def lift_of(beside):
+    """Lift [m] of a `Beside`; 0 without one."""
+    if beside is None:
+        return 0.0
+    else:
+        return beside.lift
+
+
+@njit(**EXACT)
 def reaction(nodes, footing, speed, rim_speed, wheel, beside, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the drivetrain add."""
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)

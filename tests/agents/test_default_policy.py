@@ -16,9 +16,8 @@ from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
 from soil_env.env import SoilWheelEnv
-from soil_env.parameters import load_scenario
+from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
-from soil_env.vehicle import load_rover
 
 GROUNDS = ("mixed", "two_lines", "loose_slopes", "sticky", "field_vehicle", "unseen")
 TINY = {

@@ -16,9 +16,8 @@ from agents.evaluate.models import load_model
 from agents.ppo import Schedules, build, resume, save
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
-from soil_env.parameters import load_scenario
+from soil_env.parameters import load_rover, load_scenario
 from soil_env.simulation.task import layout
-from soil_env.vehicle import load_rover
 from tests.agents.drivers import observations
 
 TINY = PPOConfig(

@@ -11,8 +11,8 @@ from agents.controllers.rover import ROVER_CONTROLLERS, make_rover_controller
 from agents.evaluate.driving import METRICS, OF_ROVERS, run_courses
 from soil_env import ParameterError
 from soil_env.cli import main
+from soil_env.parameters import load_rover
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.vehicle import load_rover
 
 SHORT = {"course": {"length": 3.0}, "control": {"time_limit": 20.0}}
 

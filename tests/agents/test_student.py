@@ -10,8 +10,7 @@ from agents.config import PPOConfig
 from agents.environment import hidden_worlds, normalised
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
 from agents.teachers import Teachers
-from soil_env.parameters import load_scenario
-from soil_env.vehicle import load_rover
+from soil_env.parameters import load_rover, load_scenario
 
 CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, threads=1)
 

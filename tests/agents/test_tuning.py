@@ -11,8 +11,7 @@ from agents.evaluate.driving import TUNING_SET, run_courses
 from agents.evaluate.tuning import shipped_settings, tuned_settings
 from soil_env._io.loading import config_dir
 from soil_env.cli.running import run
-from soil_env.parameters import load_scenario
-from soil_env.vehicle import load_rover
+from soil_env.parameters import load_rover, load_scenario
 
 pytest.importorskip("optuna")
 SHORT = load_scenario("mixed", {"course": {"length": 2.0}, "control": {"time_limit": 12.0}})

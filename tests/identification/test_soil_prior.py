@@ -12,9 +12,15 @@ from soil_env._numba.compiling import compiled_root
 from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
-from soil_env.parameters import Belief, load_scenario, scenario_names, to_dict
+from soil_env.parameters import (
+    Belief,
+    load_rover,
+    load_scenario,
+    rover_names,
+    scenario_names,
+    to_dict,
+)
 from soil_env.simulation.world.courses import course_numbers, draw_soil
-from soil_env.vehicle import load_rover, rover_names
 from tests.logs.bags import write_map
 
 MIXED = load_scenario("mixed")

@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from soil_env.parameters import load_scenario
+from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import load_rover
 from tests.conftest import ROOT
 from tests.simulation.test_cloning import memory
 from tests.simulation.wheels import started

@@ -9,14 +9,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from soil_env.parameters import load_scenario
+from soil_env.parameters import load_rover, load_scenario, rover_names
 from soil_env.rendering import canvas
 from soil_env.rendering.ground import profile_of
 from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, width_of
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import stresses_under
 from soil_env.simulation.world.terrain import cell_at
-from soil_env.vehicle import load_rover, rover_names
 from tests.conftest import ROOT
 from tests.simulation.wheels import started
 

@@ -9,7 +9,7 @@ import numpy as np
 from soil_env._numba.random_streams import seed_stream
 from soil_env.driving.rovers import RoverSimulation
 from soil_env.driving.wheels import Simulation
-from soil_env.parameters import SoilState, load_scenario
+from soil_env.parameters import RoverScenario, SoilState, load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.wheel import (
     WheelCounts,
@@ -19,7 +19,6 @@ from soil_env.simulation.world.wheel import (
     world_numbers,
 )
 from soil_env.terramechanics.traversability import best_working_point
-from soil_env.vehicle import RoverScenario
 
 IDLE = 2  # anything but `dynamics.STEP`
 #: `spread` of a scenario whose soils do not scatter.

@@ -14,8 +14,7 @@ from soil_env.identification.online.curve_fit import FIT_ROWS
 from soil_env.identification.online.sinkage_filter import SINKAGE_ROWS, new_soil
 from soil_env.identification.online.soil_nodes import GAUSSIAN, NODE_ROWS, PRIOR_SIZE, begin_soil
 from soil_env.identification.online.soil_prior import SoilPrior, depth_of, soil_prior
-from soil_env.parameters import Scenario
-from soil_env.readings import sensor_noise
+from soil_env.parameters import Scenario, sensor_noise
 
 CANDIDATES = 2 * COUNT  # places of a border that are tested at a time
 #: Sums over the readings of the point that is still open; a weighted sum beside its weights.

@@ -18,8 +18,7 @@ from soil_env.identification.online.filter_bank import (
 from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.online.status import Status
-from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading
+from soil_env.parameters import Scenario, SensorReading
 
 #: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to other ground; a
 #: point was completed.

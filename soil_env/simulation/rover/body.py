@@ -14,7 +14,7 @@ from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.elementary import asin_root, larger, smaller, sqrt, where_less
 from soil_env._numba.lanes import COUNT, fill, from_array, to_array
 from soil_env._numba.rows import Rows, rows
-from soil_env.vehicle import RoverScenario
+from soil_env.parameters import RoverScenario
 
 LOAD_TOLERANCE = 0.02  # of the mean load of an axle
 LEAST_LOAD = 0.02  # of the mean load of an axle: none is taken to lift off

@@ -11,6 +11,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env._numba.elementary import larger, sine_of
 from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
 from soil_env._numba.rows import Rows, scratch_rows
+from soil_env.parameters import MOST_AXLES
 from soil_env.simulation.rover.body import angle_of, rise_of_body
 from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, pass_on
@@ -40,7 +41,6 @@ from soil_env.simulation.world.terrain import between_cells
 from soil_env.simulation.world.wheel import finish, wheel_of
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.reaction import REST_SPEED
-from soil_env.vehicle import MOST_AXLES
 
 _period = scratch_rows(Period, MOST_AXLES * COUNT)
 _changes = scratch(MOST_AXLES * COUNT)

@@ -13,7 +13,7 @@ from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_r
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import between, four_normals, word
 from soil_env._numba.rows import zero_column
-from soil_env.readings import SensorReading
+from soil_env.parameters import RoverScenario, SensorReading
 from soil_env.simulation.rover.body import (
     AxleState,
     BodyCounts,
@@ -64,7 +64,6 @@ from soil_env.simulation.world.wheel import (
     world_numbers,
 )
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 _DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
 

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.compiling import compiled_inline
+from soil_env.parameters import RoverScenario
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
 from soil_env.simulation.task.observation import write_soil
 from soil_env.simulation.task.rules import TaskNumbers, task_numbers
 from soil_env.simulation.world.terrain import ground_at
 from soil_env.simulation.world.wheel import wheel_of
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.vehicle import RoverScenario
 
 _OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
 _OF_AXLE = (

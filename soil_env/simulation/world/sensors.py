@@ -6,8 +6,7 @@ import numpy as np
 
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.random_streams import normal_pair, ten_normals
-from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading, sensor_noise
+from soil_env.parameters import Scenario, SensorReading, sensor_noise
 from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 

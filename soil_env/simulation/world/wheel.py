@@ -5,38 +5,39 @@
     dz/dt   = B z_w - A z                    sinkage on fresh ground, `effects.excavation_rate`
     W       = m g cos(grade)                 Eq. (1), met at every instant
 
-z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it (`bearing_sinkage`).
-On ground that the wheel has touched before, travel takes the sinkage to the depth of the rut instead (`relax_sinkage`).
+z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it (`sink`). On ground
+that the wheel has touched before, travel takes the sinkage to the depth of the rut instead.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, power, smaller, where_less
-from soil_env._numba.lanes import COUNT
-from soil_env._numba.random_streams import between
-from soil_env._numba.rows import Rows, rows, zero_column
-from soil_env.parameters import Scenario
-from soil_env.simulation.world.terrain import cell_at, ground_at
+from soil_env._compiled.elementary import exp, power
+from soil_env._compiled.flags import EXACT, FINITE, record
+from soil_env._compiled.random_streams import between
+from soil_env.parameters import Scenario, SoilState
+from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
-from soil_env.terramechanics.effects import NO_EFFECTS, acting, excavation_rate
+from soil_env.terramechanics.effects import acting_effects, excavation_rate, grousers, onto_fresh
+from soil_env.terramechanics.effects.slip_sinkage import digging_ratio
 from soil_env.terramechanics.model import WheelSoilModel
-from soil_env.terramechanics.reaction import REST_SPEED, Interaction, interaction
+from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.residual import residual_law
-from soil_env.terramechanics.steady import Conditions, Rim, steady_with
+from soil_env.terramechanics.steady import DEEPEST, Conditions, steady_state
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-REVERSE = (
-    0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
-)
+REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
+MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
+LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
+STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
+LEAST_WAY = 1e-6  # [m] way through a cell that digging is compared with, at least
 
-#: Wheels. Numbers that follow from the others in the same step are kept for sensors and info.
-WheelState: type[Rows] = rows(
-    "WheelState",
+#: A wheel. Numbers that follow from the others in the same step are kept for sensors and info.
+WHEEL = record(
     "x",  # [m] distance along the course
     "best_x",  # [m] furthest x so far: ground beyond it is fresh
     "lowest_x",  # [m] least x so far: ground before it is fresh
@@ -49,20 +50,20 @@ WheelState: type[Rows] = rows(
     "slid",  # [m] that the rim has slid over the ground in the present cell
     "mass",  # [kg]
     "motor_torque",  # [N m]
-    "available_torque",  # [N m] of the motor at this wheel speed, in the direction of the torque asked for
+    "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
     "load",  # W [N]
     "drawbar_pull",  # DP [N]
     "torque",  # T [N m], soil on wheel
     "slip",  # [-]
-    "pull_by_speed",  # dDP/dV [N s/m] at the end of the last substep
+    "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
     "pull_by_rim",  # dDP/d(r w)
     "torque_by_speed",  # dT/dV [N s]
     "torque_by_rim",  # dT/d(r w)
     "bearing_sinkage",  # z_w [m]
     "grade",  # [rad] at the wheel
     "motor_work",  # [J] in the last control period
-    "soil_work",  # [J] that soil and drivetrain took from it, T w - DP V, in the last control period
-    "numerical_work",  # [J] that the integrator took from it, in the last control period
+    "soil_work",  # [J] that soil and drivetrain took, T w - DP V, in the last control period
+    "numerical_work",  # [J] that the integrator took, in the last control period
     "travel",  # [m] in the last control period
     "last_action",  # [-1, 1]
     "rim_command",  # [of the top rim speed] that the drive follows; 0 if the action is a torque
@@ -73,175 +74,240 @@ WheelState: type[Rows] = rows(
     "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
+    stream=("u8",),  # random numbers of the wheel (`random_streams`)
+    converged=("i8",),  # 1 unless Newton's method failed at the finest step of the last control period
+    patch=("i8",),  # of the course, under the wheel
+    cell=("i8",),  # of the rut, under the wheel
+    steps=("i8",),  # control periods since reset
 )
 
-#: What is counted of wheels.
-WheelCounts: type[Rows] = rows(
-    "WheelCounts",
-    "converged",  # 1 unless a Newton iteration of the last control period failed at the finest substep
-    "patch",  # of the course, under the wheel
-    "cell",  # of the rut, under the wheel
-    "steps",  # control periods since reset
-    kind=np.int64,
+#: Constants of a wheel with its motor, of the commands that it takes and of the halts of its courses.
+RIG = record(
+    "radius",  # [m] of the rim
+    "width",  # [m]
+    "grouser_height",  # [m]
+    "contact_radius",  # [m] that carries the normal stress
+    "shear_ratio",  # [-] radius at which soil is sheared, over `contact_radius`
+    "rim_ratio",  # [-] that radius over the rim's
+    "gravity",  # [m/s2]
+    "unit_weight",  # [N/m3] of the soil
+    "inertia",  # [kg m2]
+    "stall_torque",  # [N m]
+    "no_load_speed",  # [rad/s]
+    "relaxation",  # [m] of the sinkage
+    "border",  # [m] over which one patch passes into the next
+    "halt_low",  # [m] least distance between halts
+    "halt_high",  # [m] largest distance between halts
+    "halt_time",  # [s]
+    "period",  # [s] of the control
+    "rim_step",  # [of top rim speed] change of the command by an action of 1 in a period; 0: the action is the command
+    "sight",  # [m] before a patch from which its lines are seen
+    substeps=("i8",),  # of a control period
+    speed_command=("?",),  # True if the drive follows a commanded rim speed
 )
 
 
-class WorldNumbers(NamedTuple):
-    """Numbers of the dynamics from a `Scenario`."""
+class World(NamedTuple):
+    """What a wheel is simulated with: its constants, what acts beside the base model, the scratch of its thread."""
 
-    wheel: Interaction  # with the effects that act on the wheel, not on its sensors
-    inertia: float
-    stall_torque: float
-    no_load_speed: float
-    relaxation: float  # [m]
-    border: float  # [m]
-    halt_low: float  # [m]
-    halt_high: float  # [m]
-    halt_time: float  # [s]
-    period: float  # [s]
-    substeps: int
-    speed_command: bool  # the drive follows a commanded rim speed
-    rim_step: float  # [of top rim speed] by which an action of 1 changes it in a control period; 0: it is the action
-    lines: int  # between which the wheel may choose
-    sight: float  # [m] before a patch from which its lines are seen
-    axles: int  # of the rover; 1: a wheel by itself
+    rig: Any  # `RIG`
+    acting: Acting
+    nodes: Any  # `ARC_NODES`
 
 
-def interaction_of(scenario: Scenario, model: WheelSoilModel | None = None) -> Interaction:
-    """The wheel of a scenario and the effects of `model` that act on it, not on its sensors."""
-    w = scenario.wheel
-    grousers, density = (0.0, 0.0) if model is None else (model.wheel.grouser_height, model.density)
-    effects = NO_EFFECTS if model is None else acting(model.numbers)
-    law = residual_law(() if model is None else model.residual)
-    rim = Rim(w.radius, w.width, grousers)
-    return interaction(rim, effects, law, scenario.gravity, density * scenario.gravity)
+class Drive(NamedTuple):
+    """What the motor is to do in a control period."""
+
+    command: float  # [-1, 1] of the stall torque, or of the top rim speed
+    by_speed: bool
 
 
-def world_numbers(
-    scenario: Scenario, model: WheelSoilModel | None = None, axles: int = 1
-) -> WorldNumbers:
-    """Pack the numbers of `dynamics.advance`; `model` gives the effects that are on in this world."""
+class Ground(NamedTuple):
+    """The ground under a wheel in a stage of a step."""
+
+    soil: SoilState  # as the wheel meets it
+    sinkage: float  # [m] that the arc is laid at
+    lift: float  # [m] of z_w beyond the depth that bears
+    grade: float  # [rad]
+
+
+class Path(NamedTuple):
+    """Way of a wheel in a stage."""
+
+    moved: float  # [m]
+    slid: float  # [m] of the rim over the ground
+    duration: float  # [s]
+
+
+def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarray:
+    """Pack the constants of a scenario, `RIG` [1]; `model` gives the lugs and the effects of this world."""
     w = scenario.wheel
     c = scenario.control
-    return WorldNumbers(
-        interaction_of(scenario, model),
-        w.inertia,
-        w.stall_torque,
-        w.no_load_speed,
-        scenario.relaxation * w.radius,
-        scenario.course.border,
-        *scenario.course.halt_interval,
-        scenario.course.halt_time,
-        c.period,
-        math.ceil(c.period / c.substep - 1e-9),
-        c.action != "torque",
-        c.rim_acceleration * c.period / (w.radius * w.no_load_speed)
-        if c.action == "rim_acceleration"
-        else 0.0,
-        scenario.course.lines,
-        scenario.camera.range,
-        axles,
-    )
+    rig = np.zeros(1, RIG)
+    rig["radius"] = w.radius
+    rig["width"] = w.width
+    rig["gravity"] = scenario.gravity
+    if model is not None:
+        rig["grouser_height"] = model.wheel.grouser_height
+        rig["unit_weight"] = model.density * scenario.gravity
+    effects = acting_in(model).effects
+    r = grousers.contact_radius(effects, rig[0])
+    ratio = grousers.shear_radius_ratio(r, float(rig["grouser_height"][0]), effects)
+    rig["contact_radius"] = r
+    rig["shear_ratio"] = ratio
+    rig["rim_ratio"] = ratio * r / w.radius
+    rig["inertia"] = w.inertia
+    rig["stall_torque"] = w.stall_torque
+    rig["no_load_speed"] = w.no_load_speed
+    rig["relaxation"] = scenario.relaxation * w.radius
+    rig["border"] = scenario.course.border
+    rig["halt_low"], rig["halt_high"] = scenario.course.halt_interval
+    rig["halt_time"] = scenario.course.halt_time
+    rig["period"] = c.period
+    rig["substeps"] = math.ceil(c.period / c.substep - 1e-9)
+    rig["speed_command"] = c.action != "torque"
+    if c.action == "rim_acceleration":
+        rig["rim_step"] = c.rim_acceleration * c.period / (w.radius * w.no_load_speed)
+    rig["sight"] = scenario.camera.range
+    return rig
 
 
-@compiled_inline
-def course_of(k, axles):
-    """Row of the course that wheel k is on. Each block of eight wheels is of eight rovers, axle by axle."""
-    return k if axles == 1 else k // (COUNT * axles) * COUNT + k % COUNT
+def acting_in(model: WheelSoilModel | None) -> Acting:
+    """Effects and residual law of a world that act on its wheels, not on their sensors."""
+    if model is None:
+        return BASE
+    law = residual_law(model.residual) if model.residual else None
+    return acting_on(acting_effects(model.numbers), law)
 
 
-@compiled_inline
-def axle_of(k, axles):
-    """Axle of wheel k, from the front on."""
-    return 0 if axles == 1 else k // COUNT % axles
+@njit(**FINITE)
+def commanded(wheel, action, rig):
+    """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is a rim acceleration.
+
+    In a halt the wheel is held at rest, and the action that counts as the last one is 0.
+    """
+    halted = wheel.halt_left > 0.0
+    if halted:
+        action = 0.0
+    command = action
+    if rig.rim_step > 0.0 and not halted:
+        command = min(max(wheel.rim_command + rig.rim_step * action, -REVERSE), 1.0)
+    wheel.last_action = action
+    wheel.rim_command = command if rig.speed_command else 0.0
+    return Drive(command, halted or rig.speed_command)
 
 
-@compiled_inline
-def wheel_of(j, axle, axles):
-    """The wheel of rover j on an axle: the reverse of `course_of` and `axle_of`."""
-    return (j // COUNT * axles + axle) * COUNT + j % COUNT
+@njit(**FINITE)
+def sink(wheel, ground, mobilised, path, rig):
+    """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the coefficient `mobilised`.
+
+    z_w is the depth at which undisturbed soil bears the pressure `mobilised` z^n at the depth z = `ground.sinkage`.
+    Ground beyond the furthest places of a wheel is fresh; where it has been, travel leads to the depth of the rut
+    instead of z_w. The rut grows where the wheel digs and not where it climbs out of its hole.
+    """
+    soil = ground.soil
+    exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
+    ratio = power(mobilised / soil.sinkage_coefficient, 1.0 / exponent)
+    bearing = ground.sinkage * min(ratio, MOST_BEARING) + ground.lift
+    x = wheel.x + path.moved
+    beyond = onto_fresh(x, wheel.lowest_x, wheel.best_x)
+    fresh = min(beyond / max(abs(path.moved), STANDING), 1.0)
+    onto = fresh * bearing + (1.0 - fresh) * wheel.rut_depth
+    relaxed = relax_sinkage(wheel.sinkage, bearing, onto, path, soil, rig.relaxation)
+    depth = min(max(relaxed, SHALLOWEST * rig.radius), DEEPEST * rig.radius)
+    wheel.sinking = (depth - wheel.sinkage) / path.duration
+    if wheel.sinkage < depth:
+        wheel.rut_depth = max(wheel.rut_depth, depth)
+    wheel.x = x
+    wheel.best_x = max(x, wheel.best_x)
+    wheel.lowest_x = min(x, wheel.lowest_x)
+    wheel.slid += path.slid
+    wheel.sinkage = depth
+    wheel.bearing_sinkage = bearing
 
 
-@compiled_inline
-def bearing_sinkage(sinkage, mobilised, soil):
-    """z_w [m]: depth at which undisturbed soil bears the pressure `mobilised` z^n, at most 10 z."""
-    n = larger(soil.sinkage_exponent, 0.05)
-    return sinkage * smaller(power(mobilised / soil.sinkage_coefficient, 1.0 / n), 10.0)
+@njit(**FINITE)
+def relax_sinkage(sinkage, bearing, onto, path, soil, length):
+    """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path` (`effects.excavation_rate`).
 
-
-@compiled_inline
-def relax_sinkage(sinkage, bearing, onto, speed, slip_speed, soil, length, h):
-    """Sinkage [m] after h seconds of dz/dt = B z_w - A z + |V| (onto - z_w) / length (`effects.excavation_rate`).
-
-    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once.
-
+    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once, travelling or not.
     `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of the rut where the wheel has been.
     """
-    a, b = excavation_rate(abs(speed), abs(slip_speed), soil.dig_gain, soil.dig_recovery, length)
-    rut = abs(speed) * (onto - bearing) / length
-    yielding = where_less(
-        sinkage, bearing, 1.0 / SETTLING_TIME, 0.0
-    )  # under the load at once, travelling or not
-    a = a + yielding
-    b = b + yielding
+    speed = abs(path.moved) / path.duration
+    sliding = abs(path.slid) / path.duration
+    a, b = excavation_rate(speed, sliding, soil.dig_gain, soil.dig_recovery, length)
+    rut = speed * (onto - bearing) / length
+    if sinkage < bearing:
+        a += 1.0 / SETTLING_TIME
+        b += 1.0 / SETTLING_TIME
+    if a * path.duration < STANDING:
+        return sinkage
     goal = (b * bearing + rut) / a
-    return where_less(a * h, 1e-12, sinkage, goal + (sinkage - goal) * exp(-a * h))
+    return goal + (sinkage - goal) * exp(-a * path.duration)
 
 
-@compiled_inline
-def commanded(state, k, action, halted, world):
-    """Command of wheel k for a control period, as `motor` takes it: the action itself, or the rim speed that it leads
-    to where it is a rim acceleration. In a halt it is 0, and so is the action that counts as the last one."""
-    action = 0.0 if halted else action
-    command = action
-    state.last_action[k] = action
-    if world.rim_step > 0.0 and not halted:
-        command = min(max(state.rim_command[k] + world.rim_step * action, -REVERSE), 1.0)
-    state.rim_command[k] = command if world.speed_command else 0.0
-    return command
+@njit(**FINITE)
+def leave_ruts(wheel, cells, soil, compaction):
+    """Mark the cells that a wheel has passed in a stage; it comes into the next one in the middle of that.
+
+    How much it dug follows from the way that the rim slid in its cell: its sinkage over z_w does not say, since it lags
+    behind a change of the ground.
+    """
+    after = cell_after(cells, wheel.cell, wheel.x)
+    if after == wheel.cell:
+        return
+    way = max(abs(wheel.x - wheel.cell_x), LEAST_WAY)
+    dug = digging_ratio(wheel.slid, way, soil.dig_gain, soil.dig_recovery)
+    while wheel.cell != after:
+        leave_rut(cells[wheel.cell], wheel.rut_depth, dug, compaction)
+        wheel.cell += 1 if after > wheel.cell else -1
+        depth = cells[wheel.cell].depth
+        wheel.rut_depth = depth if depth > 0.0 else wheel.sinkage
+    wheel.slid = 0.0
+    wheel.cell_x = wheel.x
 
 
-@compiled_inline
-def finish(state, counts, k, x_start, streams, world):
-    """The end of a control period of wheel k, which began at `x_start` [m]: slip, travel and halts."""
-    x = state.x[k]
-    state.slip[k] = slip_ratio(
-        state.wheel_speed[k] * world.wheel.radius, state.speed[k], REST_SPEED
-    )
-    state.travel[k] = x - x_start
-    counts.steps[k] += 1
-    if state.halt_left[k] > 0.0:
-        state.halt_left[k] = max(0.0, state.halt_left[k] - world.period)
-    elif x >= state.next_halt[k]:
-        state.halt_left[k] = world.halt_time
-        state.next_halt[k] = x + between(streams, k, world.halt_low, world.halt_high)
+@njit(**FINITE)
+def end_period(wheel, x_start, owner, rig):
+    """The end of a control period of a wheel, or of a rover as a whole, that began at `x_start` [m]: travel and halts.
+
+    `owner` has the random stream for the places of halts.
+    """
+    wheel.travel = wheel.x - x_start
+    wheel.steps += 1
+    if wheel.halt_left > 0.0:
+        wheel.halt_left = max(0.0, wheel.halt_left - rig.period)
+    elif wheel.x >= wheel.next_halt:
+        wheel.halt_left = rig.halt_time
+        wheel.next_halt = wheel.x + between(owner, rig.halt_low, rig.halt_high)
 
 
-@compiled_part
-def settle(state, counts, k, mass, courses, streams, world):
-    """Put wheel k at rest at the start of its course, sunk in under its own load."""
-    settle_at(state, counts, k, 0.0, mass, courses, world)
-    state.next_halt[k] = between(streams, k, world.halt_low, world.halt_high)
+@njit(**FINITE)
+def measure_slip(wheel, rig):
+    """Set the slip of a wheel from its speeds."""
+    wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
 
 
-@compiled_part
-def settle_at(state, counts, k, x, mass, courses, world):
-    """Put wheel k at rest at x [m] of its course, sunk in under its own load."""
-    wheel = world.wheel
-    soil, grade, patch = ground_at(courses, course_of(k, world.axles), x, 0, world.border)
-    load = mass * wheel.gravity * math.cos(grade)
-    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
-    here = Conditions(0.0, 1.0, math.sin(grade))
-    rest = steady_with(0.0, load, soil, rim, here, wheel.unit_weight, wheel.effects, 0.0)
-    zero_column(state, k)
-    zero_column(counts, k)
-    state.x[k] = state.best_x[k] = state.lowest_x[k] = state.mark_x[k] = state.cell_x[k] = x
-    state.sinkage[k] = state.bearing_sinkage[k] = max(rest.sinkage, SHALLOWEST * wheel.radius)
-    state.rut_depth[k] = state.sinkage[k]
-    state.mass[k] = mass
-    state.load[k] = load
-    state.grade[k] = grade
-    state.available_torque[k] = world.stall_torque
-    counts.converged[k] = 1
-    counts.patch[k] = patch
-    counts.cell[k] = cell_at(courses, x)
+@njit(**EXACT)
+def settle_at(wheel, x, mass, course, world):
+    """Put a wheel, whose record is blank but for its stream, at rest at x [m], sunk in under its own load."""
+    rig = world.rig
+    wheel.patch = patch_at(course.patches, x, 0)
+    soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)
+    load = mass * rig.gravity * math.cos(grade)
+    at_rest = Conditions(0.0, 1.0, math.sin(grade))
+    rest = steady_state(world.nodes, 0.0, load, soil, rig, at_rest, world.acting.effects)
+    wheel.x = x
+    wheel.best_x = x
+    wheel.lowest_x = x
+    wheel.mark_x = x
+    wheel.cell_x = x
+    wheel.sinkage = max(rest.sinkage, SHALLOWEST * rig.radius)
+    wheel.bearing_sinkage = wheel.sinkage
+    wheel.rut_depth = wheel.sinkage
+    wheel.mass = mass
+    wheel.load = load
+    wheel.grade = grade
+    wheel.available_torque = rig.stall_torque
+    wheel.converged = 1
+    wheel.cell = cell_at(course.cells, x)

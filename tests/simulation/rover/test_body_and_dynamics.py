@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from soil_env.driving.rovers import RoverSimulation
-from soil_env.parameters import to_dict
+from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.steady import steady_state
-from soil_env.vehicle import RoverScenario, load_rover, rover_names
 from tests.simulation.wheels import EVEN, started
 
 

@@ -6,8 +6,8 @@ import pytest
 from benchmarks.drives import SHARED, UNITS, SwingingSlip, record_rover, rover_scenario
 from soil_env.driving.rover_estimator import rover_estimator_numbers
 from soil_env.identification.online.soil_prior import published_prior
+from soil_env.parameters import load_rover
 from soil_env.simulation.rover.task import rover_task_numbers
-from soil_env.vehicle import load_rover
 
 FRICTION_AND_COHESION = [0, 3]
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from soil_env.parameters import rover_names
 from soil_env.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names
-from soil_env.vehicle import rover_names
 
 
 def drive(rover, variant, seed, steps=60, command=0.5, **changes):

@@ -1,30 +1,31 @@
-"""Distribution of courses, and errors of the camera: frozen dataclasses in SI units, part of a `Scenario`."""
+"""Distribution of courses, and errors of the camera."""
 
 from dataclasses import dataclass
 
 from soil_env._io.loading import Checked, FieldError, quantity
 
-MOST_CLASSES = 6  # terrain classes of a course
+MOST_CLASSES = 6  # [-] terrain classes of a course; own choice
 
 
 @dataclass(frozen=True)
 class CourseSpec(Checked):
     """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
-    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of `margin` times its
-    weight in reserve, cut to the upper bound of `grade_deg`. Soils that would need less than its lower bound are not
-    used. So every course is passable with a known reserve.
+    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of
+    `margin` times its weight in reserve, cut to the upper bound of `grade_deg`. Soils that would
+    need less than its lower bound are not used. So every course is passable with a known reserve.
 
     A border may not be longer than the shortest patch, so that it lies between two patches only.
 
-    The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual odometry (every 0.75 m
-    at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186), and has to start again where it stands.
+    The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual
+    odometry (every 0.75 m at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186),
+    and has to start again where it stands.
 
-    With `classes` the ground is of that many terrain classes, which a camera can distinguish (`Camera`), and with
-    `lines` = 2 the wheel may go on along one of two lines over each patch after the first of each class
-    (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by class to choose a way around ground before they
-    are on it (Angelova, Matthies, Helmick & Perona 2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA
-    SPACE, doi 10.2514/6.2016-5539).
+    With `classes` the ground is of that many terrain classes, which a camera can distinguish
+    (`Camera`), and with `lines` = 2 the wheel may go on along one of two lines over each patch
+    after the first of each class (docs/physics/wheel.md, "Terrain classes"). Rovers predict slip by
+    class to choose a way around ground before they are on it (Angelova, Matthies, Helmick & Perona
+    2007, J. Field Robotics 24:205-231; Rothrock et al. 2016, AIAA SPACE, doi 10.2514/6.2016-5539).
     """
 
     length: float = quantity("m", 1.0, 1e4, default=10.0)
@@ -79,19 +80,24 @@ class CourseSpec(Checked):
             raise FieldError(
                 self, "halt_time", " = 0: expected halts where lines = 2, to choose a line in"
             )
-        (low, high), most = self.halt_before, self.patch_length[0] - self.border
+        low, high = self.halt_before
+        most = self.patch_length[0] - self.border
         if low < self.border or high > most:
-            expected = f"between the border, {self.border} m, and the shortest patch less the border, {most:g} m"
-            raise FieldError(self, "halt_before", f" = {self.halt_before}: expected {expected}")
+            expected = (
+                f"expected between the border, {self.border} m, "
+                f"and the shortest patch less the border, {most:g} m"
+            )
+            raise FieldError(self, "halt_before", f" = {self.halt_before}: {expected}")
 
 
 @dataclass(frozen=True)
 class Camera(Checked):
-    """Camera on the rover, which sees the ground ahead if it has terrain classes (`CourseSpec.classes`).
+    """Camera on the rover, which sees the ground ahead if that has terrain classes.
 
-    It sees the class of each line, which is wrong with probability `label_error`, the grade, and how far off the border
-    is. Label and grade of a patch are read from its look: they are wrong in the same way in every image. The distance
-    has an error of that kind and one that is new in every image, both of `border_noise`.
+    It sees the class of each line, which is wrong with probability `label_error`, the grade, and
+    how far off the border is. Label and grade of a patch are read from its look: they are wrong in
+    the same way in every image. The distance has an error of that kind and one that is new in every
+    image, both of `border_noise`.
     """
 
     range: float = quantity("m", 0.1, 100.0, default=2.0)

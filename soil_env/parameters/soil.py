@@ -1,4 +1,4 @@
-"""Parameters of a soil, and how soils of a kind scatter: frozen dataclasses in SI units.
+"""Parameters of a soil, how soils of a kind scatter, and the presets of configs/soils.yaml.
 
 `SoilState` is the plain tuple of floats in which the compiled kernels take a soil.
 """
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.parameters.presets import library
 
 
 class SoilState(NamedTuple):
@@ -25,7 +26,10 @@ class SoilState(NamedTuple):
 
 
 def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
-    """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker); `ParameterError` if it is not positive."""
+    """S = k_c/b + k_phi [N/m^(n+2)] for a wheel of width b [m] (Bekker).
+
+    Raises `ParameterError` if it is not positive.
+    """
     s = k_c / width + k_phi
     if s <= 0.0:
         raise ParameterError(
@@ -38,10 +42,10 @@ def lumped_coefficient(k_c: float, k_phi: float, width: float) -> float:
 class Soil(Checked):
     """A uniform soil, in the terms of Bekker, Janosi & Hanamoto and Mohr-Coulomb.
 
-    The pressure-sinkage relation is p = (k_c/b + k_phi) z^n. It is given by its two moduli, or by their sum for the
-    wheel at hand, `sinkage_coefficient` (the S of the source paper). Unless `dig_gain` is given there is no
-    slip-sinkage, as in the base model of Eqs. (1)-(10). The presets of configs/soils.yaml have it, and 1.5 is Lyasko
-    (2010).
+    The pressure-sinkage relation is p = (k_c/b + k_phi) z^n. It is given by its two moduli, or by
+    their sum for the wheel at hand, `sinkage_coefficient` (the S of the source paper). Unless
+    `dig_gain` is given there is no slip-sinkage, as in the base model of Eqs. (1)-(10). The presets
+    of configs/soils.yaml have it, and 1.5 is Lyasko (2010).
     """
 
     friction_angle_deg: float = quantity("deg", 0.0, 89.9)
@@ -72,7 +76,7 @@ class Soil(Checked):
         return math.tan(math.radians(self.friction_angle_deg))
 
     def lumped(self, width: float) -> float:
-        """S [N/m^(n+2)] for a wheel of width b [m]; as `lumped_coefficient` where the moduli are given."""
+        """S [N/m^(n+2)] for a wheel of width b [m], by `lumped_coefficient` of the moduli."""
         if self.sinkage_coefficient is not None:
             return self.sinkage_coefficient
         assert self.k_c is not None and self.k_phi is not None  # checked on construction
@@ -95,11 +99,12 @@ class Soil(Checked):
 class SoilSpread(Checked):
     """Scatter of a soil in the field about its preset: coefficients of variation and correlations.
 
-    Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure at
-    `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 % in sand (Phoon & Kulhawy
-    1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24 to -0.7 to friction (Cherubini 2000, Can.
-    Geotech. J. 37:705); denser soil has higher friction (Bolton 1986, Geotechnique 36:65) and stiffness and a lower
-    shear deformation modulus. For K, stiffness and digging no published statistics were found: those are our choice.
+    Friction scatters normally, the others log-normally. The stiffness that scatters is the pressure
+    at `reference_sinkage`, not S itself, whose unit depends on n. Sources: COV of friction 5-15 %
+    in sand (Phoon & Kulhawy 1999, Can. Geotech. J. 36:612), cohesion 20-40 % with correlation -0.24
+    to -0.7 to friction (Cherubini 2000, Can. Geotech. J. 37:705); denser soil has higher friction
+    (Bolton 1986, Geotechnique 36:65) and stiffness and a lower shear deformation modulus. For K,
+    stiffness and digging no published statistics were found: those are our choice.
     """
 
     friction: float = quantity("", 0.0, 0.35, default=0.08)
@@ -120,7 +125,10 @@ class SoilSpread(Checked):
         self.factor()
 
     def factor(self) -> np.ndarray:
-        """Lower Cholesky factor [5, 5] of the correlations of (friction, cohesion, K, stiffness, dig gain)."""
+        """Lower Cholesky factor [5, 5] of the correlations.
+
+        In the order of friction, cohesion, K, stiffness, dig gain.
+        """
         return correlation_factor(
             self,
             5,
@@ -134,13 +142,22 @@ class SoilSpread(Checked):
         )
 
 
+def soils() -> dict[str, Soil]:
+    """The soil presets of configs/soils.yaml by name."""
+    return dict(library("soils", Soil))
+
+
 def correlation_factor(owner: Checked, size: int, names: dict[tuple[int, int], str]) -> np.ndarray:
-    """Lower Cholesky factor [size, size] of the correlations that `owner` has under these names, by row and column."""
-    c = np.eye(size)
-    for (i, j), name in names.items():
-        c[i, j] = c[j, i] = getattr(owner, name)
+    """Lower Cholesky factor [size, size] of the correlations that `owner` has under these names.
+
+    `names` has the names by row and column.
+    """
+    correlations = np.eye(size)
+    for (row, column), name in names.items():
+        correlations[row, column] = getattr(owner, name)
+        correlations[column, row] = getattr(owner, name)
     try:
-        return np.linalg.cholesky(c)
+        return np.linalg.cholesky(correlations)
     except np.linalg.LinAlgError:
         where = type(owner).__name__
         raise ParameterError(

@@ -1,0 +1,73 @@
+"""What is given of wheel, ground, sensors and task: frozen dataclasses in SI units, and presets.
+
+Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/scenarios/*.yaml and
+configs/rovers/*.yaml. `SoilState` is the plain tuple in which the compiled kernels take a soil.
+"""
+
+from soil_env._io.loading import ParameterError, config_dir, to_dict
+from soil_env.parameters.belief import Belief, refuse_idle_prior
+from soil_env.parameters.course import MOST_CLASSES, Camera, CourseSpec
+from soil_env.parameters.presets import shipped
+from soil_env.parameters.readings import SensorReading, sensor_noise
+from soil_env.parameters.rover import DEFAULT_ROVER, RoverScenario, load_rover, rover_names
+from soil_env.parameters.scenario import (
+    DEFAULT_SCENARIO,
+    Scenario,
+    load_scenario,
+    load_scenario_as,
+    scenario_names,
+)
+from soil_env.parameters.sensors import Noise
+from soil_env.parameters.soil import (
+    Soil,
+    SoilSpread,
+    SoilState,
+    correlation_factor,
+    lumped_coefficient,
+    soils,
+)
+from soil_env.parameters.task import HELD, Control, Limits, RewardWeights
+from soil_env.parameters.vehicle import MOST_AXLES, Vehicle, mass_of_wheel
+from soil_env.parameters.wheel import LARGEST_WHEEL, Wheel, check_lugs, wheels, with_preset
+
+__all__ = [
+    "DEFAULT_ROVER",
+    "DEFAULT_SCENARIO",
+    "HELD",
+    "LARGEST_WHEEL",
+    "MOST_AXLES",
+    "MOST_CLASSES",
+    "Belief",
+    "Camera",
+    "Control",
+    "CourseSpec",
+    "Limits",
+    "Noise",
+    "ParameterError",
+    "RewardWeights",
+    "RoverScenario",
+    "Scenario",
+    "SensorReading",
+    "Soil",
+    "SoilSpread",
+    "SoilState",
+    "Vehicle",
+    "Wheel",
+    "check_lugs",
+    "config_dir",
+    "correlation_factor",
+    "load_rover",
+    "load_scenario",
+    "load_scenario_as",
+    "lumped_coefficient",
+    "mass_of_wheel",
+    "refuse_idle_prior",
+    "rover_names",
+    "scenario_names",
+    "sensor_noise",
+    "shipped",
+    "soils",
+    "to_dict",
+    "wheels",
+    "with_preset",
+]

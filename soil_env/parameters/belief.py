@@ -1,0 +1,105 @@
+"""Prior of the identifier."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from soil_env._io.loading import Checked, ParameterError, quantity
+from soil_env.parameters.soil import SoilSpread, correlation_factor
+
+#: Numbers of `Belief` that a library of soils takes the place of.
+_PRIOR = (
+    "friction_angle_deg",
+    "friction_sd_deg",
+    "shear_modulus",
+    "shear_modulus_sd",
+    "sinkage_coefficient",
+    "sinkage_coefficient_sd",
+    "cohesion",
+    "cohesion_sd",
+    "sinkage_exponent_sd",
+    "dig_gain_sd",
+)
+
+
+@dataclass(frozen=True)
+class Belief(Checked):
+    """Prior of the identifier: what it assumes before it has measured anything.
+
+    Neither the soil nor the parameters of the world's slip-sinkage are known to it. Friction angle,
+    cohesion and exponent have a normal prior, K, S and the gain of digging a log-normal one
+    (`..._sd` are relative there); the recovery of digging has one value.
+
+    Where `soils` names a library, the prior has the mean and the covariance of its soils instead,
+    each with the scatter of `spread`. Of the numbers before, only `dig_gain` and `sinkage_exponent`
+    count then, to which gain and S are referred. With `method` "none" nothing is identified and
+    nothing of the observation may ask for it: a step costs about half.
+    """
+
+    friction_angle_deg: float = quantity("deg", 1.0, 60.0, default=30.0)
+    friction_sd_deg: float = quantity("deg", 0.01, 60.0, default=5.0)
+    shear_modulus: float = quantity("m", 1e-4, 0.3, default=0.012)
+    shear_modulus_sd: float = quantity("", 0.01, 5.0, default=0.7)
+    sinkage_coefficient: float = quantity("N/m^(n+2)", 1e2, 1e13, default=1.15e6)
+    sinkage_coefficient_sd: float = quantity("", 0.01, 10.0, default=0.6)
+    cohesion: float = quantity("Pa", 0.0, 2e5, default=550.0)
+    cohesion_sd: float = quantity("Pa", 0.0, 2e5, default=450.0)
+    sinkage_exponent: float = quantity("", 0.1, 3.0, default=1.07)
+    sinkage_exponent_sd: float = quantity("", 0.0, 1.0, default=0.07)
+    dig_gain: float = quantity("", 0.0, 20.0, default=2.2)
+    dig_gain_sd: float = quantity("", 0.0, 5.0, default=0.7, doc="relative")
+    dig_recovery: float = quantity("", 0.05, 5.0, default=0.5)
+    model_error: float = quantity(
+        "of load",
+        1e-4,
+        0.3,
+        default=1e-3,
+        doc="1-sigma error of the laws, as long as no reading contradicts them",
+    )
+    method: Literal["filter", "none"] = "filter"
+    friction_cohesion: float = quantity("", -0.99, 0.99, default=-0.6, doc="correlation")
+    friction_stiffness: float = quantity("", -0.99, 0.99, default=0.5, doc="correlation")
+    stiffness_shear_modulus: float = quantity("", -0.99, 0.99, default=-0.4, doc="correlation")
+    border: float = quantity(
+        "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next"
+    )
+    grade_change_deg: float = quantity(
+        "deg",
+        0.0,
+        60.0,
+        default=8.0,
+        doc="sd of the change of grade from soil to soil; 0 = the grade says nothing of soil",
+    )
+    # library of soils that may come, with weights
+    soils: dict[str, float] = field(default_factory=dict)
+    # of the soils of that library; None: as those of the courses
+    spread: SoilSpread | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        correlation_factor(
+            self,
+            4,
+            {
+                (0, 1): "friction_cohesion",
+                (0, 2): "friction_stiffness",
+                (2, 3): "stiffness_shear_modulus",
+            },
+        )
+
+
+def refuse_idle_prior(belief: dict[str, Any], where: str, changes: Iterable[str] = ()) -> None:
+    """Raise `ParameterError` if a mapping of `Belief` has numbers of the prior beside soils.
+
+    A saved one has the defaults of all: those are let pass, but not as `changes`.
+    """
+    idle = [
+        name
+        for name in _PRIOR
+        if name in belief and (name in changes or belief[name] != getattr(Belief, name))
+    ]
+    if belief.get("soils") and idle:
+        raise ParameterError(
+            f"{where}: belief.{idle[0]}: without effect beside belief.soils, "
+            "whose mean and covariance are the prior; expected soils: {} with it"
+        )

@@ -1,0 +1,86 @@
+"""A complete task of a rover, and the rovers of configs/rovers."""
+
+import contextlib
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from soil_env._io.loading import FieldError, ParameterError
+from soil_env.parameters.presets import shipped
+from soil_env.parameters.scenario import Scenario, load_scenario_as
+from soil_env.parameters.vehicle import Vehicle, mass_of_wheel
+
+#: Rover of the environments where none is named.
+DEFAULT_ROVER = "lunar_micro_rover"
+_ROUNDING = 1e-6  # [-] relative error that a mass written to a file may have
+
+
+@dataclass(frozen=True)
+class RoverScenario(Scenario):
+    """A complete task of a rover. `wheel` is any of its wheels, with the mean share of the mass."""
+
+    vehicle: Vehicle = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.course.classes:
+            raise FieldError(
+                self, "course.classes", f" = {self.course.classes}: expected 0 for a rover"
+            )
+        least = 2.0 * self.wheel.radius
+        if self.vehicle.nearest < least:
+            given = f" = {self.vehicle.axles!r}"
+            apart = f"axles at least {least:g} m behind each other"
+            expected = f"expected wheels of {self.wheel.radius:g} m radius apart, {apart}"
+            raise FieldError(self, "vehicle.axles", f"{given}: {expected}")
+        share = mass_of_wheel(self.vehicle)
+        if not math.isclose(self.wheel.body_mass, share, rel_tol=_ROUNDING):
+            expected = (
+                f"expected none, or the vehicle's mass over its number of wheels, {share:g} kg"
+            )
+            raise FieldError(self, "wheel.body_mass", f" = {self.wheel.body_mass:g}: {expected}")
+
+    @property
+    def axles(self) -> int:
+        """Axles, each with two wheels and a motor for each."""
+        return len(self.vehicle.axles)
+
+
+def rover_names() -> list[str]:
+    """Names of the shipped rovers."""
+    return shipped("rovers")
+
+
+def load_rover(
+    which: str | Path | RoverScenario = DEFAULT_ROVER,
+    changes: dict[str, Any] | None = None,
+    place: str = "changes",
+) -> RoverScenario:
+    """A rover's scenario by name, by path of a YAML file, or as it is, with `changes` over it.
+
+    As `load_scenario`, with the key `vehicle`. The mass on a wheel follows from the vehicle's.
+    Raises `ParameterError` with one line for anything unknown or out of range.
+    """
+    wheel = (changes or {}).get("wheel")
+    if isinstance(wheel, dict) and "body_mass" in wheel:
+        raise ParameterError(
+            f"{place}: wheel.body_mass: "
+            "expected vehicle.mass, of which the wheels have equal shares"
+        )
+    scenario: RoverScenario = load_scenario_as(
+        RoverScenario, "rovers", which, changes, place, _with_mass
+    )
+    return scenario
+
+
+def _with_mass(mapping: dict[str, Any]) -> dict[str, Any]:
+    """The mapping of a scenario with the mass on a wheel, which follows from the vehicle's."""
+    vehicle = mapping.get("vehicle")
+    wheel = mapping.get("wheel")
+    if not isinstance(vehicle, dict) or not isinstance(wheel, dict):
+        return mapping
+    share = 0.1  # [kg] a mass that `Wheel` takes, where the vehicle is refused
+    with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
+        share = float(vehicle.get("mass", 0.0)) / (2 * len(vehicle.get("axles", ())))
+    return {**mapping, "wheel": {**wheel, "body_mass": share}}

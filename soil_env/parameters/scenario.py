@@ -1,0 +1,239 @@
+"""A complete task of one wheel, and the scenarios of configs/scenarios."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from soil_env._io.loading import (
+    Checked,
+    ParameterError,
+    config_dir,
+    load,
+    merge,
+    quantity,
+    read_yaml,
+    to_dict,
+    unknown_key,
+    unknown_value,
+)
+from soil_env.parameters.belief import Belief, refuse_idle_prior
+from soil_env.parameters.course import Camera, CourseSpec
+from soil_env.parameters.presets import shipped
+from soil_env.parameters.sensors import Noise
+from soil_env.parameters.soil import Soil, SoilSpread, soils
+from soil_env.parameters.task import Control, Limits, RewardWeights
+from soil_env.parameters.wheel import Wheel, with_preset
+
+#: Scenario of the environments, of training and of evaluation, where none is named.
+DEFAULT_SCENARIO = "two_lines"
+_HEAVIEST = 1e9  # [-] weight of a soil in the draw, so that their sum stays finite; own choice
+
+
+@dataclass(frozen=True)
+class Scenario(Checked):
+    """A complete task: wheel, ground, sensors, and what counts as success."""
+
+    wheel: Wheel
+    # name of a soil -> weight in the draw
+    soils: dict[str, float] = field(default_factory=dict)
+    # soils by name, beside and before the presets
+    own_soils: dict[str, Soil] = field(default_factory=dict)
+    name: str = "unnamed"
+    gravity: float = quantity("m/s2", 0.1, 30.0, default=9.81)
+    relaxation: float = quantity(
+        "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
+    )
+    spread: SoilSpread = SoilSpread()
+    course: CourseSpec = CourseSpec()
+    noise: Noise = Noise()
+    camera: Camera = Camera()
+    belief: Belief = Belief()
+    limits: Limits = Limits()
+    reward: RewardWeights = RewardWeights()
+    control: Control = Control()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.soils:
+            raise ParameterError("soils: expected at least one soil name with its weight")
+        library = self.library
+        for place, weights, least in (
+            ("soils", self.soils, ">= 0"),
+            ("belief.soils", self.belief.soils, "> 0"),
+        ):
+            for name, weight in weights.items():
+                if name not in library:
+                    raise unknown_key(name, library, place)
+                if not 0.0 <= weight <= _HEAVIEST or (weight == 0.0 and least == "> 0"):
+                    expected = f"expected a weight {least}, at most {_HEAVIEST:g}"
+                    raise ParameterError(f"{place}.{name} = {weight!r}: {expected}")
+        for name in self.soils:
+            library[name].lumped(self.wheel.width)
+        if self.belief.method == "none" and self.reward.information > 0.0:
+            raise ParameterError(
+                "reward.information: expected 0 where belief.method = 'none' identifies nothing"
+            )
+        if sum(self.soils.values()) <= 0.0:
+            raise ParameterError("soils: expected at least one weight > 0")
+
+    @property
+    def library(self) -> dict[str, Soil]:
+        """The soils that `soils` may name."""
+        return soils() | self.own_soils
+
+    @property
+    def weight(self) -> float:
+        """Weight [N] of the wheel with its share of the body, without payload."""
+        return self.wheel.body_mass * self.gravity
+
+    @property
+    def periods(self) -> int:
+        """Control periods until the time limit."""
+        return max(1, round(self.control.time_limit / self.control.period))
+
+    @property
+    def steps(self) -> int:
+        """Actions until the time limit."""
+        return -(-self.periods // self.control.held)
+
+
+def scenario_names() -> list[str]:
+    """Names of the shipped scenarios."""
+    return shipped("scenarios")
+
+
+def load_scenario(
+    which: str | Path | Scenario = DEFAULT_SCENARIO,
+    changes: dict[str, Any] | None = None,
+    place: str = "changes",
+) -> Scenario:
+    """A scenario by name, by path of a YAML file, or as it is, with `changes` merged over it.
+
+    `changes` is a nested mapping. Errors in it name `place` as their origin. `wheel` may be the
+    name of a preset, or a mapping whose key `preset` names one. `soils`, where given in `changes`,
+    replaces the whole mixture. Raises `ParameterError` with one line for anything unknown or out of
+    range.
+    """
+    scenario: Scenario = load_scenario_as(Scenario, "scenarios", which, changes, place)
+    return scenario
+
+
+def load_scenario_as(
+    kind: type[Scenario],
+    folder: str,
+    which: str | Path | Scenario,
+    changes: dict[str, Any] | None,
+    place: str,
+    complete: Callable[[dict[str, Any]], dict[str, Any]] = dict,
+) -> Any:
+    """`load_scenario` of another class, whose shipped ones are in a `folder` of configs/.
+
+    `complete` adds to the mapping what follows from the rest of it.
+    """
+    mapping, where = _given(kind, folder, which, changes or {})
+    if changes:
+        try:
+            load(kind, complete(_merged(mapping, {}, where)), where)
+            where = place  # all that can be wrong now is in the changes
+        except ParameterError:
+            pass
+    return load(kind, complete(_merged(mapping, changes or {}, where)), where)
+
+
+def _given(
+    kind: type[Scenario], folder: str, which: str | Path | Scenario, changes: dict[str, Any]
+) -> tuple[dict[str, Any], str]:
+    """The mapping of a scenario without the changes, and where it comes from."""
+    singular = folder.removesuffix("s")
+    if isinstance(which, kind):
+        mapping = to_dict(which)
+        where = f"{singular} {which.name!r}"
+        _check_kind(mapping, {}, folder, where)
+        return mapping, where
+    if not isinstance(which, (str, Path)) or which == "":
+        expected = f"expected a name or the path of a YAML file, or a {kind.__name__}"
+        raise ParameterError(f"{singular} = {which!r:.60}: {expected}")
+    path = Path(which)
+    if path.suffix not in (".yaml", ".yml"):
+        path = _shipped_file(folder, which)
+    mapping = read_yaml(path)
+    _check_kind(mapping, changes, folder, f"{singular}: {str(which)!r}")
+    mapping.setdefault("name", path.stem)
+    return mapping, path.name if path.parent == config_dir() / folder else str(path)
+
+
+def _shipped_file(folder: str, which: str | Path) -> Path:
+    """The file of a scenario of this name in a `folder` of configs/."""
+    singular = folder.removesuffix("s")
+    path = config_dir() / folder / f"{which}.yaml"
+    if path.is_file():
+        return path
+    if Path(which).is_dir():
+        raise ParameterError(
+            f"{singular} = {str(which)!r}: is a folder; expected a name or a YAML file"
+        )
+    for other in ("scenarios", "rovers"):
+        if other != folder and (config_dir() / other / f"{which}.yaml").is_file():
+            raise ParameterError(
+                f"{singular}: {which!r} is one of configs/{other}; {_expected(folder)}"
+            )
+    raise unknown_value(which, shipped(folder), singular)
+
+
+def _expected(folder: str) -> str:
+    names = ", ".join(shipped(folder))
+    return f"expected one of {names}, or the path of a {folder.removesuffix('s')}'s YAML file"
+
+
+def _check_kind(mapping: dict[str, Any], changes: dict[str, Any], folder: str, where: str) -> None:
+    """Raise `ParameterError` for a rover where a wheel's scenario is asked for, or the reverse.
+
+    A rover has `vehicle`. A mapping without it, of keys that are all known, is the scenario of a
+    wheel.
+    """
+    known = {f.name for f in fields(Scenario)}
+    if folder == "scenarios" and "vehicle" in mapping:
+        raise ParameterError(f"{where} is a rover, having `vehicle`; {_expected(folder)}")
+    if folder == "rovers" and mapping and known.issuperset((*mapping, *changes)):
+        raise ParameterError(
+            f"{where} is the scenario of a wheel, having no `vehicle`; {_expected(folder)}"
+        )
+
+
+def _merged(mapping: dict[str, Any], changes: dict[str, Any], where: str) -> dict[str, Any]:
+    """The mapping of a scenario with `changes` over it, and the presets in it replaced."""
+    mapping = dict(mapping)
+    changes = dict(changes)
+    belief = _mapping(mapping.get("belief"))
+    asked = _mapping(_plain(changes.get("belief")))
+    if "soils" in changes:  # replaces the whole mixture
+        given = changes.pop("soils")
+        if belief.get("soils") == mapping.get("soils"):  # the belief knows which soils may come
+            kept = given
+            if isinstance(given, dict):
+                kept = {name: weight for name, weight in given.items() if weight != 0.0}
+            belief = belief | {"soils": kept}
+            mapping["belief"] = belief
+        mapping["soils"] = given
+    if "soils" in asked:
+        belief = belief | {"soils": asked["soils"]}
+        mapping["belief"] = belief
+    refuse_idle_prior(belief | asked, where, asked)
+    if "wheel" in changes and not isinstance(changes["wheel"], dict):
+        mapping["wheel"] = changes.pop("wheel")
+    if isinstance(mapping.get("wheel"), str):
+        mapping["wheel"] = {"preset": mapping["wheel"]}  # to merge changes of its values over it
+    mapping = merge(mapping, {key: _plain(value) for key, value in changes.items()})
+    if "wheel" in mapping:
+        mapping["wheel"] = with_preset(mapping["wheel"], where)
+    return mapping
+
+
+def _plain(value: Any) -> Any:
+    return to_dict(value) if isinstance(value, Checked) else value
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    """The value if it is a mapping, else an empty one: `load` refuses it later."""
+    return value if isinstance(value, dict) else {}
