@@ -199,7 +199,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
         elif order == TRY:
             worlds.reward[k] = draw_course(course, wheel, numbers, nodes)
         else:
-            x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.ahead
+            x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.spec.ahead
             extend_course(course, wheel.mass, x, numbers, nodes)
     return failed
 
