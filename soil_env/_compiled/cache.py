@@ -1,8 +1,216 @@
-"""Compiled functions that Python calls, kept on disk."""
+"""Functions that Python calls, compiled once and kept on disk by numba's own cache.
 
-from numba import njit
+Numba notices an edit of a function's own file, not of the files of the functions that it calls. So each version of the
+sources has a folder of its own, named by their hash, with a folder for each function. A lock file lets one process
+compile while others wait for its result. Checksums beside the files tell a damaged file, which is dropped and compiled
+anew. Where nothing can be written, every process compiles for itself.
+"""
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache, update_wrapper
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from filelock import FileLock, Timeout
+from numba import config, njit
+
+PACKAGE = Path(__file__).resolve().parents[1]
+#: Folders and files of the package whose sources and constants compiled code is made of.
+SOURCES = ("_compiled", "parameters", "terramechanics", "simulation", "envs", "slip.py")
+FOLDER = "kernels"
+CHECKSUMS = "checksums.json"
+COMPILED = not config.DISABLE_JIT
 
 
-def kept(function):
-    """Compile a function that Python calls; numba keeps it on disk."""
-    return njit(cache=True, nogil=True, error_model="numpy")(function)
+@cache
+def folder() -> Path | None:
+    """Folder of the compiled code of these sources; None where none can be written.
+
+    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's cache.
+    """
+    installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
+    own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
+    places = [own] if installed else [PACKAGE / "__pycache__", own]
+    if config.CACHE_DIR:
+        places.insert(0, Path(config.CACHE_DIR))
+    for place in places:
+        with suppress(OSError):
+            found = place / FOLDER / _hash_of_sources()
+            found.mkdir(parents=True, exist_ok=True)
+            (found / f"writable-{os.getpid()}").touch()
+            (found / f"writable-{os.getpid()}").unlink()
+            return found
+    return None
+
+
+def _hash_of_sources() -> str:
+    files = [PACKAGE / name for name in SOURCES if name.endswith(".py")]
+    for name in SOURCES:
+        files += (PACKAGE / name).rglob("*.py")
+    return hashlib.sha256(b"".join(f.read_bytes() for f in sorted(files))).hexdigest()[:16]
+
+
+class Kept:
+    """A function that Python calls, compiled for the types that it gets and kept on disk.
+
+    The first call in a process checks the files of the function, and compiles, or loads, under a lock. `py_func` is the
+    function as Python runs it.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func = function
+        self._opened = False
+        self._threads = threading.Lock()
+        self._versions = 0  # compiled ones that the checksums hold
+        root = folder()
+        self._folder = None
+        if root is not None:
+            self._folder = root / f"{function.__module__}.{function.__qualname__}"
+        self._function = _compiled(function, self._folder)
+
+    def __call__(self, *arguments: Any) -> Any:
+        if not self._opened:
+            return self._first_call(arguments)
+        result = self._function(*arguments)
+        if len(self._function.overloads) != self._versions:
+            with self._alone():
+                self._note()
+        return result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _named, (self.__module__, self.__qualname__)
+
+    def _first_call(self, arguments: tuple[Any, ...]) -> Any:
+        with self._threads:
+            if self._opened:  # by another thread
+                return self._function(*arguments)
+            with self._alone():
+                self._check()
+                result = self._function(*arguments)
+                self._opened = True
+                self._note()
+        return result
+
+    @contextmanager
+    def _alone(self):
+        """Wait until no other process compiles the function; on a disk without locks, go on."""
+        with ExitStack() as held:
+            if self._folder is not None:
+                with suppress(OSError, NotImplementedError):
+                    self._folder.mkdir(parents=True, exist_ok=True)
+                    lock = self._folder.with_suffix(".lock")
+                    try:
+                        held.enter_context(FileLock(lock, timeout=0))
+                    except Timeout:
+                        tell("another process compiles the same function; waiting for it")
+                        held.enter_context(FileLock(lock))
+            yield
+
+    def _check(self) -> None:
+        """Drop the function's files if one is damaged; say so, or that it will be compiled."""
+        if self._folder is None:
+            tell("compiled code is not kept, since no folder for it can be written")
+            return
+        known = self._checksums()
+        if known is None or known != self._present():
+            tell(f"compiled code in {self._folder} is damaged; it is dropped and compiled anew")
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._function = _compiled(self.py_func, self._folder)
+            known = {}
+        if not known:
+            tell("compiling, at the first use only: up to half a minute for each environment")
+
+    def _note(self) -> None:
+        """Write the checksums of the files that numba has written."""
+        versions = len(self._function.overloads)
+        if versions == self._versions:
+            return
+        self._versions = versions
+        if self._folder is not None:
+            with suppress(OSError):
+                found = self._folder / CHECKSUMS
+                partial = found.with_suffix(f".{os.getpid()}")
+                partial.write_text(json.dumps(self._present()))
+                partial.replace(found)
+
+    def _checksums(self) -> dict[str, str] | None:
+        """Checksums by file as they were written; empty before the first time, None if they cannot be read."""
+        assert self._folder is not None
+        try:
+            known = json.loads((self._folder / CHECKSUMS).read_text())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError):
+            return None
+        return known if isinstance(known, dict) else None
+
+    def _present(self) -> dict[str, str]:
+        """Checksums by file as they are."""
+        assert self._folder is not None
+        files = sorted(self._folder.rglob("*.nb[ci]"))
+        return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
+    """Numba's dispatcher of a function, with its cache in the folder `place`."""
+    if not COMPILED:
+        return _Interpreted(function)
+    options = {"nogil": True, "error_model": "numpy"}
+    if place is None:
+        return njit(**options)(function)
+    before = config.CACHE_DIR
+    try:
+        config.CACHE_DIR = str(place)  # numba looks for it when the function is decorated
+        return njit(cache=True, **options)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+class _Interpreted:
+    """A function that is not compiled: it divides by zero without a warning, as compiled code does."""
+
+    overloads: tuple[Any, ...] = ()
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = np.errstate(all="ignore")(function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._function(*arguments)
+
+
+def kept(function: Callable[..., Any]) -> Kept:
+    """Decorate a function that Python calls."""
+    return Kept(function)
+
+
+def _named(module: str, name: str) -> Any:
+    return getattr(import_module(module), name)
+
+
+_told: set[str] = set()  # lines that this process has said
+
+
+def tell(line: str) -> None:
+    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
+    if not COMPILED or line in _told or "PYTEST_CURRENT_TEST" in os.environ:
+        return
+    if multiprocessing.parent_process() is None:
+        _told.add(line)
+        print(f"soil_env: {line}", file=sys.stderr, flush=True)
+
+
+def place() -> str:
+    """Folder of the compiled code, in words."""
+    found = folder()
+    return "compiled code is not kept" if found is None else f"kept below {found}"

@@ -1,51 +1,49 @@
-"""Entries of the observation: sensors, camera, true soil, and the estimate of a soil."""
+"""Entries of the observation: sensors, camera, true soil."""
 
 import math
 
-from soil_env._numba.compiling import compiled_inline
+from numba import njit
+
+from soil_env._compiled.flags import EXACT, FINITE
+from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
-from soil_env.simulation.world.terrain import ground_at
-from soil_env.terramechanics.ground import row_soil
+from soil_env.simulation.world.terrain import ground_at, patch_at
+from soil_env.terramechanics.ground import soil_of
 
 SENSORS = 14  # entries that every variant has
+TRUE_SOIL = VARIANTS.index("true_soil")
+ENTRIES_OF_SOIL = 7  # of a true soil
+ENTRIES_AHEAD = 8  # of the true soil of a line ahead: soil and margin
 
 
-@compiled_inline
-def clip(out, task):
+@njit(**FINITE)
+def clip(out, low, high):
     """Cut the observation `out` [D] to the bounds of its layout."""
     for i in range(out.size):
-        out[i] = min(max(out[i], task.low[i]), task.high[i])
+        out[i] = min(max(out[i], low[i]), high[i])
 
 
-@compiled_inline
-def write_observation(out, state, counts, k, reading, courses, sight, task):
-    """Fill the observation `out` [D] of wheel k but for what is identified, cut to the bounds of the layout."""
+@njit(**FINITE)
+def write_sensors(out, wheel, reading, task):
+    """Fill the first entries of the observation `out` [D] of a wheel."""
+    moment = task.weight * task.radius
     out[0] = reading.slip
     out[1] = reading.sinkage / task.radius
     out[2] = reading.drawbar_pull / task.weight
     out[3] = reading.load / task.weight
-    out[4] = reading.torque / (task.weight * task.radius)
+    out[4] = reading.torque / moment
     out[5] = reading.speed / task.top_speed
     out[6] = reading.rim_speed / task.top_speed
     out[7] = reading.pitch
-    out[8] = state.last_action[k]
-    out[9] = state.odometer[k] / task.length
-    out[10] = 1.0 if state.halt_left[k] > 0.0 else 0.0
-    out[11] = reading.motor_torque / (task.weight * task.radius)
+    out[8] = wheel.last_action
+    out[9] = wheel.odometer / task.length
+    out[10] = 1.0 if wheel.halt_left > 0.0 else 0.0
+    out[11] = reading.motor_torque / moment
     out[12] = reading.acceleration / task.gravity
-    out[13] = state.rim_command[k]
-    if task.variant == 2:
-        soil, _, _ = ground_at(courses, k, state.x[k], counts.patch[k], task.border)
-        write_soil(out[SENSORS:], soil)
-    if task.camera.classes > 0:
-        i = task.seen
-        i += write_view(out[i:], state, counts, k, courses, sight, task.camera)
-        if task.variant == 2:
-            write_soils_ahead(out[i:], k, courses, sight, task.camera)
-    clip(out, task)
+    out[13] = wheel.rim_command
 
 
-@compiled_inline
+@njit(**EXACT)
 def write_soil(out, soil):
     """Fill `out` [7] with a true soil."""
     out[0] = math.atan(soil.tan_phi)
@@ -57,52 +55,53 @@ def write_soil(out, soil):
     out[6] = soil.dig_recovery
 
 
-@compiled_inline
-def write_truth(out, state, counts, k, courses, task):
-    """Fill `out` with the entries of `layout.truth` at the true place of wheel k; `task` is that of `true_soil`."""
-    x = state.x[k]
-    edges = courses.edges
-    soil, _, patch = ground_at(courses, k, x, counts.patch[k], task.border)
+@njit(**EXACT)
+def write_soil_under(out, wheel, course, border):
+    """Fill `out` [7] with the true soil under a wheel."""
+    patch = patch_at(course.patches, wheel.x, wheel.patch)
+    soil, _ = ground_at(course.patches, wheel.x, patch, border)
     write_soil(out, soil)
-    if task.camera.classes > 0:
-        sight = Sight(patch, x - edges[k, patch], edges[k, patch + 1] - x)
-        write_soils_ahead(out[7:], k, courses, sight, task.camera)
 
 
-@compiled_inline
-def write_soils_ahead(out, k, courses, sight, camera):
+@njit(**EXACT)
+def write_seen(out, wheel, course, sight, camera, truth):
+    """Fill `out` from its first entry of the camera on; with `truth`, the true soils of the lines ahead behind them."""
+    if camera is None:
+        return
+    else:
+        i = write_view(out, wheel, course, sight, camera)
+        if truth:
+            write_soils_ahead(out[i:], course, sight, camera)
+
+
+@njit(**EXACT)
+def write_truth(out, wheel, course, border, camera):
+    """Fill `out` with the entries of `layout.truth` at the true place of a wheel."""
+    write_soil_under(out, wheel, course, border)
+    _write_true_lines(out[ENTRIES_OF_SOIL:], wheel, course, camera)
+
+
+@njit(**EXACT)
+def _write_true_lines(out, wheel, course, camera):
+    if camera is None:
+        return
+    else:
+        patch = patch_at(course.patches, wheel.x, wheel.patch)
+        here = course.patches[patch]
+        sight = Sight(patch, wheel.x - here.start, here.end - wheel.x)
+        write_soils_ahead(out, course, sight, camera)
+
+
+@njit(**EXACT)
+def write_soils_ahead(out, course, sight, camera):
     """Fill `out` [lines x 8] with the true soils of the lines ahead and their margins over the grade that is seen."""
-    ahead = patch_ahead(courses, k, sight, camera)
-    lines = courses.lines
-    for line in range(camera.lines):
-        o = out[line * 8 :]
-        if ahead >= 0 and line < lines.count[k, ahead]:
-            write_soil(o, row_soil(lines.soils[k, ahead, line]))
-            o[7] = lines.capacities[k, ahead, line] - math.tan(seen_grade(courses, k, ahead, line))
+    ahead = patch_ahead(course, sight, camera)
+    for number in range(camera.lines):
+        entries = out[number * ENTRIES_AHEAD :]
+        if ahead >= 0 and number < course.forks[ahead].lines:
+            line = course.lines[ahead, number]
+            write_soil(entries, soil_of(line))
+            entries[ENTRIES_OF_SOIL] = line.capacity - math.tan(seen_grade(line))
         else:
-            for i in range(8):
-                o[i] = 0.0
-
-
-@compiled_inline
-def write_moments(out, six, four, mean, sd, task):
-    """Mean and sd [5] of (phi, ln K, ln S, c, ln gain): of the first three from `six` on, of the rest from `four`."""
-    out[six] = mean[0]
-    out[six + 1] = mean[1] / math.log(10.0)
-    out[six + 2] = mean[2] / math.log(10.0)
-    out[six + 3] = sd[0]
-    out[six + 4] = sd[1]
-    out[six + 5] = sd[2]
-    out[four] = mean[3] / 1000.0
-    out[four + 1] = task.dig_gain * math.exp(mean[4])
-    out[four + 2] = sd[3] / 1000.0
-    out[four + 3] = sd[4]
-
-
-@compiled_inline
-def write_estimate(out, mean, sd, pull, converged, task):
-    """Fill `out` [13] with an estimate: mean and sd [5] of (phi, ln K, ln S, c, ln gain), best drawbar pull, its sd."""
-    write_moments(out, 0, 7, mean, sd, task)
-    out[6] = 1.0 if converged else 0.0
-    out[11] = pull[0]
-    out[12] = pull[1]
+            for i in range(ENTRIES_AHEAD):
+                entries[i] = 0.0

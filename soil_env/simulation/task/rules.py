@@ -1,22 +1,19 @@
-"""Rules of the task: numbers of the scenario, causes of an episode's end, reward."""
+"""Rules of the task: constants of the scenario, causes of an episode's end, reward."""
 
 import enum
-from collections import namedtuple
-from dataclasses import astuple, fields
-from typing import NamedTuple
+from dataclasses import fields
 
 import numpy as np
+from numba import njit
 
+from soil_env._compiled.flags import FINITE, record
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import compiled_inline
 from soil_env.parameters import Limits, RewardWeights, Scenario
 from soil_env.simulation.task.layout import VARIANTS, layout
-from soil_env.simulation.world.camera import CameraNumbers, camera_numbers
-from soil_env.simulation.world.sensors import SensorNumbers, sensor_numbers
 from soil_env.simulation.world.terrain import BEHIND
-from soil_env.terramechanics.model import WheelSoilModel
 
 REWARD_TERMS = ("progress", "energy", "immobilisation", "information")
+ROUNDING = 1e-9  # [s] by which a sum of control periods may fall short of a time
 
 
 class Cause(enum.IntEnum):
@@ -30,127 +27,96 @@ class Cause(enum.IntEnum):
     TIME_LIMIT = 5  # neither finished nor immobilised in time
 
 
-_FINISHED, _ENTRAPPED, _STALLED, _BOGGED = (
-    c.value for c in (Cause.FINISHED, Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
+RUNNING = Cause.RUNNING.value
+FINISHED = Cause.FINISHED.value
+ENTRAPPED = Cause.ENTRAPPED.value
+STALLED = Cause.STALLED.value
+BOGGED = Cause.BOGGED.value
+TIME_LIMIT = Cause.TIME_LIMIT.value
+
+#: Constants of the task: of the scenario, then `Limits` and `RewardWeights`.
+TASK = record(
+    "weight",  # [N] without payload
+    "gravity",  # [m/s2]
+    "radius",  # [m]
+    "top_speed",  # [m/s] of the rim without load
+    "length",  # [m] of the course
+    "period",  # [s] of the control
+    "odometry_scale",  # [-] sd of the odometry's gain
+    *(f.name for f in fields(Limits)),
+    *(f.name for f in fields(RewardWeights)),
+    variant=("i8",),  # index in `VARIANTS`
+    periods=("i8",),  # control periods until the time limit
+    held=("i8",),  # control periods that an action lasts
+    seen=("i8",),  # index of the first entry of the camera in the observation
 )
-_TIME_LIMIT = Cause.TIME_LIMIT.value
-_RUNNING = Cause.RUNNING.value
 
 
-#: `Limits` and `RewardWeights` as the kernels take them.
-LimitValues = namedtuple("LimitValues", [f.name for f in fields(Limits)])
-RewardValues = namedtuple("RewardValues", [f.name for f in fields(RewardWeights)])
-
-
-class TaskNumbers(NamedTuple):
-    """Numbers of a `Scenario` that define the task."""
-
-    variant: int  # index in VARIANTS
-    weight: float  # [N] without payload
-    gravity: float
-    radius: float
-    top_speed: float  # rim speed without load [m/s]
-    length: float
-    border: float
-    period: float
-    periods: int  # until the time limit
-    repeat: int  # control periods that an action lasts
-    sensors: SensorNumbers
-    low: np.ndarray  # [D] float32 bounds of the observation
-    high: np.ndarray
-    limits: LimitValues
-    reward: RewardValues
-    dig_gain: float  # of the belief
-    camera: CameraNumbers
-    seen: int  # index of the first entry of the camera
-
-
-def task_numbers(
-    scenario: Scenario, variant: str, model: WheelSoilModel | None = None
-) -> TaskNumbers:
-    """Pack the task of a scenario; `model` gives the effects that are on in this world."""
+def task_of(scenario: Scenario, variant: str) -> np.ndarray:
+    """Pack the task of a scenario, `TASK` [1]."""
     if variant == "identified" and scenario.belief.method == "none":
-        raise ParameterError(
-            "belief.method = 'none': expected 'filter' for observation 'identified'"
-        )
-    entries = layout(variant, scenario.course)
+        raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
     w = scenario.wheel
-    return TaskNumbers(
-        variant=VARIANTS.index(variant),
-        weight=scenario.weight,
-        gravity=scenario.gravity,
-        radius=w.radius,
-        top_speed=w.radius * w.no_load_speed,
-        length=scenario.course.length,
-        border=scenario.course.border,
-        period=scenario.control.period,
-        periods=scenario.periods,
-        repeat=scenario.control.held,
-        sensors=sensor_numbers(scenario, model),
-        low=np.array([e.low for e in entries], dtype=np.float32),
-        high=np.array([e.high for e in entries], dtype=np.float32),
-        limits=LimitValues(*astuple(scenario.limits)),
-        reward=RewardValues(*astuple(scenario.reward)),
-        dig_gain=scenario.belief.dig_gain,
-        camera=camera_numbers(scenario),
-        seen=len(layout(variant)),
-    )
+    task = np.zeros(1, TASK)
+    task["weight"] = scenario.weight
+    task["gravity"] = scenario.gravity
+    task["radius"] = w.radius
+    task["top_speed"] = w.radius * w.no_load_speed
+    task["length"] = scenario.course.length
+    task["period"] = scenario.control.period
+    task["odometry_scale"] = scenario.noise.odometry_scale
+    for part in (scenario.limits, scenario.reward):
+        for f in fields(part):
+            task[f.name] = getattr(part, f.name)
+    task["variant"] = VARIANTS.index(variant)
+    task["periods"] = scenario.periods
+    task["held"] = scenario.control.held
+    task["seen"] = len(layout(variant))
+    return task
 
 
-@compiled_inline
-def judge(state, counts, k, task):
-    """`Cause` of wheel k after a control period; advances its clocks, which stand still in halts.
+@njit(**FINITE)
+def judge(vehicle, task):
+    """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
 
-    A wheel is immobilised if it has not got `no_progress_distance` further than ever before for `no_progress_time`,
+    A vehicle is immobilised if it has not got `no_progress_distance` further than ever before for `no_progress_time`,
     has left the course backwards, or has sunk deeper than `bogged_sinkage` radii.
     """
-    out_of_time = counts.steps[k] >= task.periods
-    if state.halt_left[k] > 0.0:
-        return _TIME_LIMIT if out_of_time else _RUNNING
-    if state.best_x[k] >= state.mark_x[k] + task.limits.no_progress_distance:
-        state.mark_x[k] = state.best_x[k]
-        state.idle_time[k] = state.stalled_time[k] = 0.0
+    out_of_time = vehicle.steps >= task.periods
+    if vehicle.halt_left > 0.0:
+        return TIME_LIMIT if out_of_time else RUNNING
+    if vehicle.best_x >= vehicle.mark_x + task.no_progress_distance:
+        vehicle.mark_x = vehicle.best_x
+        vehicle.idle_time = 0.0
+        vehicle.stalled_time = 0.0
     else:
-        state.idle_time[k] += task.period
-        stalled = abs(state.wheel_speed[k]) * task.radius < task.limits.stalled_rim_speed
-        state.stalled_time[k] += task.period if stalled else 0.0
-    if state.x[k] >= task.length:
-        return _FINISHED
-    if state.sinkage[k] > task.limits.bogged_sinkage * task.radius:
-        return _BOGGED
-    if state.idle_time[k] >= task.limits.no_progress_time - 1e-9 or state.x[k] < -BEHIND:
-        return _STALLED if state.stalled_time[k] > 0.5 * state.idle_time[k] else _ENTRAPPED
-    if out_of_time:
-        return _TIME_LIMIT
-    return _RUNNING
+        vehicle.idle_time += task.period
+        if abs(vehicle.wheel_speed) * task.radius < task.stalled_rim_speed:
+            vehicle.stalled_time += task.period
+    if vehicle.x >= task.length:
+        return FINISHED
+    if vehicle.sinkage > task.bogged_sinkage * task.radius:
+        return BOGGED
+    if vehicle.idle_time >= task.no_progress_time - ROUNDING or vehicle.x < -BEHIND:
+        return STALLED if vehicle.stalled_time > 0.5 * vehicle.idle_time else ENTRAPPED
+    return TIME_LIMIT if out_of_time else RUNNING
 
 
-@compiled_inline
-def reward_terms(state, k, cause, task, terms):
-    """Add the last control period of wheel k to the first three of `terms` [4] (see REWARD_TERMS).
+@njit(**FINITE)
+def add_reward(vehicle, cause, task, terms):
+    """Add the last control period of a vehicle to the first three of `terms` [4] (see REWARD_TERMS).
 
     progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
     the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished.
     """
-    terms[0] += task.reward.progress * state.travel[k] / task.length
-    work = max(state.motor_work[k], 0.0)
-    terms[1] -= task.reward.energy * work / (state.mass[k] * task.gravity * task.length)
-    terms[2] -= task.reward.immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
+    terms[0] += task.progress * vehicle.travel / task.length
+    work = max(vehicle.motor_work, 0.0)
+    terms[1] -= task.energy * work / (vehicle.mass * task.gravity * task.length)
+    if cause != RUNNING and cause != FINISHED:
+        terms[2] -= task.immobilisation
 
 
-@compiled_inline
-def information_term(cause, before, after, task):
-    """Reward for knowledge [nat] of a control period: weight x (discount x `after` - `before`).
-
-    Nothing counts as known after the end. This is shaping by a potential, which leaves the best policy as it is (Ng,
-    Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and
-    the last has `after`, which are 0 in the others.
-    """
-    kept = task.reward.information_discount * after if cause == _RUNNING else 0.0
-    return task.reward.information * (kept - before)
-
-
-@compiled_inline
+@njit(**FINITE)
 def total_of(terms):
     """Sum of the reward terms [4]."""
     return terms[0] + terms[1] + terms[2] + terms[3]

@@ -3,12 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.random_streams import normal_pair, ten_normals
+from soil_env._compiled.flags import FINITE, record
+from soil_env._compiled.random_streams import PAIRS, draw_normals, normal_pair
 from soil_env.parameters import Scenario, SensorReading, sensor_noise
-from soil_env.terramechanics.effects import NO_EFFECTS, measured_slip, slip_sinkage_ratio
+from soil_env.terramechanics.effects import measured_slip, slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
+
+#: A `SensorReading` as a record, or the standard deviations of one.
+READING = record(*SensorReading._fields)
 
 
 class SensorErrors(NamedTuple):
@@ -22,68 +26,62 @@ class SensorErrors(NamedTuple):
     slip_sinkage_apparent: float
 
 
-class SensorNumbers(NamedTuple):
-    """Numbers of the sensors from a `Scenario`."""
-
-    radius: float
-    # [10] sd of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
-    noise: np.ndarray
-    odometry_scale: float  # sd
-    period: float  # [s]
-    errors: SensorErrors
+def sensor_errors(model: WheelSoilModel | None) -> SensorErrors | None:
+    """Pack the errors of the sensors in the world of a `model`; None without one."""
+    if model is None:
+        return None
+    return SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
 
 
-def sensor_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> SensorNumbers:
-    """Pack the numbers of `sense`; `model` gives the errors of the sensors in this world."""
-    effects = NO_EFFECTS if model is None else model.numbers
-    errors = SensorErrors(*(getattr(effects, name) for name in SensorErrors._fields))
-    return SensorNumbers(
-        scenario.wheel.radius,
-        sensor_noise(scenario),
-        scenario.noise.odometry_scale,
-        scenario.control.period,
-        errors,
-    )
+def sensor_deviations(scenario: Scenario) -> np.ndarray:
+    """Standard deviations of the sensors, `READING` [1]."""
+    return sensor_noise(scenario).view(READING)
 
 
-@compiled_inline
-def start_odometry(state, k, streams, sensors):
-    """Odometry of wheel k at the start of a course, with a scale that stays the same over it."""
-    state.odometer[k] = 0.0
-    state.odometer_scale[k] = 1.0 + sensors.odometry_scale * normal_pair(streams, k)[0]
+@njit(**FINITE)
+def start_odometry(vehicle, scale):
+    """Odometry at the start of a course, with a gain that stays the same over it; `scale`: its sd [-]."""
+    vehicle.odometer = 0.0
+    vehicle.odometer_scale = 1.0 + scale * normal_pair(vehicle)[0]
 
 
-@compiled_inline
-def roll_odometer(state, k, speed, sensors):
-    """Odometry of wheel k after a control period at whose end the sensor read this `speed` [m/s].
+@njit(**FINITE)
+def roll_odometer(vehicle, speed, period):
+    """Odometry after a control period [s] at whose end the sensor read this `speed` [m/s].
 
     It integrates the readings of the speed sensor, so that its difference holds no truth beyond theirs.
     """
-    state.odometer[k] += state.odometer_scale[k] * speed * sensors.period
+    vehicle.odometer += vehicle.odometer_scale * speed * period
 
 
-@compiled_inline
-def sense(state, k, streams, sensors):
-    """Noisy `SensorReading` of wheel k."""
-    sd = sensors.noise
-    slip = state.slip[k]
-    depth = state.sinkage[k]
-    a, b, c, d, e, f, g, h, i, j = ten_normals(streams, k)
-    fx = sensors.errors
-    sinkage = depth + fx.sinkage_offset_offset
-    if fx.slip_sinkage_apparent > 0.0:
-        sinkage += depth * (
-            slip_sinkage_ratio(slip, fx.slip_sinkage_gain, fx.slip_sinkage_recovery) - 1.0
-        )
-    return SensorReading(
-        min(max(measured_slip(slip, fx) + sd[0] * a, -1.0), 1.0),
-        sinkage + sd[1] * b,
-        state.drawbar_pull[k] + sd[2] * c,
-        state.load[k] + sd[3] * d,
-        state.torque[k] + sd[4] * e,
-        state.speed[k] + sd[5] * f,
-        state.wheel_speed[k] * sensors.radius + sd[6] * g,
-        state.grade[k] + sd[7] * h,
-        state.motor_torque[k] + sd[8] * i,
-        state.drawbar_pull[k] / state.mass[k] + sd[9] * j,
-    )
+@njit(**FINITE)
+def sense(wheel, reading, normals, sd, errors, radius):
+    """Fill the record `reading` (`READING`) with noisy readings of a wheel of `radius` [m]."""
+    draw_normals(wheel, normals, PAIRS)
+    first = normals.first
+    second = normals.second
+    slip, sinkage = _seen(wheel.slip, wheel.sinkage, errors)
+    reading.slip = min(max(slip + sd.slip * first[0], -1.0), 1.0)
+    reading.sinkage = sinkage + sd.sinkage * second[0]
+    reading.drawbar_pull = wheel.drawbar_pull + sd.drawbar_pull * first[1]
+    reading.load = wheel.load + sd.load * second[1]
+    reading.torque = wheel.torque + sd.torque * first[2]
+    reading.speed = wheel.speed + sd.speed * second[2]
+    reading.rim_speed = wheel.wheel_speed * radius + sd.rim_speed * first[3]
+    reading.pitch = wheel.grade + sd.pitch * second[3]
+    reading.motor_torque = wheel.motor_torque + sd.motor_torque * first[4]
+    reading.acceleration = wheel.drawbar_pull / wheel.mass + sd.acceleration * second[4]
+
+
+@njit(**FINITE)
+def _seen(slip, sinkage, errors):
+    """(slip, sinkage [m]) as sensors with `SensorErrors` show them, without noise."""
+    if errors is None:
+        return slip, sinkage
+    else:
+        seen = sinkage + errors.sinkage_offset_offset
+        if errors.slip_sinkage_apparent > 0.0:
+            gain = errors.slip_sinkage_gain
+            ratio = slip_sinkage_ratio(slip, gain, errors.slip_sinkage_recovery)
+            seen += sinkage * (ratio - 1.0)
+        return measured_slip(slip, errors), seen
