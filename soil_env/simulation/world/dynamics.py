@@ -24,7 +24,7 @@ from soil_env.simulation.world.wheel import (
 )
 from soil_env.terramechanics.ground import stiffened
 from soil_env.terramechanics.motor import motor_torque
-from soil_env.terramechanics.reaction import Standing, ground_under, lay_footing, lift_of
+from soil_env.terramechanics.reaction import Standing, ground_under, lay_footing
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
 LEAD = math.sqrt(2.0)  # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
@@ -159,7 +159,7 @@ def take_stage(wheel, stage, drive, forced, course, world):
     end = solve_speeds(wheel, stage, footing, weight * sine, drive, world, beside)
     if not (end.converged or forced):
         return False
-    move(wheel, end, stage, Ground(soil, sinkage, lift_of(beside), grade), drive, rig)
+    move(wheel, end, stage, Ground(soil, sinkage, beside.lift, grade), drive, rig)
     leave_ruts(wheel, course.cells, soil, COMPACTION)
     return True
 

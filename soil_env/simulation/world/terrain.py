@@ -46,8 +46,8 @@ COURSE = record(
 )
 #: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line 1 beside it.
 LINE = record(
+    "grade",  # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
     *SoilState._fields,
-    "grade",  # [rad]
     "capacity",  # [of weight] best steady drawbar pull
     "grade_error",  # [rad] of the grade that a camera sees
     terrain=("i8",),  # number of its class
