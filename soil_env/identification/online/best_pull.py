@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, log, smaller
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import digging_ratio
+from soil_env.identification.online.lanes.elementary import exp, larger, log, smaller
+from soil_env.identification.online.lanes.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env.identification.online.lanes.steady import best_points
 from soil_env.identification.online.soil_nodes import SOIL, below_diagonal
 from soil_env.parameters import Scenario, SoilState
-from soil_env.terramechanics.effects import digging_ratio
-from soil_env.terramechanics.traversability import best_points
 
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])

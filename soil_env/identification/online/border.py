@@ -11,14 +11,21 @@ the unknown rise, v the variance of a reading. Place and rise are the means over
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, log
-from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
 from soil_env.identification.online.curve_fit import drop_border, fit_behind_border
 from soil_env.identification.online.filter_bank import CANDIDATES
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.elementary import exp, larger, log
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.sinkage_filter import begin_next_sinkage, keep_old_sinkage
 from soil_env.identification.online.soil_nodes import begin_next_soil, leave_old_soil
-from soil_env.terramechanics.ground import share_of_next
 
 _ODDS = 2.5  # ln odds at which a change of the grade is a border
 _AHEAD = 0.1  # [border lengths] ahead of a point at which the share of a next soil is taken: until the next point

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env.identification.online.identifier import identifier_numbers
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 6  # those of `online.IdentifierNumbers.prior` and, last, the best drawbar pull [of load]

@@ -6,8 +6,8 @@ soil so far: why, docs/physics/estimation.md has.
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import scratch
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.lanes import scratch
 
 BINS = 8  # of a curve
 #: Of a bin: readings; mean slip, sinkage [m], pull [N] and torque [N m], each with its weight (inverse variance); load

@@ -8,13 +8,29 @@ that is most likely under the node.
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.online import curve, soil_nodes
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.elementary import (
+    exp,
+    fma,
+    larger,
+    log,
+    smaller,
+    sqrt,
+    where_less,
+)
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.soil_nodes import OLD, SOIL, TRIANGLE, UNKNOWNS, below_diagonal
-from soil_env.terramechanics.ground import share_of_next
 
 # Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and torque as affine
 # functions of the unknowns and the slip: constant, slopes; their covariance beside that of the sensors.

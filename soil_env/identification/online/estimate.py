@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from soil_env._numba.compiling import compiled_inline, compiled_root
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_root
+from soil_env.identification.online.lanes.steady import best_working_point
 from soil_env.parameters import Belief, Soil, SoilState
-from soil_env.terramechanics.traversability import best_working_point
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
 MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for

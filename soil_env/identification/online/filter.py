@@ -8,14 +8,15 @@ to another soil (`border`). Where even other readings contradict the laws, these
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, smaller
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
-from soil_env._numba.rows import zero_column
 from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import restart
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import motion_from_slip, onto_fresh
+from soil_env.identification.online.lanes.elementary import larger, smaller
+from soil_env.identification.online.lanes.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env.identification.online.lanes.rows import zero_column
 from soil_env.identification.online.sinkage_filter import (
     DEPTH,
     Ground,
@@ -26,11 +27,8 @@ from soil_env.identification.online.sinkage_filter import (
     start,
 )
 from soil_env.identification.online.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
-from soil_env.slip import motion_from_slip
-from soil_env.terramechanics.effects import onto_fresh
-from soil_env.terramechanics.reaction import REST_SPEED
 
-SLOWEST = 20.0 * REST_SPEED  # [m/s] rim speed below which readings are passed over
+SLOWEST = 0.02  # [m/s] rim speed below which readings are passed over
 # Limits of a point: readings, [wheel radii], range of slip, relative range of the rim speed.
 _READINGS = 8
 _LENGTH = 0.67

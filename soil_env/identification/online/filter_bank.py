@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_part
-from soil_env._numba.lanes import COUNT
-from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.online.best_pull import SLIPS
 from soil_env.identification.online.curve import BINS, FIELDS
 from soil_env.identification.online.curve_fit import FIT_ROWS
+from soil_env.identification.online.lanes.compiling import compiled_part
+from soil_env.identification.online.lanes.lanes import COUNT
+from soil_env.identification.online.lanes.rows import Rows, rows, zero_column
 from soil_env.identification.online.sinkage_filter import SINKAGE_ROWS, new_soil
 from soil_env.identification.online.soil_nodes import GAUSSIAN, NODE_ROWS, PRIOR_SIZE, begin_soil
 from soil_env.identification.online.soil_prior import SoilPrior, depth_of, soil_prior

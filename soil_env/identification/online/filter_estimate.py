@@ -2,11 +2,11 @@
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, log
-from soil_env._numba.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.best_pull import best_pull
 from soil_env.identification.online.border import share_here
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import exp, log
+from soil_env.identification.online.lanes.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.sinkage_filter import (
     GAIN,
     OLD_GAIN,

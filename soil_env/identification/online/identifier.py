@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env.identification.online.best_pull import prior_pull
 from soil_env.identification.online.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.online.filter_bank import (
@@ -16,6 +15,11 @@ from soil_env.identification.online.filter_bank import (
     restart,
 )
 from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
+from soil_env.identification.online.lanes.compiling import (
+    compiled_inline,
+    compiled_part,
+    compiled_root,
+)
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario

@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
 from soil_env.identification.online.class_memory import PULL
+from soil_env.identification.online.lanes.compiling import FastCall, compiled_inline, compiled_root
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.motor import full_voltage
 
 FILE = Path(__file__).with_suffix(".json")
 HORIZONS = (3.0, 5.0)  # [s] of driving
@@ -148,7 +147,7 @@ def _channels(reading, numbers):
     rim = reading.rim_speed / numbers.radius
     pitch = math.sin(reading.pitch)
     stall = numbers.stall_torque
-    available = max(full_voltage(stall, rim, numbers), _LEAST_TORQUE * stall)
+    available = max(stall - stall / numbers.no_load_speed * rim, _LEAST_TORQUE * stall)
     return Channels(
         reading.slip,
         reading.sinkage / numbers.radius,

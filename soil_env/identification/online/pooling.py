@@ -23,10 +23,11 @@ have alike, so that no comparison shows them: the exponent held wrong, the law o
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.online import stretches
 from soil_env.identification.online.identifier import HELD, RENEWED
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import COUNT, scratch
 from soil_env.identification.online.status import Status
 from soil_env.identification.online.stretches import (
     BELIEF,
@@ -37,7 +38,6 @@ from soil_env.identification.online.stretches import (
     WHICH,
     copy_belief,
 )
-from soil_env.terramechanics.ground import share_of_next
 
 _FAR = 1e6  # [m]
 _CONVERGED = Status.CONVERGED.value

@@ -10,9 +10,25 @@ once, in the mean over the uncertainty of both (statistical linearisation: Gelb 
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, tanh
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import (
+    exp,
+    fma,
+    larger,
+    log,
+    smaller,
+    sqrt,
+    tanh,
+)
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 
 DEPTH, PRESSURE, GAIN, OLD_PRESSURE, OLD_GAIN, STATES = range(6)
 HERE = 3  # states away from borders

@@ -6,9 +6,17 @@ next. Why: docs/physics/estimation.md.
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import exp
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
 
 #: Rows of `nodes`, COUNT numbers each: the unknowns, ln K ...

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online.border import begin_known_border
 from soil_env.identification.online.identifier import RENEWED, identifier_numbers
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
 from soil_env.identification.online.status import Status
 from soil_env.parameters import Scenario

@@ -1,0 +1,1 @@
+"""Everything that depends on numba's internals: eight-wide lanes, elementary functions, compiling, streams, threads."""
