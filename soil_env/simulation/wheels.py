@@ -11,17 +11,16 @@ from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_r
 from soil_env._numba.records import row_record
 from soil_env._numba.rows import Rows
 from soil_env.parameters import Scenario
-from soil_env.readings import SensorReading
+from soil_env.readings import IDLE, RESTART, RUNNING, STEP, Image, Record, SensorReading
 from soil_env.simulation.task.observation import write_observation, write_truth
 from soil_env.simulation.task.rules import (
     REWARD_TERMS,
-    Cause,
     TaskNumbers,
     judge,
     reward_terms,
     total_of,
 )
-from soil_env.simulation.world.camera import Image, Sight, image_of, look
+from soil_env.simulation.world.camera import Sight, image_of, look
 from soil_env.simulation.world.courses import (
     CourseDistribution,
     CourseNumbers,
@@ -36,31 +35,13 @@ from soil_env.simulation.world.wheel import WheelCounts, WheelState, WorldNumber
 
 _RESTARTS = 100  # attempts at a course in the middle of a run, where nobody can change the scenario
 LEAST = 32  # wheels that a thread takes at a time, at least
-#: Orders for a wheel: a step (the control periods of an action), a new course, nothing.
-STEP = np.int8(0)
-RESTART = np.int8(1)
-IDLE = np.int8(2)
 #: Orders for a course: a whole one drawn as a trial (`reward` is then the mass on the wheel, or -1 if no passable one
 #: was found), the rest of it drawn, the ground ahead drawn.
 TRY = np.int8(3)
 COMPLETE = np.int8(4)
 AHEAD = np.int8(5)
-RUNNING = Cause.RUNNING.value
-load_reading, store_reading = row_record(SensorReading)
-load_image, _store_image = row_record(Image)
-
-
-class Record(NamedTuple):
-    """Sensor record of the last step, for what runs on board; no rows if nothing does.
-
-    After a restart it holds one set of readings.
-    """
-
-    periods: np.ndarray  # [vehicles] control periods of the last step
-    readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    halted: np.ndarray  # [vehicles, repeat] True in a commanded halt
-    places: np.ndarray  # [vehicles, repeat] odometry [m]
-    images: np.ndarray  # [wheels, repeat, 12] `Image`; no rows without a camera
+_load_reading, store_reading = row_record(SensorReading)
+_load_image, _store_image = row_record(Image)
 
 
 def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:

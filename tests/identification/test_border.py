@@ -8,8 +8,6 @@ import pytest
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
-from soil_env._numba.compiling import compiled_root
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as nodes_of
 from soil_env.identification.online.border import (
     cross_where_the_grade_changes,
@@ -17,8 +15,10 @@ from soil_env.identification.online.border import (
     note_grade,
 )
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.compiling import compiled_root
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.parameters import Belief, load_scenario
-from soil_env.terramechanics.ground import share_of_next
 from tests.identification.observing import started
 from tests.simulation.wheels import EVEN
 

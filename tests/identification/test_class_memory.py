@@ -7,8 +7,8 @@ import pytest
 
 from soil_env.identification.online import class_memory as memory
 from soil_env.identification.online.identifier import new_identifiers
+from soil_env.identification.online.lanes.steady import best_working_point
 from soil_env.parameters import SoilState, load_scenario
-from soil_env.terramechanics.traversability import best_working_point
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")

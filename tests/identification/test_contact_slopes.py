@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import compiled_inline, compiled_root
-from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_root
+from soil_env.identification.online.lanes.lanes import COUNT, from_array, to_array
 from tests.terramechanics import reference
 
 R = 0.15

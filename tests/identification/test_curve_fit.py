@@ -8,13 +8,13 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import softmax
 
-from soil_env._numba.compiling import compiled_root
-from soil_env._numba.lanes import COUNT, fill, to_array
 from soil_env.identification.online import curve as c, soil_nodes as n
 from soil_env.identification.online.curve_fit import begin_bin, fit, share_on_border
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.compiling import compiled_root
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import COUNT, fill, to_array
 from soil_env.parameters import Belief, load_scenario, soils
-from soil_env.terramechanics.ground import share_of_next
 from tests.identification.observing import symmetric
 from tests.identification.test_contact_slopes import reactions
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import compiled_root
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
+from soil_env.identification.online.lanes.compiling import compiled_root
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, SoilSpread, load_scenario, soils, wheels
 from soil_env.simulation.world.dynamics import STEP, advance

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import identifier
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.pooling import pool, share
-from soil_env.identification.online.status import Status
 from soil_env.identification.online.stretches import (
     ERROR_OF_MODEL,
     forget_stretches,
@@ -14,6 +13,7 @@ from soil_env.identification.online.stretches import (
     note,
     pool_numbers,
 )
+from soil_env.identification.status import Status
 from soil_env.parameters import load_scenario
 from tests.identification.observing import observe
 

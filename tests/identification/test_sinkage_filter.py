@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import sinkage_filter as sf
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 

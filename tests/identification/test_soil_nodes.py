@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.special import log_softmax
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as soil
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.sinkage_filter import (
     GAIN as SINKAGE_GAIN,
     PRESSURE as SINKAGE_PRESSURE,

@@ -21,7 +21,7 @@ from soil_env.identification.online.lanes.compiling import (
     compiled_root,
 )
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
-from soil_env.identification.online.status import Status
+from soil_env.identification.status import Status
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from soil_env.identification.online.class_memory import PULL
 from soil_env.identification.online.lanes.compiling import FastCall, compiled_inline, compiled_root
+from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
 
 FILE = Path(__file__).with_suffix(".json")
-HORIZONS = (3.0, 5.0)  # [s] of driving
 SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages
 LARGEST = 6.0  # [standard deviations of the training drives] beyond which an input is cut
 _LEAST_LOAD = 0.05  # [of weight] least load that forces are divided by

@@ -24,11 +24,11 @@ have alike, so that no comparison shows them: the exponent held wrong, the law o
 import math
 
 from soil_env.identification.online import stretches
+from soil_env.identification.online.axles import wheel_behind
 from soil_env.identification.online.identifier import HELD, RENEWED
 from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
 from soil_env.identification.online.lanes.contact import share_of_next
-from soil_env.identification.online.lanes.lanes import COUNT, scratch
-from soil_env.identification.online.status import Status
+from soil_env.identification.online.lanes.lanes import scratch
 from soil_env.identification.online.stretches import (
     BELIEF,
     COHESION,
@@ -38,6 +38,7 @@ from soil_env.identification.online.stretches import (
     WHICH,
     copy_belief,
 )
+from soil_env.identification.status import Status
 
 _FAR = 1e6  # [m]
 _CONVERGED = Status.CONVERGED.value
@@ -261,7 +262,7 @@ def pool(pools, ids, k, first, axles, numbers):
         for j in range(UNKNOWNS):
             P[UNKNOWNS * i + j] = ids.covariance[k, i, j]
     for a in range(axles):
-        o = first + a * COUNT
+        o = wheel_behind(first, a)
         if o == k:
             continue
         known, spread = _known_by(pools, o, k, first, numbers, ground)
@@ -300,7 +301,8 @@ def share(pools, ids, first, axles, outcome, numbers, identifier):
     if outcome == HELD:
         return
     for a in range(1, axles):
-        stretches.hand_over_border(pools, ids, first + a * COUNT, first, numbers, identifier)
+        stretches.hand_over_border(pools, ids, wheel_behind(first, a), first, numbers, identifier)
     for a in range(axles):
-        if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
-            pool(pools, ids, first + a * COUNT, first, axles, numbers)
+        k = wheel_behind(first, a)
+        if outcome == RENEWED or pools.crossing[k] > 0.0:
+            pool(pools, ids, k, first, axles, numbers)

@@ -15,7 +15,7 @@ from soil_env.identification.online.identifier import RENEWED, identifier_number
 from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
 from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
-from soil_env.identification.online.status import Status
+from soil_env.identification.status import Status
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`
@@ -38,7 +38,7 @@ _NO_DATA = Status.NO_DATA.value
 
 
 class Pools(NamedTuple):
-    """Memory of the wheels of many rovers: arrays with one row a wheel, axles `COUNT` rows apart.
+    """Memory of the wheels of many rovers: arrays with one row a wheel (`axles`).
 
     A belief is (mean [3], covariance [3 x 3]) of (phi, ln K, c). Places [m] are of the odometry.
     """

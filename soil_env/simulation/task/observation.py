@@ -82,27 +82,3 @@ def write_soils_ahead(out, k, courses, sight, camera):
         else:
             for i in range(8):
                 o[i] = 0.0
-
-
-@compiled_inline
-def write_moments(out, six, four, mean, sd, task):
-    """Mean and sd [5] of (phi, ln K, ln S, c, ln gain): of the first three from `six` on, of the rest from `four`."""
-    out[six] = mean[0]
-    out[six + 1] = mean[1] / math.log(10.0)
-    out[six + 2] = mean[2] / math.log(10.0)
-    out[six + 3] = sd[0]
-    out[six + 4] = sd[1]
-    out[six + 5] = sd[2]
-    out[four] = mean[3] / 1000.0
-    out[four + 1] = task.dig_gain * math.exp(mean[4])
-    out[four + 2] = sd[3] / 1000.0
-    out[four + 3] = sd[4]
-
-
-@compiled_inline
-def write_estimate(out, mean, sd, pull, converged, task):
-    """Fill `out` [13] with an estimate: mean and sd [5] of (phi, ln K, ln S, c, ln gain), best drawbar pull, its sd."""
-    write_moments(out, 0, 7, mean, sd, task)
-    out[6] = 1.0 if converged else 0.0
-    out[11] = pull[0]
-    out[12] = pull[1]

@@ -60,7 +60,6 @@ class TaskNumbers(NamedTuple):
     high: np.ndarray
     limits: LimitValues
     reward: RewardValues
-    dig_gain: float  # of the belief
     camera: CameraNumbers
     seen: int  # index of the first entry of the camera
 
@@ -91,7 +90,6 @@ def task_numbers(
         high=np.array([e.high for e in entries], dtype=np.float32),
         limits=LimitValues(*astuple(scenario.limits)),
         reward=RewardValues(*astuple(scenario.reward)),
-        dig_gain=scenario.belief.dig_gain,
         camera=camera_numbers(scenario),
         seen=len(layout(variant)),
     )
@@ -136,18 +134,6 @@ def reward_terms(state, k, cause, task, terms):
     work = max(state.motor_work[k], 0.0)
     terms[1] -= task.reward.energy * work / (state.mass[k] * task.gravity * task.length)
     terms[2] -= task.reward.immobilisation if cause != _RUNNING and cause != _FINISHED else 0.0
-
-
-@compiled_inline
-def information_term(cause, before, after, task):
-    """Reward for knowledge [nat] of a control period: weight x (discount x `after` - `before`).
-
-    Nothing counts as known after the end. This is shaping by a potential, which leaves the best policy as it is (Ng,
-    Harada & Russell 1999, ICML; its end: Grzes 2017, AAMAS). Of a step of several periods the first has `before` and
-    the last has `after`, which are 0 in the others.
-    """
-    kept = task.reward.information_discount * after if cause == _RUNNING else 0.0
-    return task.reward.information * (kept - before)
 
 
 @compiled_inline

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from soil_env._numba.compiling import compiled_inline
 from soil_env._numba.random_streams import normal_pair
 from soil_env.parameters import Scenario
+from soil_env.readings import Image
 from soil_env.simulation.world.lines import choosing, settled
 
 
@@ -28,23 +29,6 @@ class Sight(NamedTuple):
     patch: int  # that the wheel seems to be on
     since: float  # [m] from the beginning of it
     left: float  # [m] to its end
-
-
-class Image(NamedTuple):
-    """Numbers of an image, in this order in a record; those of the lines mean something only if `seen`."""
-
-    patch: float  # as in `Sight`
-    since: float
-    left: float
-    here: float  # label of the ground under the wheel
-    seen: float  # 1 if the patch ahead is in sight
-    chosen: float  # 1 if there is no choice of a line any more
-    count: float  # lines over the patch ahead
-    taken: float  # line that the wheel is on the way to
-    label_0: float
-    label_1: float
-    grade_0: float  # [rad]
-    grade_1: float
 
 
 def camera_numbers(scenario: Scenario) -> CameraNumbers:

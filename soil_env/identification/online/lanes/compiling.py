@@ -115,11 +115,6 @@ def compiled_inline(function: Callable[..., Any]) -> Compiled:
     return Part(function, True) if COMPILED else function
 
 
-def uncompiled(function: Compiled) -> Compiled:
-    """Return the Python function of a part, for a call that is not worth compiling; it must call no other part."""
-    return getattr(function, "py_func", function)
-
-
 @overload
 def compiled_root(function: Callable[..., Any]) -> Compiled: ...
 @overload
@@ -146,12 +141,12 @@ class FastCall:
     """
 
     def __init__(self, function) -> None:
-        self._function = function
+        self.function = function  # of Python or compiled
         self._code = None if COMPILED else function
 
     def __call__(self, *arguments):
         if self._code is None:
-            function = getattr(self._function, "root", self._function)
+            function = getattr(self.function, "root", self.function)
             signature = tuple(typeof(a) for a in arguments)
             function.compile(signature)
             self._code = function.overloads[signature].entry_point
@@ -159,7 +154,7 @@ class FastCall:
 
     def __reduce__(self):
         """Pickle by name: numba would pickle the source of the function, and compile it anew in another process."""
-        function = getattr(self._function, "py_func", self._function)
+        function = getattr(self.function, "py_func", self.function)
         return _fast_call, (function.__module__, function.__name__)
 
 
