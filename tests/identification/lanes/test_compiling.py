@@ -68,10 +68,9 @@ def test_a_part_is_called_from_python_like_a_function():
 @pytest.mark.parametrize(
     "make", [lambda n: np.empty(n)[0], lambda n: np.zeros(n).sum(), lambda n: [1.0] * n]
 )
-def test_a_function_that_allocates_does_not_compile_unless_it_may(make):
+def test_a_function_that_allocates_does_not_compile(make):
     with pytest.raises(NumbaError):
         compiled_root(make)(3)
-    compiled_root(allocates=True)(make)(3)
 
 
 def test_a_fast_call_gives_the_same_and_pickles_by_name():

@@ -99,9 +99,7 @@ def law(x, y):
     z = elementary.larger(z, elementary.sqrt(abs(z))) + elementary.copysign(
         elementary.log(1.0 + abs(x)), y
     )
-    return elementary.smaller(z, 2.0) + elementary.chosen(
-        elementary.below(x, y), z, lanes.alike(0.25, z)
-    )
+    return elementary.smaller(z, 2.0) + elementary.where_less(x, y, z, lanes.alike(0.25, z))
 
 
 @compiled_root

@@ -1,1 +1,4 @@
-"""Everything that depends on numba's internals: eight-wide lanes, elementary functions, compiling, streams, threads."""
+"""Compiled code of the online identifier alone: eight numbers as one value, and the base model of the contact in them.
+
+All that depends on numba's internals is here: lanes, rows, elementary functions, compiling and its cache.
+"""

@@ -33,7 +33,7 @@ from numba import config, njit, typeof, types
 from numba.extending import typeof_impl
 
 from soil_env.identification.online.lanes.cache import CACHE, is_kept, keep
-from soil_env.identification.online.lanes.pipeline import ALLOCATING, PART, ROOT
+from soil_env.identification.online.lanes.pipeline import PART, ROOT
 
 #: True if functions are compiled at all.
 COMPILED = not config.DISABLE_JIT
@@ -118,19 +118,14 @@ def compiled_inline(function: Callable[..., Any]) -> Compiled:
 @overload
 def compiled_root(function: Callable[..., Any]) -> Compiled: ...
 @overload
-def compiled_root(
-    *, nogil: bool = ..., allocates: bool = ...
-) -> Callable[[Callable[..., Any]], Compiled]: ...
-def compiled_root(function: Any = None, *, nogil: bool = False, allocates: bool = False) -> Any:
-    """Decorate a compiled function that Python calls. `nogil`: it holds no lock; `allocates`: it may make arrays."""
+def compiled_root(*, nogil: bool = ...) -> Callable[[Callable[..., Any]], Compiled]: ...
+def compiled_root(function: Any = None, *, nogil: bool = False) -> Any:
+    """Decorate a compiled function that Python calls; with `nogil` it holds no lock meanwhile."""
     if function is None:
-        return lambda f: compiled_root(f, nogil=nogil, allocates=allocates)
-    if not COMPILED:
-        return np.errstate(all="ignore")(
-            function
-        )  # as compiled code, which divides by zero without a warning
-    pipeline = ALLOCATING if allocates else ROOT
-    return keep(njit(_nrt=allocates, nogil=nogil, pipeline_class=pipeline, **_OPTIONS)(function))
+        return lambda f: compiled_root(f, nogil=nogil)
+    if not COMPILED:  # as compiled code, which divides by zero without a warning
+        return np.errstate(all="ignore")(function)
+    return keep(njit(_nrt=False, nogil=nogil, pipeline_class=ROOT, **_OPTIONS)(function))
 
 
 class FastCall:

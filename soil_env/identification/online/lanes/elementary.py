@@ -112,7 +112,10 @@ def _scaled(x, k):
 def _exponent_and_mantissa(x):
     """(k, m) with x = m 2^k, m in [sqrt(1/2), sqrt(2)), for normal x > 0."""
     builder = x.builder
-    whole = lambda value: ir.Constant(INTEGERS, [value] * COUNT)
+
+    def whole(value):
+        return ir.Constant(INTEGERS, [value] * COUNT)
+
     bits = builder.bitcast(x.value, INTEGERS)
     shifted = builder.sub(bits, whole(0x3FE6A09E667F3BCD))  # bits of sqrt(1/2)
     k = builder.ashr(shifted, whole(52))
@@ -295,29 +298,10 @@ def larger(a, b):
 
 
 @compiled_inline
-def chosen(mask, x, y):
-    """x where `mask` is 1, y where it is 0."""
-    return where_less(0.5, mask, x, y)
-
-
-@compiled_inline
-def below(a, b):
-    """1 where a < b, else 0."""
-    return where_less(a, b, 1.0, 0.0)
-
-
-@compiled_inline
 def smooth_step(t):
     """(w, dw/dt): cubic from 0 at t = 0 to 1 at t = 1, constant and level beyond."""
     t = smaller(larger(t, 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t), 6.0 * t * (1.0 - t)
-
-
-@compiled_inline
-def sine_of(angle):
-    """Sine of an angle [rad] in lanes, |angle| <= pi."""
-    sin_half, cos_half = half_sin_cos(angle)
-    return 2.0 * sin_half * cos_half
 
 
 @compiled_inline

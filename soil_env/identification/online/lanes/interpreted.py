@@ -47,22 +47,10 @@ def scratch(size):
     return np.full(size, UNSET)
 
 
-def made_of(*values):
-    return np.array(values, dtype=float)
-
-
-def lane(a, i):
-    return float(a[i])
-
-
 def total(a):
     for half in (4, 2, 1):
         a = a[:half] + a[half : 2 * half]
     return float(a[0])
-
-
-def bits(a):
-    return sum(1 << i for i in range(COUNT) if a[i] != 0.0)
 
 
 def smallest(a):

@@ -251,42 +251,10 @@ def _total(builder, value):
 
 
 @emitted
-def made_of(typingctx, a, b, c, d, e, f, g, h):
-    """Lanes of eight floats."""
-
-    def emit(context, builder, sig, args):
-        value = ir.Constant(VECTOR, ir.Undefined)
-        for i, x in enumerate(args):
-            value = builder.insert_element(value, x, ir.Constant(ir.IntType(32), i))
-        return value
-
-    return lanes(*[types.float64] * COUNT), emit
-
-
-@emitted
-def lane(typingctx, a, i):
-    """Lane i of `a`."""
-    return types.float64(
-        lanes, types.intp
-    ), lambda context, builder, sig, args: builder.extract_element(*args)
-
-
-@emitted
 def total(typingctx, a):
     """The sum over the lanes."""
 
     return types.float64(lanes), lambda context, builder, sig, args: _total(builder, args[0])
-
-
-@emitted
-def bits(typingctx, a):
-    """Whole number with bit i set where lane i is not 0."""
-
-    def emit(context, builder, sig, args):
-        mask = builder.fcmp_unordered("!=", args[0], numbers(*[0.0] * COUNT))
-        return builder.zext(builder.bitcast(mask, ir.IntType(COUNT)), ir.IntType(64))
-
-    return types.int64(lanes), emit
 
 
 @emitted

@@ -173,7 +173,7 @@ def remember_types() -> None:
         )
 
 
-def _compiler(library_class, default):
+def _compiler(library_class):
     class Pipeline(Compiler):
         def compile_extra(self, func):
             codegen = self.state.targetctx.codegen()
@@ -185,12 +185,11 @@ def _compiler(library_class, default):
                 return super().compile_extra(func)
 
         def define_pipelines(self):
-            return super().define_pipelines() if default else [_Passes()]
+            return [_Passes()]
 
     return Pipeline
 
 
-#: Numba's compiler for parts, for roots, and for roots that may make arrays.
-PART = _compiler(_Part, False)
-ROOT = _compiler(_Root, False)
-ALLOCATING = _compiler(_Root, True)
+#: Numba's compiler for parts, and for roots.
+PART = _compiler(_Part)
+ROOT = _compiler(_Root)

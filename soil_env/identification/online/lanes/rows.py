@@ -184,13 +184,6 @@ def scratch_rows(cls: type[Rows], columns: int):
 
 
 @compiled_inline
-def copy_column(source, i, target, j):
-    """Copy all quantities at index i of `source` to index j of `target`, rows of one class."""
-    for row in range(source.data.shape[0]):
-        target.data[row, j] = source.data[row, i]
-
-
-@compiled_inline
 def zero_column(target, i):
     """Set all quantities at index i to zero."""
     for row in range(target.data.shape[0]):
