@@ -1,4 +1,6 @@
-"""Online identifier for the readings of a rover: `OnlineIdentifier(wheel).update(Readings(...))` gives an `Estimate`."""
+"""Online identifier for the readings of a rover: `OnlineIdentifier(wheel).update(Readings(...))`
+gives an `Estimate`.
+"""
 
 from soil_env.identification.online.interface import (
     LONGEST_STEP,

@@ -1,4 +1,6 @@
-"""What the world hands to those on board: readings, images and the record of a step, and what they fill in."""
+"""What the world hands to those on board: readings, images and the record of a step, and what they
+fill in.
+"""
 
 from typing import NamedTuple
 
@@ -32,7 +34,9 @@ class SensorReading(NamedTuple):
 
 
 class Image(NamedTuple):
-    """Numbers of an image, in this order in a record; those of the lines mean something only if `seen`."""
+    """Numbers of an image, in this order in a record; those of the lines mean something only if
+    `seen`.
+    """
 
     patch: float  # that the wheel seems to be on
     since: float  # [m] from the beginning of it

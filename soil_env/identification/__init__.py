@@ -1,4 +1,6 @@
-"""Identification of a soil: `online`, a filter of the readings of driven wheels; `table`, the fit of a table."""
+"""Identification of a soil: `online`, a filter of the readings of driven wheels; `table`, the fit
+of a table.
+"""
 
 from soil_env.identification.status import Status
 

@@ -1,4 +1,6 @@
-"""What is published of an estimate, in plain numbers: for infos and for readers that identify nothing themselves."""
+"""What is published of an estimate, in plain numbers: for infos and for readers that identify
+nothing themselves.
+"""
 
 import math
 from collections.abc import Mapping
@@ -12,7 +14,8 @@ HORIZONS = (3.0, 5.0)
 
 
 def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers of an estimate x [5] with its sd [5] and of the best drawbar pull [2] with its sd.
+    """Published numbers of an estimate x [5] with its sd [5] and of the best drawbar pull [2] with
+    its sd.
 
     Of arrays [5, wheels] and [2, wheels] with `of` numpy.
     """
@@ -36,7 +39,9 @@ _BOUNDS = {f.name: f.metadata for f in fields(Soil)}
 
 
 def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
-    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are the belief's."""
+    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are
+    the belief's.
+    """
     within = {
         name: min(max(numbers[name], limit["low"]), limit["high"])
         for name, limit in _BOUNDS.items()

@@ -1,4 +1,5 @@
-"""Rows of the wheels of rovers in arrays of wheels: the one place of the identifier that knows their order.
+"""Rows of the wheels of rovers in arrays of wheels: the one place of the identifier that knows
+their order.
 
 Eight rovers are a block, in which the wheels of an axle lie side by side.
 """

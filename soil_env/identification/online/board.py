@@ -1,4 +1,4 @@
-"""What an estimator on board adds to a step: estimates in the observation, knowledge in the reward."""
+"""What an estimator on board adds to a step: estimates to observe, and knowledge in the reward."""
 
 import math
 from collections.abc import Callable

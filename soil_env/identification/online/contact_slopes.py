@@ -1,8 +1,9 @@
-"""Drawbar pull, torque and mobilised sinkage coefficient at a slip and a sinkage, with their derivatives by the soil.
+"""Drawbar pull, torque and mobilised sinkage coefficient at a slip and a sinkage, with their
+derivatives by the soil.
 
-At a given sinkage the known load mobilises the sinkage coefficient s (`contact.mobilised_sinkage_coefficient`), from
-which pull and torque follow. They do not depend on the sinkage coefficient S of the soil: only the change of the
-sinkage shows it (`sinkage_filter`).
+At a given sinkage the known load mobilises the sinkage coefficient s
+(`contact.mobilised_sinkage_coefficient`), from which pull and torque follow. They do not depend on
+the sinkage coefficient S of the soil: only the change of the sinkage shows it (`sinkage_filter`).
 """
 
 from typing import NamedTuple
@@ -61,14 +62,18 @@ class Reaction(NamedTuple):
 
 @compiled_inline
 def _slope(partial, of_s, s):
-    """(d pull, d torque, d ln s) from the `Forces` that change at a given s, which the load then moves."""
+    """(d pull, d torque, d ln s) from the `Forces` that change at a given s, which the load then
+    moves.
+    """
     ds = -partial.load / of_s.load
     return partial.drawbar_pull + ds * of_s.drawbar_pull, partial.torque + ds * of_s.torque, ds / s
 
 
 @compiled_inline
 def reaction(soil, sinkage, slip, load, r, b):
-    """`Reaction` of eight soils at sinkages [m] and slips under a load [N]; wheel of radius r and width b [m]."""
+    """`Reaction` of eight soils at sinkages [m] and slips under a load [N]; wheel of radius r and
+    width b [m].
+    """
     c = soil.cohesion
     n = soil.exponent
     tan_phi = soil.tangent

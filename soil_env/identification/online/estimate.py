@@ -13,7 +13,8 @@ LEAST_LOAD = 0.05  # share of the weight below which a measured load counts as t
 
 @compiled_inline
 def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
-    """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging / `dig_gain`)).
+    """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging /
+    `dig_gain`)).
 
     Exponent and recovery of digging are those of the belief.
     """
@@ -30,11 +31,13 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
 
 @compiled_root(nogil=True)
 def assess_ground(rows, estimate, pull, seen, numbers, out):
-    """Write the traversability of the ground as identified under the wheels `rows` [n] into `out` [wheels, 6].
+    """Write the traversability of the ground as identified under the wheels `rows` [n] into `out`
+    [wheels, 6].
 
-    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen` [wheels, 2], load [of
-    weight] and pitch [rad]; `numbers` are `FilterNumbers`. Columns of `out`: best slip, drawbar margin and its sd [of
-    load], torques required and available [N m], 1 if the ground is passable (source paper, Section 6).
+    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen`
+    [wheels, 2], load [of weight] and pitch [rad]; `numbers` are `FilterNumbers`. Columns of `out`:
+    best slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if the
+    ground is passable (source paper, Section 6).
     """
     for k in rows:
         x = estimate[k]

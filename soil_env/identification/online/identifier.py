@@ -25,14 +25,15 @@ from soil_env.identification.status import Status
 from soil_env.parameters import Scenario
 from soil_env.readings import SensorReading
 
-#: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to other ground; a
-#: point was completed.
+#: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
+#: other ground; a point was completed.
 HELD = 0
 MOVED = 1
 RENEWED = 2
 _MAY_BE_NEXT = 0.02  # `next_square` above which the pull is renewed with every point
 _OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every third one
-FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
+# |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
+FARTHEST = 60.0
 
 
 class Identifiers(NamedTuple):

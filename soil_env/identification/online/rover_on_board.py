@@ -1,4 +1,5 @@
-"""Estimator on board of rovers: an identifier a wheel, and what all wheels of a rover know together.
+"""Estimator on board of rovers: an identifier a wheel, and what all wheels of a rover know
+together.
 
 As `on_board`, it reads the record of a step after the world has made it.
 """

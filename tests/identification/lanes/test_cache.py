@@ -1,4 +1,6 @@
-"""The cache of compiled code: what it is valid for, processes that start together, folders that cannot be written."""
+"""The cache of compiled code: what it is valid for, processes that start together, folders that
+cannot be written.
+"""
 
 import importlib
 import os
@@ -52,7 +54,9 @@ CALL = "from {0} import f; print(f(1.0), sum(f.stats.cache_hits.values()), sum(f
 
 @pytest.fixture()
 def call(tmp_path):
-    """A function that starts a process which calls the function of a new module, with a folder for compiled code."""
+    """A function that starts a process which calls the function of a new module, with a folder for
+    compiled code.
+    """
     (tmp_path / "kernel_of_a_test.py").write_text(MODULE)
 
     def call(folder):

@@ -110,7 +110,9 @@ def last_of(state, k):
 
 
 def test_rows_of_another_class_are_another_type():
-    """The places of the names are compiled in: the same names in another order must not be taken for them."""
+    """The places of the names are compiled in: the same names in another order must not be taken
+    for them.
+    """
     state = rows("State", "x", "speed", "load")(11)
     turned = rows("State", "load", "speed", "x")(11)
     state.speed = np.arange(11.0)

@@ -25,7 +25,9 @@ def assigned(tree):
 
 
 def returned(source, getters):
-    """Functions of a source that return scratch memory of their own: itself, in a tuple or in a named tuple."""
+    """Functions of a source that return scratch memory of their own: itself, in a tuple or in a
+    named tuple.
+    """
     for function in (
         node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)
     ):
@@ -50,7 +52,9 @@ def returned(source, getters):
 
 
 def test_no_function_returns_its_scratch_memory():
-    """LLVM ends the life of the stack of an inlined function; memory that still points there holds anything."""
+    """LLVM ends the life of the stack of an inlined function; memory that still points there holds
+    anything.
+    """
     trees = {path: path.read_text(encoding="utf-8") for path in SOURCES}
     getters = {
         name

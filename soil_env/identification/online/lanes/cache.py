@@ -1,8 +1,8 @@
 """Cache of compiled code on disk: its place, its validity, and the process that fills it.
 
-Of several processes that find it empty one compiles, and the others wait and load. The lock is a file beside the
-compiled code; the system releases it when its process ends, however that ends. Where nothing can be written, every
-process compiles for itself, and says so.
+Of several processes that find it empty one compiles, and the others wait and load. The lock is a
+file beside the compiled code; the system releases it when its process ends, however that ends.
+Where nothing can be written, every process compiles for itself, and says so.
 """
 
 import hashlib
@@ -17,7 +17,8 @@ from filelock import FileLock, Timeout
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 from numba.core.compiler_lock import global_compiler_lock
 
-#: Folders, with the folders in them, and files whose sources and constants compiled code is made of.
+#: Folders, with the folders in them, and files whose sources and constants compiled code is made
+#: of.
 _ROOMS = ("identification",)
 _FILES = (
     "course_parameters.py",
@@ -38,7 +39,9 @@ def _sources() -> str:
 
 
 class _Index(IndexDataCacheFile):
-    """Index of the cached code of one function; one of earlier sources, whose types may be gone, counts as empty."""
+    """Index of the cached code of one function; one of earlier sources, whose types may be gone,
+    counts as empty.
+    """
 
     def _load_index(self):
         try:
@@ -54,9 +57,11 @@ class _Index(IndexDataCacheFile):
 
 
 def _places(installed: bool) -> list[type]:
-    """Classes by which numba looks for a folder, in turn: beside the sources last if the package is `installed`.
+    """Classes by which numba looks for a folder, in turn: beside the sources last if the package is
+    `installed`.
 
-    Files beside an installed package outlive it: pip leaves them, and the folder with them hides an editable install.
+    Files beside an installed package outlive it: pip leaves them, and the folder with them hides an
+    editable install.
     """
     return sorted(
         CompileResultCacheImpl._locator_classes, key=lambda c: installed and "InTree" in c.__name__
@@ -78,7 +83,9 @@ def _nothing():
 
 
 def _folder() -> Path | None:
-    """The folder where numba keeps compiled code of this package; None where it finds none that it could write."""
+    """The folder where numba keeps compiled code of this package; None where it finds none that it
+    could write.
+    """
     try:
         return Path(_Cache(_nothing)._cache_path)
     except RuntimeError:
@@ -98,7 +105,9 @@ def place() -> str:
 
 
 def keep(dispatcher):
-    """Turn on the cache of a dispatcher, valid for its options, its own file and the sources of all compiled rooms."""
+    """Turn on the cache of a dispatcher, valid for its options, its own file and the sources of all
+    compiled rooms.
+    """
     if CACHE:
         with suppress(RuntimeError):  # a function of no file
             store = dispatcher._cache = _Cache(dispatcher.py_func)
@@ -115,7 +124,9 @@ def keep(dispatcher):
 
 
 def is_kept(dispatcher, signature: tuple) -> bool:
-    """True if the cache holds compiled code of the function as it is now, for arguments of these types."""
+    """True if the cache holds compiled code of the function as it is now, for arguments of these
+    types.
+    """
     index = getattr(dispatcher._cache, "_cache_file", None)
     return index is not None and any(key[0] == signature for key in index._load_index())
 
@@ -156,7 +167,9 @@ def _lock_of(dispatcher) -> Path | None:
 
 @contextmanager
 def _alone(lock: Path | None):
-    """Wait until no other process compiles the same function; without a cache, or on a disk without locks, go on."""
+    """Wait until no other process compiles the same function; without a cache, or on a disk without
+    locks, go on.
+    """
     with ExitStack() as held:
         if lock is not None:
             with suppress(OSError, NotImplementedError):
@@ -172,7 +185,9 @@ _told: set[str] = set()  # lines that this process has said
 
 
 def _tell(line: str) -> None:
-    """A line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
+    """A line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in
+    tests.
+    """
     if (
         line in _told
         or "PYTEST_CURRENT_TEST" in os.environ
@@ -185,7 +200,8 @@ def _tell(line: str) -> None:
 
 def _announcement() -> str:
     wanted = os.environ.get("NUMBA_CACHE_DIR")
-    line = "compiling, at the first use only: some 20 s for each kind of environment, minutes on a loaded machine"
+    line = "compiling, at the first use only: some 20 s for each kind of environment, "
+    line += "minutes on a loaded machine"
     if _FOLDER is None or (wanted and Path(wanted).resolve() not in _FOLDER.resolve().parents):
         line += f" (NUMBA_CACHE_DIR={wanted} cannot be written; {place()})"
     return line

@@ -1,17 +1,20 @@
-"""Decorators of compiled functions: `compiled_part`, `compiled_inline`, and `compiled_root`, kept on disk (`cache`).
+"""Decorators of compiled functions: `compiled_part`, `compiled_inline`, and `compiled_root`, kept
+on disk (`cache`).
 
-A simulation step is some 150 small functions. Numba by itself optimises each of them together with everything it calls,
-and emits machine code for each, although only a few are ever called from Python. Here a part is only translated; its
-callers link it, and a root, a function that Python calls, optimises the whole tree once. Called from Python, as in a
-test or a notebook, a part compiles a root of its own.
+A simulation step is some 150 small functions. Numba by itself optimises each of them together with
+everything it calls, and emits machine code for each, although only a few are ever called from
+Python. Here a part is only translated; its callers link it, and a root, a function that Python
+calls, optimises the whole tree once. Called from Python, as in a test or a notebook, a part
+compiles a root of its own.
 
-Compiled code is kept beside the sources (or where NUMBA_CACHE_DIR says) and is valid for as long as none of the
-compiled sources of the package has changed. With NUMBA_DISABLE_JIT=1 nothing is compiled: the same functions run as
-Python, slowly, for a debugger.
+Compiled code is kept beside the sources (or where NUMBA_CACHE_DIR says) and is valid for as long as
+none of the compiled sources of the package has changed. With NUMBA_DISABLE_JIT=1 nothing is
+compiled: the same functions run as Python, slowly, for a debugger.
 
-`error_model="numpy"`: a division by zero gives inf, as in numpy. `_nrt=False` takes numba's reference counting and heap
-out of a function: two threads that count references to the same arrays slow each other down, and a function that would
-allocate does not compile. Scratch memory is on the stack (`lanes.scratch`, `rows.scratch_rows`).
+`error_model="numpy"`: a division by zero gives inf, as in numpy. `_nrt=False` takes numba's
+reference counting and heap out of a function: two threads that count references to the same arrays
+slow each other down, and a function that would allocate does not compile. Scratch memory is on the
+stack (`lanes.scratch`, `rows.scratch_rows`).
 """
 
 import atexit
@@ -39,7 +42,8 @@ from soil_env.identification.online.lanes.pipeline import PART, ROOT
 COMPILED = not config.DISABLE_JIT
 
 
-#: A compiled function, for type checkers: its numbers may be floats or lanes, its arguments arrays or rows.
+#: A compiled function, for type checkers: its numbers may be floats or lanes, its arguments arrays
+#: or rows.
 Compiled: TypeAlias = Callable[..., Any]
 
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
@@ -49,8 +53,8 @@ _mask = getattr(signal, "pthread_sigmask", None)  # not on Windows
 def _uninterrupted(function, arguments, keywords):
     """Call compiled code that may return a tuple; Ctrl-C waits until it is done.
 
-    Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what that returns without
-    checking it for an error: a crash.
+    Numba makes a named tuple by Python code, in which an interrupt may be raised, and takes what
+    that returns without checking it for an error: a crash.
     """
     if _mask is None:
         return function(*arguments, **keywords)
@@ -63,7 +67,9 @@ def _uninterrupted(function, arguments, keywords):
 
 
 class Part:
-    """A function of compiled code, which Python may call too; `py_func` is its source as a Python function."""
+    """A function of compiled code, which Python may call too; `py_func` is its source as a Python
+    function.
+    """
 
     def __init__(self, function, inline: bool) -> None:
         update_wrapper(self, function)
@@ -111,7 +117,9 @@ def compiled_part(function: Callable[..., Any]) -> Compiled:
 
 
 def compiled_inline(function: Callable[..., Any]) -> Compiled:
-    """Decorate a function of compiled code that is put into its callers, so that values stay in registers."""
+    """Decorate a function of compiled code that is put into its callers, so that values stay in
+    registers.
+    """
     return Part(function, True) if COMPILED else function
 
 
@@ -131,8 +139,9 @@ def compiled_root(function: Any = None, *, nogil: bool = False) -> Any:
 class FastCall:
     """A compiled function without numba's look-up of the types of the arguments at each call.
 
-    The look-up takes 8 us for the nested tuples of a simulation, the call itself 1 us. All calls must have arguments of
-    the same types as the first; nothing checks that. The function returns no tuple (`_uninterrupted`).
+    The look-up takes 8 us for the nested tuples of a simulation, the call itself 1 us. All calls
+    must have arguments of the same types as the first; nothing checks that. The function returns no
+    tuple (`_uninterrupted`).
     """
 
     def __init__(self, function) -> None:
@@ -148,7 +157,9 @@ class FastCall:
         return self._code(*arguments)
 
     def __reduce__(self):
-        """Pickle by name: numba would pickle the source of the function, and compile it anew in another process."""
+        """Pickle by name: numba would pickle the source of the function, and compile it anew in
+        another process.
+        """
         function = getattr(self.function, "py_func", self.function)
         return _fast_call, (function.__module__, function.__name__)
 
@@ -157,7 +168,8 @@ def _fast_call(module: str, name: str) -> FastCall:
     return FastCall(_named(module, name))
 
 
-#: Program of a process that compiles a root into the cache on the disk: module, name and types come pickled on stdin.
+#: Program of a process that compiles a root into the cache on the disk: module, name and types come
+#: pickled on stdin.
 _COMPILE = """import importlib, pickle, sys
 module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`
 getattr(importlib.import_module(module), name).compile(signature)"""
@@ -166,9 +178,9 @@ getattr(importlib.import_module(module), name).compile(signature)"""
 def compile_aside(function, arguments: tuple) -> None:
     """Start a process that compiles a root for such arguments, if the cache does not hold it yet.
 
-    Meanwhile this process compiles what it needs first; a call of the root waits at the lock of the cache for the other
-    process and loads its code. None is started without a second processor, without a cache or in workers of
-    `multiprocessing`.
+    Meanwhile this process compiles what it needs first; a call of the root waits at the lock of the
+    cache for the other process and loads its code. None is started without a second processor,
+    without a cache or in workers of `multiprocessing`.
     """
     alone = os.cpu_count() == 1 or multiprocessing.parent_process() is not None
     signature = tuple(typeof(a) for a in arguments)

@@ -1,11 +1,13 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper (docs/physics/contact.md).
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper
+(docs/physics/contact.md).
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress distribution is
-Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress
+distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 
-The integrals over the contact arc are by Gauss-Legendre quadrature. The nodes of one wheel's arc are in the lanes;
-those of eight wheels' arcs, one wheel a lane, are taken one after the other. The same code does both
-(`lanes.over_eight`). Beside the contact, the motion of a wheel and its digging. The wheel travels forward.
+The integrals over the contact arc are by Gauss-Legendre quadrature. The nodes of one wheel's arc
+are in the lanes; those of eight wheels' arcs, one wheel a lane, are taken one after the other. The
+same code does both (`lanes.over_eight`). Beside the contact, the motion of a wheel and its digging.
+The wheel travels forward.
 """
 
 from typing import NamedTuple
@@ -46,8 +48,9 @@ _depth = over_eight(NODE_DEPTHS)
 _weight = over_eight(NODE_WEIGHTS)
 
 
-#: Nodes of contact arcs: COUNT columns a node, NODE_COLUMNS for eight wheels. Stress for S = 1 times the node's weight,
-#: cosine and sine of the front node, and of the rear node times the length of its zone over that of the front zone.
+#: Nodes of contact arcs: COUNT columns a node, NODE_COLUMNS for eight wheels. Stress for S = 1
+#: times the node's weight, cosine and sine of the front node, and of the rear node times the length
+#: of its zone over that of the front zone.
 Nodes: type[Rows] = rows("Nodes", "stress", "cos_front", "sin_front", "cos_rear", "sin_rear")
 NODE_COLUMNS = COUNT * NODES_PER_ZONE
 _ShearAtNodes: type[Rows] = rows(
@@ -60,7 +63,8 @@ _one_arc = scratch_rows(Nodes, COUNT)
 class ArcIntegrals(NamedTuple):
     """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n] or without stress [-].
 
-    p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear strength.
+    p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear
+    strength.
     """
 
     p_cos: float  # Int p cos(theta)
@@ -117,7 +121,9 @@ class ArcFrame(NamedTuple):
 
 @compiled_inline
 def motion_from_slip(slip):
-    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
+    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1
+    spins on the spot.
+    """
     braking = larger(1.0 + slip, 1e-9)  # r w / V
     return alike(1.0, slip), where_less(slip, 0.0, 1.0 / braking, 1.0 - slip)
 
@@ -131,19 +137,24 @@ def travel_rate(travel):
 
 @compiled_inline
 def digging_ratio(slid, way, gain, recovery):
-    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
+    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way`
+    of the same unit.
+    """
     return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
 
 
 @compiled_inline
 def onto_fresh(x, low, high):
-    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had touched before."""
+    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had
+    touched before.
+    """
     return larger(x - high, 0.0) + larger(low - x, 0.0)
 
 
 @compiled_inline
 def share_of_next(distance):
-    """(share of the next soil on a border, its derivative) at a distance from its middle, in lengths of the border.
+    """(share of the next soil on a border, its derivative) at a distance from its middle, in
+    lengths of the border.
 
     A cubic from 0 half a length before the middle to 1 half a length behind it.
     """
@@ -152,7 +163,9 @@ def share_of_next(distance):
 
 @compiled_inline
 def entry_angle(sinkage, r):
-    """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos theta1)."""
+    """Entry angle theta1 [rad] of a wheel of radius r [m] at the given sinkage [m]: z0 = r (1 - cos
+    theta1).
+    """
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
@@ -165,7 +178,9 @@ def smooth_arc(sinkage, r):
 
 @compiled_inline
 def mobilised(j, K):
-    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10)."""
+    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq.
+    (10).
+    """
     rate = 1.0 / K
     decay = exp(-1.0 * (rate * abs(j)))
     return copysign(1.0 - decay, j), rate * decay
@@ -173,10 +188,12 @@ def mobilised(j, K):
 
 @compiled_inline
 def store_nodes(arc, n, nodes, at):
-    """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`; return `ArcFrame`.
+    """Write what quadrature nodes of an `Arc` need at any motion and K to columns at.. of `Nodes`;
+    return `ArcFrame`.
 
-    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind. That
-    removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the two nodes have the same normal stress.
+    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam -
+    theta2) u^2 behind. That removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the
+    two nodes have the same normal stress.
     """
     front = arc.theta1 - arc.thetam
     rear = arc.thetam - arc.theta2
@@ -220,7 +237,9 @@ def store_nodes(arc, n, nodes, at):
 
 @compiled_inline
 def _levers(frame, nodes, i, k, r):
-    """dj/d(rim) and dj/d(travel) [m] at the front node, then at the rear node: Eq. (10) split by the motion."""
+    """dj/d(rim) and dj/d(travel) [m] at the front node, then at the rear node: Eq. (10) split by
+    the motion.
+    """
     depth = _depth(frame.theta1, k)
     ahead = (r * frame.front) * depth
     return (
@@ -233,7 +252,8 @@ def _levers(frame, nodes, i, k, r):
 
 @compiled_inline
 def _sums(frame, nodes, at, in_front, behind):
-    """Six sums over an arc of values at its nodes: with the stress times cos, sin and 1, and without the stress.
+    """Six sums over an arc of values at its nodes: with the stress times cos, sin and 1, and
+    without the stress.
 
     One value at a time, as the sums of all of them do not fit into the registers.
     """
@@ -279,7 +299,9 @@ def _integrals(frame, e):
 
 @compiled_inline
 def _shear(frame, nodes, at, rim, travel, K, r, shear):
-    """Mobilised share at the nodes of `store_nodes` and its derivatives, x by `rim` and y by `travel`, into `shear`."""
+    """Mobilised share at the nodes of `store_nodes` and its derivatives, x by `rim` and y by
+    `travel`, into `shear`.
+    """
     for k in range(turns(frame.theta1)):
         i = k * COUNT
         a, z, a2, z2 = _levers(frame, nodes, at + i, k, r)
@@ -302,9 +324,11 @@ def _shear_sums(frame, nodes, at, shear):
 
 @compiled_inline
 def smooth_integrals(frame, nodes, rim, travel, K, n, r):
-    """Integrals of an arc of `smooth_arc`, from the first column of nodes on, and their derivatives.
+    """Integrals of an arc of `smooth_arc`, from the first column of nodes on, and their
+    derivatives.
 
-    (ArcIntegrals, ArcRates by `rim`, by `travel`, ArcIntegrals by the entry angle [1/rad], by the sinkage exponent).
+    (ArcIntegrals, ArcRates by `rim`, by `travel`, ArcIntegrals by the entry angle [1/rad], by the
+    sinkage exponent).
     """
     shear = _shear_at_nodes()
     _shear(frame, nodes, 0, rim, travel, K, r, shear)
@@ -438,7 +462,9 @@ def shear_modulus_rates(by_rim, by_travel, rim, travel, K):
 
 @compiled_inline
 def shear_forces(q, st, c, r, b):
-    """`Forces` of the shear stress alone, st = S tan(phi), from `ArcIntegrals`; from `ArcRates`, their derivatives."""
+    """`Forces` of the shear stress alone, st = S tan(phi), from `ArcIntegrals`; from `ArcRates`,
+    their derivatives.
+    """
     rb = r * b
     return Forces(
         rb * (st * q.pe_sin + c * q.e_sin),
@@ -449,7 +475,9 @@ def shear_forces(q, st, c, r, b):
 
 @compiled_inline
 def forces(integrals, S, tan_phi, c, r, b):
-    """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent")."""
+    """`Forces` from `ArcIntegrals`: Eqs. (1)-(3) with the exact resistance integral of Eq. (11)
+    ("consistent").
+    """
     shear = shear_forces(integrals, S * tan_phi, c, r, b)
     normal = r * b * S
     return Forces(
@@ -461,15 +489,19 @@ def forces(integrals, S, tan_phi, c, r, b):
 
 @compiled_inline
 def bearing_share(integrals, tan_phi):
-    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n]; Eq. (1)."""
+    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n];
+    Eq. (1).
+    """
     return integrals.p_cos + tan_phi * integrals.pe_sin
 
 
 @compiled_inline
 def mobilised_sinkage_coefficient(integrals, load, tan_phi, c, r, b):
-    """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
+    """Sinkage coefficient s [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least
+    0.
 
-    Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed form.
+    Eq. (1) is linear in S, so at a given sinkage the coefficient the load mobilises has a closed
+    form.
     """
     q = integrals
     bearing = bearing_share(q, tan_phi)

@@ -1,11 +1,12 @@
 """Elementary functions of floats and of lanes.
 
-Numba does not vectorise `exp`, `log` and `sin` by itself, so for lanes these are polynomials, without branches. Errors
-relative to the true value, over the whole range stated: exp 3e-15, log 1e-15 (absolute below 1), sin and cos 2e-15 of
-full scale. Of floats they are the functions of the mathematical library.
+Numba does not vectorise `exp`, `log` and `sin` by itself, so for lanes these are polynomials,
+without branches. Errors relative to the true value, over the whole range stated: exp 3e-15, log
+1e-15 (absolute below 1), sin and cos 2e-15 of full scale. Of floats they are the functions of the
+mathematical library.
 
-Every operation is written out (`fma` where a product is added), so a law gives the same bits wherever it is inlined;
-the scalar and the vector environment rely on that.
+Every operation is written out (`fma` where a product is added), so a law gives the same bits
+wherever it is inlined; the scalar and the vector environment rely on that.
 """
 
 from llvmlite import ir
@@ -82,7 +83,7 @@ class _Emitted:
 
 
 def _of_one(polynomial, name):
-    """A compiled function of one number: `polynomial` of lanes, LLVM's intrinsic `name` of a float."""
+    """Make a function of one number: `polynomial` of lanes, LLVM's intrinsic `name` of a float."""
 
     def function(typingctx, x):
         if x == lanes:
@@ -226,7 +227,9 @@ def asin_root(typingctx, t):
 
 
 def _mixed(*given):
-    """(result type, argument types) of a function whose arguments are floats or lanes; a float where all are."""
+    """(result type, argument types) of a function whose arguments are floats or lanes; a float
+    where all are.
+    """
     return (lanes if lanes in given else types.float64), [
         t if t == lanes else types.float64 for t in given
     ]

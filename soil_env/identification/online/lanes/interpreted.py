@@ -1,12 +1,15 @@
-"""Lanes as arrays of eight numbers, for NUMBA_DISABLE_JIT=1, in place of those of `lanes`, `elementary` and `rows`.
+"""Lanes as arrays of eight numbers, for NUMBA_DISABLE_JIT=1, in place of those of `lanes`,
+`elementary` and `rows`.
 
-Slow; for stepping through a law with a debugger, and as an independent reading of the compiled forms.
+Slow; for stepping through a law with a debugger, and as an independent reading of the compiled
+forms.
 """
 
 import numpy as np
 
 COUNT = 8
-#: What scratch memory holds before it is written; compiled code sets it to nothing. A test sets NaN and 1e300 here.
+#: What scratch memory holds before it is written; compiled code sets it to nothing. A test sets NaN
+#: and 1e300 here.
 UNSET = 0.0
 
 

@@ -1,9 +1,9 @@
 """Lanes: eight float64 numbers as one value inside compiled code.
 
-Eight numbers are one AVX-512 register (two of AVX2, four of SSE2 or NEON: LLVM splits them). They are eight wheels that
-are stepped at once, or the eight quadrature nodes of one wheel's contact arc. `elementary` has the functions on them.
-A law that is written for "floats or lanes" is compiled for either. With NUMBA_DISABLE_JIT=1 lanes are arrays of eight
-numbers (`interpreted`).
+Eight numbers are one AVX-512 register (two of AVX2, four of SSE2 or NEON: LLVM splits them). They
+are eight wheels that are stepped at once, or the eight quadrature nodes of one wheel's contact arc.
+`elementary` has the functions on them. A law that is written for "floats or lanes" is compiled for
+either. With NUMBA_DISABLE_JIT=1 lanes are arrays of eight numbers (`interpreted`).
 """
 
 import operator
@@ -54,7 +54,9 @@ def numbers(*values):
 
 
 def emitted(definition):
-    """Decorate an `intrinsic` of numba; where nothing is compiled it is the function of that name in `interpreted`."""
+    """Decorate an `intrinsic` of numba; where nothing is compiled it is the function of that name
+    in `interpreted`.
+    """
     return intrinsic(definition) if COMPILED else getattr(interpreted, definition.__name__)
 
 
@@ -149,7 +151,9 @@ def to_array(typingctx, x, a, i):
 
 
 def on_stack(builder, of, size):
-    """Code for memory of the function that is compiled; unlike `cgutils.alloca_once` it does not fill it with zeros."""
+    """Code for memory of the function that is compiled; unlike `cgutils.alloca_once` it does not
+    fill it with zeros.
+    """
     with builder.goto_entry_block():
         data = builder.alloca(ir.ArrayType(of, size))
     data.align = 64
@@ -157,10 +161,11 @@ def on_stack(builder, of, size):
 
 
 def scratch(size):
-    """A compiled function without arguments that returns a float64 array [size] on the stack of its caller.
+    """A compiled function without arguments that returns a float64 array [size] on the stack of its
+    caller.
 
-    It is not set to anything, and gone when the caller returns, also where that is put into its own caller: the caller
-    must not return it.
+    It is not set to anything, and gone when the caller returns, also where that is put into its own
+    caller: the caller must not return it.
     """
 
     @intrinsic
@@ -184,10 +189,11 @@ def scratch(size):
 
 
 def over_eight(values):
-    """A compiled function get(pattern, k): the eight numbers as lanes if `pattern` is a float, number k if it is lanes.
+    """A compiled function get(pattern, k): the eight numbers as lanes if `pattern` is a float,
+    number k if it is lanes.
 
-    So one loop serves one arc with its nodes in the lanes and eight arcs with one node after the other (`turns`,
-    `summed`).
+    So one loop serves one arc with its nodes in the lanes and eight arcs with one node after the
+    other (`turns`, `summed`).
     """
     eight = tuple(float(v) for v in values)
 
@@ -228,7 +234,9 @@ def turns(typingctx, pattern):
 
 @emitted
 def summed(typingctx, x, pattern):
-    """The sum over the eight of a value accumulated in such a loop: over the lanes of `x` if `pattern` is a float."""
+    """The sum over the eight of a value accumulated in such a loop: over the lanes of `x` if
+    `pattern` is a float.
+    """
     if pattern == lanes:
         return lanes(lanes, lanes), lambda context, builder, sig, args: args[0]
     return types.float64(lanes, types.float64), lambda context, builder, sig, args: _total(

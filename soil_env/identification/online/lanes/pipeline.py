@@ -1,9 +1,10 @@
 """Passes of numba's compiler that the functions of this package need, and no others.
 
-Numba's own pipeline has 27 passes, most of which look for what no kernel here has (closures, object mode, array
-expressions, parallel loops), and LLVM optimises every function of a tree twice. Here a part runs eight passes and is
-linked as it is; the root of the tree is optimised once. Python's garbage collector, which would walk through numba's
-many small objects again and again and find nothing, waits until a root is done.
+Numba's own pipeline has 27 passes, most of which look for what no kernel here has (closures, object
+mode, array expressions, parallel loops), and LLVM optimises every function of a tree twice. Here a
+part runs eight passes and is linked as it is; the root of the tree is optimised once. Python's
+garbage collector, which would walk through numba's many small objects again and again and find
+nothing, waits until a root is done.
 """
 
 import gc
@@ -20,7 +21,9 @@ from numba.extending import models, register_model
 
 
 class _WithoutEnvironment:
-    """The code generator, for functions that have no place in memory into which Python objects could be written."""
+    """The code generator, for functions that have no place in memory into which Python objects
+    could be written.
+    """
 
     def __init__(self, codegen) -> None:
         self._codegen = codegen
@@ -33,7 +36,9 @@ class _WithoutEnvironment:
 
 
 class _Part(JITCodeLibrary):
-    """Code that is only ever linked into that of a caller: neither optimised nor turned into machine code by itself."""
+    """Code that is only ever linked into that of a caller: neither optimised nor turned into
+    machine code by itself.
+    """
 
     linkable = False  # while a root is linked; any other caller would miss what this part calls
 
@@ -55,7 +60,8 @@ class _Part(JITCodeLibrary):
     def _get_module_for_linking(self):
         if not _Part.linkable:
             raise TypeError(
-                f"{self.name}: a part called by a function of numba's `njit`: make that a `compiled_root`"
+                f"{self.name}: a part called by a function of numba's `njit`: "
+                "make that a `compiled_root`"
             )
         return super()._get_module_for_linking()
 
@@ -84,7 +90,9 @@ class _Root(JITCodeLibrary):
 
 
 class _Passes:
-    """The passes of numba over a function without closures, `with`, generators and counted references."""
+    """The passes of numba over a function without closures, `with`, generators and counted
+    references.
+    """
 
     pipeline_name = "soil_env"
     passes = tuple(
@@ -126,7 +134,8 @@ def _uncollected():
 class _Remembered(types.Function):
     """A built-in function whose type of result is found once for given types of arguments.
 
-    Numba tries all templates of the function, and formats an error for each that does not fit, at every occurrence.
+    Numba tries all templates of the function, and formats an error for each that does not fit, at
+    every occurrence.
     """
 
     def __init__(self, templates) -> None:

@@ -1,12 +1,14 @@
-"""Rows: arrays with names, one contiguous row of numbers for each quantity, for the state and the scratch of wheels.
+"""Rows: arrays with names, one contiguous row of numbers for each quantity, for the state and the
+scratch of wheels.
 
-    State = rows("State", "x", "speed")          # a class
-    state = State(10)                            # quantities of ten wheels, zero
-    state.x[3], state["x"], state[3]             # a number; a row; all quantities of wheel 3 as a dict
+    State = rows("State", "x", "speed")          # a class state = State(10)
+    # quantities of ten wheels, zero state.x[3], state["x"], state[3]             # a number; a row;
+    all quantities of wheel 3 as a dict
 
-In compiled code `state.x` is the same row, so that `from_array(state.x, k)` loads eight neighbours at once, and `state`
-itself is one pointer; `state.data` is all rows [names, columns]. A row is as long as the next multiple of eight there,
-so that the last eight can be loaded like any other. `scratch_rows(State, n)` are rows on the stack.
+In compiled code `state.x` is the same row, so that `from_array(state.x, k)` loads eight neighbours
+at once, and `state` itself is one pointer; `state.data` is all rows [names, columns]. A row is as
+long as the next multiple of eight there, so that the last eight can be loaded like any other.
+`scratch_rows(State, n)` are rows on the stack.
 """
 
 import sys
@@ -53,7 +55,8 @@ class Rows:
     def __getattr__(self, name: str) -> np.ndarray:
         if name.startswith("__") or name not in self.NAMES:
             raise AttributeError(
-                f"{type(self).__name__} has no row {name!r}: expected one of {', '.join(self.NAMES)}"
+                f"{type(self).__name__} has no row {name!r}: "
+                f"expected one of {', '.join(self.NAMES)}"
             )
         return self.data[self.NAMES.index(name), : self.count if COMPILED else None]
 
@@ -156,9 +159,11 @@ def _row(context, builder, typ, value, name):
 
 
 def scratch_rows(cls: type[Rows], columns: int):
-    """A compiled function without arguments that returns rows on the stack of its caller, not set to anything.
+    """A compiled function without arguments that returns rows on the stack of its caller, not set
+    to anything.
 
-    The caller must not return them: they are gone with its frame, also where it is put into its own caller.
+    The caller must not return them: they are gone with its frame, also where it is put into its own
+    caller.
     """
     if not COMPILED:
         return lambda: cls(

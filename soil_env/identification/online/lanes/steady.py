@@ -1,4 +1,6 @@
-"""Steady state of a wheel on level, fresh soil by the base model, and the slip of its best drawbar pull."""
+"""Steady state of a wheel on level, fresh soil by the base model, and the slip of its best drawbar
+pull.
+"""
 
 import math
 from typing import NamedTuple
@@ -38,7 +40,9 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    supported: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
+    # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the
+    # bound
+    supported: bool
 
 
 class _Balance(NamedTuple):
@@ -55,7 +59,8 @@ class _Balance(NamedTuple):
 
 @compiled_part
 def slip_sinkage_ratio(slip, gain, recovery):
-    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
+    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i|
+    + recovery |i|).
 
     For a braked wheel the digging is driven by the share |i| of its travel that it slides.
     """
@@ -72,7 +77,9 @@ def _balance(slip, load, soil, r, b):
 
 @compiled_inline
 def _misfit(x, p):
-    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
+    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces`
+    there).
+    """
     soil = p.soil
     c = soil.cohesion
     arc = smooth_arc(math.exp(x), p.r)
@@ -86,7 +93,9 @@ def _misfit(x, p):
 
 @compiled_inline
 def _first_guess(p, guess):
-    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
+    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate,
+    sqrt(2 r z) long.
+    """
     if guess > 0.0:
         return math.log(guess)
     pressure = math.log(p.load / (p.b * math.sqrt(2.0 * p.r))) - p.strength
@@ -96,7 +105,9 @@ def _first_guess(p, guess):
 
 @compiled_part
 def _solve_balance(p, guess):
-    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
+    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on
+    `_misfit`.
+    """
     deepest = math.log(DEEPEST * p.r)
     low = math.log(1e-6 * p.r)
     high = deepest
@@ -142,11 +153,13 @@ def _along(before, now, share):
 
 @compiled_part
 def steady_state(slip, load, soil, r, b, guess):
-    """`Steady` sinkage, drawbar pull and torque at a slip and a load [N], with the digging of `soil`.
+    """`Steady` sinkage, drawbar pull and torque at a slip and a load [N], with the digging of
+    `soil`.
 
-    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
-    pressure: s z^n = S z_w^n with z = k(i) z_w. The root of the difference of the logarithms is found by a bracketed
-    secant in ln z, in which it is nearly straight, from `guess` [m] where one is given.
+    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the
+    same bearing pressure: s z^n = S z_w^n with z = k(i) z_w. The root of the difference of the
+    logarithms is found by a bracketed secant in ln z, in which it is nearly straight, from `guess`
+    [m] where one is given.
     """
     x, w, supported = _solve_balance(_balance(slip, load, soil, r, b), guess)
     return Steady(min(math.exp(x), DEEPEST * r), w.drawbar_pull, w.torque, supported)
@@ -163,10 +176,11 @@ class Best(NamedTuple):
 
 @compiled_part
 def best_working_point(load, soil, r, b, torque_available):
-    """`Best` of `steady_state` over the slips of `SLIPS`: up from the middle of them, then down from there.
+    """`Best` of `steady_state` over the slips of `SLIPS`: up from the middle of them, then down
+    from there.
 
-    The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque
-    than there is.
+    The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip
+    takes more torque than there is.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
@@ -204,9 +218,11 @@ def best_working_point(load, soil, r, b, torque_available):
 
 @compiled_root(nogil=True)
 def best_points(rows, soils, load, r, b, torque, slip, pull):
-    """Write slip [-] and drawbar pull [N] of the best working point of the wheels `rows` into `slip` and `pull` [n].
+    """Write slip [-] and drawbar pull [N] of the best working point of the wheels `rows` into
+    `slip` and `pull` [n].
 
-    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; r, b [m] and the motor's torque [N m] are of all wheels.
+    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; r, b [m] and the motor's torque [N m]
+    are of all wheels.
     """
     for k in rows:
         s = soils[k]
