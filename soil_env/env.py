@@ -11,7 +11,7 @@ from soil_env._io.loading import ParameterError
 from soil_env.course_env import CourseEnv, CourseVectorEnv, scenario_changes
 from soil_env.driving.infos import IMMOBILISED, Infos, asks, checked
 from soil_env.driving.wheels import Simulation
-from soil_env.identification.online.estimate import published, soil_of_numbers
+from soil_env.identification.published import published, soil_of_numbers
 from soil_env.parameters import (
     DEFAULT_SCENARIO,
     CourseSpec,

@@ -11,8 +11,8 @@ from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import FastCall, compile_aside
 from soil_env._numba.lanes import COUNT
 from soil_env._numba.random_streams import seed_stream
-from soil_env.driving.estimator import Results
 from soil_env.parameters import Scenario
+from soil_env.parameters.readings import Results
 from soil_env.simulation.wheels import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
 
 _TRIAL_COURSES = 8
@@ -43,6 +43,7 @@ class Vehicles:
     """
 
     numbers: Any
+    belief: Any  # numbers of the estimator on board; None where nothing is identified
     worlds: Any  # all arrays, overwritten by each step
     _vehicle = "wheel"
     _ahead: float  # [m] final ground that a vehicle needs before it
@@ -56,23 +57,22 @@ class Vehicles:
         )
         self._what = np.full(count, IDLE)
 
-    def _begin(self, lay, step, world, trial, commands: int, estimate, estimator, belief) -> None:
+    def _begin(self, lay, step, world, trial, commands: int, on_board: Any) -> None:
         """Take the compiled functions with their arrays, and try the scenario on a `trial` world of one vehicle.
 
-        Functions that are not in the cache yet are compiled side by side.
+        `on_board`: `identification.online.board.OnBoard`, or None where nothing is identified. Functions that are not
+        in the cache yet are compiled side by side.
         """
         self._world = world
         self._commands = np.zeros(commands)
         self._lay = FastCall(lay)
         self._step = FastCall(step)
-        self._estimate = FastCall(estimate)
-        self._estimator = estimator
-        self.belief = belief
-        count = self.count
+        self._on_board = on_board
+        self.belief = None if on_board is None else on_board.numbers
         self._results = Results(world.observation, world.terms, world.reward, world.cause)
-        if estimator is not None:
-            compile_aside(estimate, self._knowledge(self._what, 0, count))
-        compile_aside(step, self._motion(self._what, 0, count))
+        if on_board is not None:
+            on_board.prepare(world.record, self._results, self._what)
+        compile_aside(step, self._motion(self._what, 0, self.count))
         self._check_passable(trial)
 
     def _check_passable(self, trial: Any) -> None:
@@ -171,16 +171,12 @@ class Vehicles:
     def _drive(self, what: np.ndarray, first: int, end: int) -> None:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
         self._step(*self._motion(what, first, end))
-        if self._estimator is not None:
-            self._estimate(*self._knowledge(what, first, end))
+        if self._on_board is not None:
+            self._on_board.follow(self._world.record, self._results, what, first, end)
 
     def _motion(self, what: np.ndarray, first: int, end: int) -> tuple[Any, ...]:
         """Arguments of the compiled step of the world."""
         return self._world, self.numbers, self._commands, what, first, end
-
-    def _knowledge(self, what: np.ndarray, first: int, end: int) -> tuple[Any, ...]:
-        """Arguments of the compiled step of the estimator."""
-        return self._estimator, self.belief, self._world.record, self._results, what, first, end
 
 
 def _check_laid(failed: int) -> None:

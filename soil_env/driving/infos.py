@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import FastCall
 from soil_env.driving.wheels import Simulation
 from soil_env.identification import Status
-from soil_env.identification.online.estimate import assess_ground, published
-from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
+from soil_env.identification.published import HORIZONS, published
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WheelState
@@ -107,8 +105,13 @@ class Infos:
         self.kind: str = kind
         self._simulation = simulation
         wheels = simulation.count
-        self._assess = FastCall(assess_ground)
-        self._foresight = ImmobilisationWarning(self.scenario)
+        self._assess = self._foresight = None
+        if simulation.belief is not None:
+            from soil_env.identification.online.estimate import ground_assessment
+            from soil_env.identification.online.immobilisation import ImmobilisationWarning
+
+            self._assess = ground_assessment()
+            self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros(
             (wheels, 2)
         )  # load [of weight] and pitch [rad] when the estimate last changed

@@ -5,15 +5,9 @@ from collections import namedtuple
 import numpy as np
 
 from soil_env.driving.core import Vehicles, asks_for_estimates, processors
-from soil_env.driving.estimator import (
-    Estimator,
-    EstimatorNumbers,
-    estimate_wheels,
-    estimator_numbers,
-    new_estimator,
-)
 from soil_env.parameters import Scenario
-from soil_env.simulation.task import VARIANTS, truth
+from soil_env.parameters.readings import Shown
+from soil_env.simulation.task import VARIANTS, layout, truth
 from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.wheels import (
     IDLE,
@@ -34,8 +28,9 @@ from soil_env.terramechanics.model import WheelSoilModel
 __all__ = ["IDLE", "RESTART", "STEP", "Simulation", "Worlds", "processors"]
 
 
+_OF_ESTIMATOR = ("ids", "memory", "changed", "recent")  # `identification.online.on_board.Estimator`
 #: Arrays of many wheels, one row a wheel: those of the world, then those of the estimator, None without one.
-Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *Estimator._fields))
+Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *_OF_ESTIMATOR))
 
 
 class Simulation(Vehicles):
@@ -44,8 +39,6 @@ class Simulation(Vehicles):
     The soil is identified if the observation or the reward asks for it. `warnings`: identify in any case, and keep
     `worlds.recent` for `identification.online.immobilisation`.
     """
-
-    belief: EstimatorNumbers | None
 
     def __init__(
         self,
@@ -60,17 +53,18 @@ class Simulation(Vehicles):
         task = task_numbers(scenario, variant, model)
         drawn = course_numbers(scenario, model).drawn
         self.numbers: WheelNumbers = WheelNumbers(world_numbers(scenario, model), drawn, task)
-        estimator = belief = None
+        on_board = None
         if warnings or asks_for_estimates(scenario, variant):
-            estimator = new_estimator(wheels, scenario, warnings)
-            belief = estimator_numbers(scenario, task)
-        world = new_wheel_worlds(wheels, scenario, task, estimator is not None)
-        self.worlds = Worlds._make((*world, *(estimator or (None,) * 4)))
+            from soil_env.identification.online.on_board import wheels_on_board
+
+            shown = Shown(variant == "identified", len(layout("blind")), task.low, task.high)
+            on_board = wheels_on_board(wheels, scenario, shown, warnings)
+        world = new_wheel_worlds(wheels, scenario, task, on_board is not None)
+        known = (None,) * len(_OF_ESTIMATOR) if on_board is None else on_board.memory
+        self.worlds = Worlds._make((*world, *known))
         trial = new_wheel_worlds(1, scenario, task, False)
         self._ahead = drawn.ahead
-        self._begin(
-            lay_wheels, step_wheels, world, trial, wheels, estimate_wheels, estimator, belief
-        )
+        self._begin(lay_wheels, step_wheels, world, trial, wheels, on_board)
 
     def wheel(self, k: int) -> dict[str, float]:
         """State and counts of wheel k by name, as they are now."""

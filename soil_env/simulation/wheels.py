@@ -12,7 +12,7 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import FINITE, HUGE
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario, SensorReading
-from soil_env.parameters.orders import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
+from soil_env.parameters.readings import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.task.layout import layout
 from soil_env.simulation.task.observation import (
     SENSORS,
@@ -32,7 +32,12 @@ from soil_env.simulation.task.rules import (
     total_of,
 )
 from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, look, take_image
-from soil_env.simulation.world.courses import CourseNumbers, draw_course, extend_course, start_course
+from soil_env.simulation.world.courses import (
+    CourseNumbers,
+    draw_course,
+    extend_course,
+    start_course,
+)
 from soil_env.simulation.world.dynamics import control_period
 from soil_env.simulation.world.sensors import (
     READING,

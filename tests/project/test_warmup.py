@@ -15,15 +15,19 @@ import sys
 from pathlib import Path
 import gymnasium, numpy as np
 from soil_env._numba import cache
+from soil_env.identification.online.lanes import cache as of_identifier
 from soil_env.cli.warmup import warm_up
 
 warm_up()
-late, compiled = [], cache._Once.__call__
-def noted(once, signature):
-    if signature not in once._dispatcher.overloads:
-        late.append(once._dispatcher.py_func.__qualname__)
-    return compiled(once, signature)
-cache._Once.__call__ = noted
+late = []
+def note(once, compiled):
+    def noted(self, signature):
+        if signature not in self._dispatcher.overloads:
+            late.append(self._dispatcher.py_func.__qualname__)
+        return compiled(self, signature)
+    once.__call__ = noted
+for kept in (cache, of_identifier):
+    note(kept._Once, kept._Once.__call__)
 
 folder = Path(sys.argv[1])
 from soil_env.cli import main

@@ -151,9 +151,7 @@ def _residual_of(best, load, soil, at, rig, residual):
     if residual is None:
         return 0.0, 0.0
     else:
-        point = WorkingPoint(
-            best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade
-        )
+        point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
         groups = dimensionless_groups(point, soil, rig, rig.gravity)
         _, pull, torque = residual_at(residual, groups)
         return pull, torque

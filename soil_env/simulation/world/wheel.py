@@ -30,7 +30,9 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+REVERSE = (
+    0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+)
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
@@ -76,7 +78,9 @@ WHEEL = record(
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
-    converged=("i8",),  # 1 unless Newton's method failed at the finest step of the last control period
+    converged=(
+        "i8",
+    ),  # 1 unless Newton's method failed at the finest step of the last control period
     patch=("i8",),  # of the course, under the wheel
     cell=("i8",),  # of the rut, under the wheel
     steps=("i8",),  # control periods since reset
