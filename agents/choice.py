@@ -1,9 +1,10 @@
 """Choice of a line ahead, learned from what became of the lines that were taken.
 
-The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end of the course. It is
-a logistic regression by the network `ChoosingExtractor.line_net` on the entries of the line. Neither a rule nor PPO
-tells it which line is better. The reserve of pull, by which the rules choose, leaves out that a wheel may dig in on a
-line that it could climb (docs/results.md).
+The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end
+of the course. It is a logistic regression by the network `ChoosingExtractor.line_net` on the
+entries of the line. Neither a rule nor PPO tells it which line is better. The reserve of pull, by
+which the rules choose, leaves out that a wheel may dig in on a line that it could climb
+(docs/results.md).
 """
 
 import numpy as np
@@ -71,7 +72,9 @@ class ChoiceVecEnv(VecEnvWrapper):
 
 
 class Chooser(BaseCallback):
-    """The regression, continued after each rollout of PPO; as a student learns, `learn` is called."""
+    """The regression, continued after each rollout of PPO; as a student learns, `learn` is
+    called.
+    """
 
     def __init__(self, model: PPO, rng: np.random.Generator):
         super().__init__()
@@ -99,7 +102,9 @@ class Chooser(BaseCallback):
         self.learn(self.model._current_progress_remaining)
 
     def learn(self, left: float, passes: float = PASSES) -> None:
-        """Go on for `passes` over the choices since the last call; `left`: share of the training that is left."""
+        """Go on for `passes` over the choices since the last call; `left`: share of the training
+        that is left.
+        """
         if self.env is None or min(self.env.count, KEPT) < BATCH:
             return
         env = self.env

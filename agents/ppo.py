@@ -1,4 +1,6 @@
-"""PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in training."""
+"""PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in
+training.
+"""
 
 import io
 import json
@@ -73,10 +75,12 @@ def learner(
 
 
 class Schedules(BaseCallback):
-    """Schedules that fall linearly over a training: the exploration noise and the penalty for leaving the teacher.
+    """Schedules that fall linearly over a training: the exploration noise and the penalty for
+    leaving the teacher.
 
-    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the penalty from `penalty` to
-    0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.
+    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the
+    penalty from `penalty` to 0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let
+    a loss fade in the same way.
     """
 
     def __init__(self, config: PPOConfig, penalty: float = 0.0):
@@ -130,7 +134,9 @@ def resume(
     tensorboard: Path | None,
     world: World = None,
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
+    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of
+    `build`.
+    """
     info = read_info(path)
     for key, stored, asked in (
         ("observation", info.observation, observation),

@@ -1,4 +1,6 @@
-"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is done."""
+"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is
+done.
+"""
 
 import shutil
 import time
@@ -77,14 +79,16 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     )
     if scenario.belief.method == "none":
         raise ParameterError(
-            "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which reads "
-            "the identified soil"
+            "belief.method = 'none': expected 'filter': the agent is compared with "
+            "best_slip_identified, which reads the identified soil"
         )
     return scenario
 
 
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
+    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite
+    one.
+    """
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
@@ -151,7 +155,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
                 )
             except KeyboardInterrupt:
                 show(
-                    "A student keeps no checkpoint before it is done: it will start again from step 0."
+                    "A student keeps no checkpoint before it is done: it will start again from "
+                    "step 0."
                 )
                 raise
             ppo.save(model, checkpoint)

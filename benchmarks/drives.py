@@ -50,7 +50,9 @@ class SwingingSpeed(ConstantSpeed):
 
 
 def controller_of(name: str, scenario: Scenario) -> Any:
-    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s to the highest."""
+    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s
+    to the highest.
+    """
     if name == "swinging_speed":
         return SwingingSpeed(scenario)
     if name == "ramp":
@@ -68,9 +70,9 @@ def record(
 ) -> list[dict[str, np.ndarray]]:
     """Drive courses of a seed; return of each a log of T control periods.
 
-    `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
-    them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
-    `halt_left` [T] s.
+    `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as
+    the environment had them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the
+    belief and true bearing sinkage; `halt_left` [T] s.
     """
     wheel = scenario.wheel
     weight = scenario.weight
@@ -112,7 +114,9 @@ def record(
 
 
 def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.ndarray, ...]:
-    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`, halts left out."""
+    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`,
+    halts left out.
+    """
     driven = np.concatenate([log["halt_left"] == 0.0 for log in logs])
     course = np.repeat(np.arange(len(logs)), [len(log["halt_left"]) for log in logs])[driven]
     true, estimate, sd = (
@@ -125,7 +129,9 @@ def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.nd
 def truth(
     soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
 ) -> np.ndarray:
-    """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and loads [N]."""
+    """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and
+    loads [N].
+    """
     wheel = scenario.wheel
     belief = scenario.belief
     slip, pull = np.empty((2, len(soil)))
@@ -155,7 +161,8 @@ def rover_scenario(rover: str) -> RoverScenario:
 
 
 class SwingingSlip:
-    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of its own.
+    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of
+    its own.
 
     The speeds change as slowly as the rim's, and are at least 30 % of the highest at no slip.
     """
@@ -182,7 +189,9 @@ class SwingingSlip:
 
 
 def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds [rovers]."""
+    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds
+    [rovers].
+    """
     return lambda speed: np.full((len(speed), scenario.axles), 0.5)
 
 
@@ -191,8 +200,9 @@ def record_rover(
 ) -> dict[str, np.ndarray]:
     """Drive courses of a seed; return arrays [T, courses, axles, ...].
 
-    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
-    "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own filter, and of all wheels.
+    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt,
+    not ended; "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own
+    filter, and of all wheels.
     """
     simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):

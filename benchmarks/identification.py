@@ -1,10 +1,12 @@
-"""Calibration of the online identifier in every drive that ships: docs/results/identification.json and .md.
+"""Calibration of the online identifier in every drive that ships: docs/results/identification.json
+and .md.
 
-    python -m benchmarks.identification --out X             all rows, half an hour; goes on where it was interrupted
-    python -m benchmarks.identification --only two_lines    rows of this scenario anew, the others as they are
+    python -m benchmarks.identification --out X all rows, half an hour; goes on where it was
+    interrupted python -m benchmarks.identification --only two_lines rows of this scenario anew, the
+    others as they are
 
-A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors are those of the
-ground under the wheel at all steps but halts, whatever the status of the estimate.
+A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors
+are those of the ground under the wheel at all steps but halts, whatever the status of the estimate.
 """
 
 import sys
@@ -78,7 +80,9 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row: of a wheel `QUANTITIES`, of a rover phi, ln K and c of all wheels, pooled."""
+    """Drive and judge a row: of a wheel `QUANTITIES`, of a rover phi, ln K and c of all wheels,
+    pooled.
+    """
     units = drives.UNITS
     if case.scenario in ROVERS:
         rover = drives.rover_scenario(case.scenario)
@@ -102,7 +106,9 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
 def statistics(
     error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.ndarray, units
 ) -> dict[str, Any]:
-    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N] numbers the courses."""
+    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N]
+    numbers the courses.
+    """
     z = np.abs(error) / sd
     off = (z < 1.0) - (z < 1.0).mean(0)
     spread = np.linalg.norm([off[course == k].sum(0) for k in np.unique(course)], axis=0) / len(
@@ -124,7 +130,9 @@ def statistics(
 
 
 def tables(result: dict) -> dict[str, Table]:
-    """Return the tables of the page: medians by scenario, and rows that hold what an interval promises."""
+    """Return the tables of the page: medians by scenario, and rows that hold what an interval
+    promises.
+    """
     groups: dict[str, list[dict]] = {}
     for row in (row for row in result["rows"].values() if not row.get("noise")):
         groups.setdefault(" with ".join(filter(None, (row["scenario"], row["world"]))), []).append(
@@ -214,8 +222,9 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
         write_json(file, result)
         print(f"{number} of {len(wanted)}: {name}", file=sys.stderr, flush=True)
     text = (
-        f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, by `python -m "
-        f"benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction angle and ln K, pooled."
+        f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, "
+        f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction "
+        "angle and ln K, pooled."
     )
     write(out, NAME, "Identification, measured", text, tables(result))
 

@@ -1,10 +1,12 @@
 """Online identifier for the readings of a rover: one call for each set of readings.
 
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
-    estimate = identifier.update(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021, drawbar_pull=14.0, torque=5.1))
-    estimate.friction_angle_deg, estimate.friction_angle_sd_deg, estimate.status
+    estimate = identifier.update(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021,
+    drawbar_pull=14.0, torque=5.1)) estimate.friction_angle_deg, estimate.friction_angle_sd_deg,
+    estimate.status
 
-`SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same estimate.
+`SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same
+estimate.
 """
 
 import math
@@ -50,7 +52,8 @@ _NAN = math.nan
 #: [s] between two sets of readings, for which the filter is made; a warning outside.
 SHORTEST_STEP = 1e-3
 LONGEST_STEP = 10.0
-_UNKNOWN = 1e2  # standard deviation, in weights and the like, of what is not measured: nothing beside what is
+#: Standard deviation, in weights and the like, of what is not measured: nothing beside what is.
+_UNKNOWN = 1e2
 
 
 class Readings(NamedTuple):
@@ -74,13 +77,14 @@ class Readings(NamedTuple):
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
-_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")  # type: ignore[arg-type]
+_UNITS = Readings(("rad/s"), "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")  # type: ignore[arg-type]
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
     """Largest plausible readings; larger ones are faults or in another unit.
 
-    Sinkage is at most the radius, where the hub is at the ground; a force is at most 100 times the weight.
+    Sinkage is at most the radius, where the hub is at the ground; a force is at most 100 times the
+    weight.
     """
     force = 100.0 * wheel.body_mass * gravity
     twist = force * wheel.radius
@@ -88,7 +92,9 @@ def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
 
 
 def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
-    """Error for the first reading that is no number, or larger than its limit; None if all are fine."""
+    """Error for the first reading that is no number, or larger than its limit; None if all are
+    fine.
+    """
     for name, value, limit, unit in zip(Readings._fields, r, largest, _UNITS, strict=True):
         if not isinstance(value, Real):
             expected = f"a number [{unit or '-'}], NaN where nothing was measured"
@@ -123,7 +129,9 @@ class Estimate:
 
     @property
     def valid(self) -> bool:
-        """True if phi and ln K are much narrower than the prior and the readings agree: status CONVERGED."""
+        """True if phi and ln K are much narrower than the prior and the readings agree: status
+        CONVERGED.
+        """
         return self.status == Status.CONVERGED
 
 
@@ -144,7 +152,9 @@ def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
 
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V braking."""
+    """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
+    braking.
+    """
     slip = (rim_speed - speed) / np.maximum(
         np.maximum(np.abs(rim_speed), np.abs(speed)), REST_SPEED
     )
@@ -153,15 +163,17 @@ def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 
 class OnlineIdentifier:
-    """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one driven wheel.
+    """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one
+    driven wheel.
 
-    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the motor only for
-    `traversability`. `belief`: the prior of the ground to be expected. `noise`: standard deviations of the sensors.
-    `period` [s]: time between readings without a time. `relaxation` [wheel radii]: distance in which sinkage adapts.
-    `gravity` [m/s2]. Missing readings are NaN, now and then or always; docs/guide/online.md says what stands for each.
+    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the
+    motor only for `traversability`. `belief`: the prior of the ground to be expected. `noise`:
+    standard deviations of the sensors. `period` [s]: time between readings without a time.
+    `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2]. Missing readings
+    are NaN, now and then or always; docs/guide/online.md says what stands for each.
 
-    An instance is not for several threads at once; it can be pickled and copied. Raises TypeError for arguments of
-    other types, `ParameterError` for numbers out of range.
+    An instance is not for several threads at once; it can be pickled and copied. Raises TypeError
+    for arguments of other types, `ParameterError` for numbers out of range.
     """
 
     def __init__(
@@ -215,7 +227,8 @@ class OnlineIdentifier:
         """The identifier that an environment of this scenario runs."""
         if not isinstance(scenario, Scenario):
             raise TypeError(
-                f"scenario = {scenario!r}: expected a Scenario, as of soil_env.parameters.load_scenario"
+                f"scenario = {scenario!r}: expected a Scenario, as of "
+                "soil_env.parameters.load_scenario"
             )
         identifier = cls.__new__(cls)
         identifier._set(scenario)
@@ -266,12 +279,14 @@ class OnlineIdentifier:
         return self._estimate
 
     def update(self, readings: Readings) -> Estimate:
-        """Take one set of readings; the estimate after it, renewed about every eighth time, on a border every time.
+        """Take one set of readings; the estimate after it, renewed about every eighth time, on a
+        border every time.
 
-        Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that is not later than the
-        last, and for a reading that is infinite or larger than `largest_readings`. An error changes nothing. Readings
-        that lead to no soil at all start the identifier anew. Warns of a time less than `SHORTEST_STEP` or more than
-        `LONGEST_STEP` after the last.
+        Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that
+        is not later than the last, and for a reading that is infinite or larger than
+        `largest_readings`. An error changes nothing. Readings that lead to no soil at all start the
+        identifier anew. Warns of a time less than `SHORTEST_STEP` or more than `LONGEST_STEP` after
+        the last.
         """
         if not isinstance(readings, Readings):
             raise TypeError(
@@ -293,19 +308,25 @@ class OnlineIdentifier:
 
     @property
     def on_border(self) -> bool:
-        """True where the ground under the wheel passes from one soil into the next, so far as is known."""
+        """True where the ground under the wheel passes from one soil into the next, so far as is
+        known.
+        """
         return bool(self._ids.banks.point.crossing[0] > 0.0)
 
     def soil(self) -> Soil:
-        """The identified soil, with the belief's exponent and recovery of digging; each number within its bounds."""
+        """The identified soil, with the belief's exponent and recovery of digging; each number
+        within its bounds.
+        """
         return soil_of_numbers(asdict(self._estimate), self.scenario.belief)
 
     def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
-        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill positive.
+        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill
+        positive.
 
         A load below 5 % of the weight counts as 5 % of it, as in the environments.
 
-        Raises ParameterError for a load that is no finite number above zero and a pitch beyond a right angle.
+        Raises ParameterError for a load that is no finite number above zero and a pitch beyond a
+        right angle.
         """
         if load is not None and not (_finite(load) and load > 0.0):
             raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")
@@ -332,8 +353,9 @@ class OnlineIdentifier:
         if 0.0 < passed < math.inf:
             if not SHORTEST_STEP <= passed <= LONGEST_STEP:
                 warnings.warn(
-                    f"time = {time!r} s: {passed:.3g} s after the last readings: expected {SHORTEST_STEP:g} to "
-                    f"{LONGEST_STEP:g} s; average faster readings, call reset() after a longer gap",
+                    f"time = {time!r} s: {passed:.3g} s after the last readings: expected "
+                    f"{SHORTEST_STEP:g} to {LONGEST_STEP:g} s; average faster readings, call "
+                    "reset() after a longer gap",
                     stacklevel=3,
                 )
             return passed
@@ -344,7 +366,9 @@ class OnlineIdentifier:
         )
 
     def _speeds(self, r: Readings) -> tuple[float, float]:
-        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip; NaN without it."""
+        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip;
+        NaN without it.
+        """
         rim = r.wheel_speed * self._radius
         speed = r.speed
         if speed != speed:
@@ -358,7 +382,9 @@ class OnlineIdentifier:
         return rim, speed
 
     def _put(self, r: Readings, rim: float, speed: float) -> None:
-        """Store readings and their standard deviations for the compiled code; missing ones have no weight."""
+        """Store readings and their standard deviations for the compiled code; missing ones have no
+        weight.
+        """
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
         load = self._weight * math.cos(pitch)
         slip = r.slip

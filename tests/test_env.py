@@ -1,4 +1,6 @@
-"""Environments of a wheel and of a rover: checkers, determinism, copies, actions, arguments, ends, info."""
+"""Environments of a wheel and of a rover: checkers, determinism, copies, actions, arguments, ends,
+info.
+"""
 
 import copy
 import math
@@ -31,7 +33,9 @@ ALL = pytest.mark.parametrize(
 
 
 def run(env, seed, steps, command=None):
-    """(observations, rewards, infos) of steps until the end under random, held actions, or always the same one."""
+    """(observations, rewards, infos) of steps until the end under random, held actions, or always
+    the same one.
+    """
     rng = np.random.default_rng(0)
     motors = env.action_space.shape
     observation, info = env.reset(seed=seed)
@@ -81,7 +85,9 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", [*scenario_names(), *rover_names()])
 def test_checkers(name, variant):
-    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
+    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden
+    world.
+    """
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     number = len(VARIANTS) * [*scenario_names(), *rover_names()].index(name) + VARIANTS.index(
         variant
@@ -130,7 +136,9 @@ def test_registration_of_the_rover():
 
 
 def test_the_length_of_an_episode_is_that_of_the_scenario():
-    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
+    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the
+    same step.
+    """
     env = gymnasium.wrappers.TimeAwareObservation(
         gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}),
         normalize_time=True,
@@ -334,7 +342,9 @@ def test_bad_arguments_are_named(make, arguments, message):
 
 @ALL
 def test_an_unknown_keyword_is_the_error_of_python_too(make):
-    """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes back."""
+    """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes
+    back.
+    """
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
         make(frameskip=1)
     assert isinstance(raised.value, ParameterError)
@@ -400,7 +410,9 @@ def test_the_deepest_wheel_is_bogged():
 
 
 def test_info_is_as_documented():
-    """Estimates as in the observation, the state as the sensors read it, and rewards the sum of their terms."""
+    """Estimates as in the observation, the state as the sensors read it, and rewards the sum of
+    their terms.
+    """
     env = SoilWheelEnv(course={"length": 3.0}, action="torque")
     causes = set()
     noise = env.scenario.noise

@@ -1,4 +1,6 @@
-"""Vector environments of wheels and of rovers: bit for bit the single ones, in every autoreset mode."""
+"""Vector environments of wheels and of rovers: bit for bit the single ones, in every autoreset
+mode.
+"""
 
 from typing import Any, NamedTuple
 
@@ -64,7 +66,9 @@ KINDS = pytest.mark.parametrize("kind", [WHEEL, ROVER], ids=["wheel", "rover"])
 
 
 def actions(steps, vehicles, motors=1, seed=0):
-    """Held random actions [steps, vehicles, motors]: full throttle, full reverse and out of range among them."""
+    """Held random actions [steps, vehicles, motors]: full throttle, full reverse and out of range
+    among them.
+    """
     rng = np.random.default_rng(seed)
     held = rng.uniform(0.0, 1.0, (steps // 7 + 1, vehicles, motors))
     held[rng.random(held.shape) < 0.15] = 1.7
@@ -83,7 +87,9 @@ def same_info(info, k, scalar):
 
 
 def same_nested(info, k, scalar):
-    """A full info is that of a single environment: states to the bit, exponentials of estimates to rounding."""
+    """A full info is that of a single environment: states to the bit, exponentials of estimates to
+    rounding.
+    """
     for name, value in scalar.items():
         found = info[name] if isinstance(value, dict) else info[name][k]
         if isinstance(value, dict):
@@ -111,7 +117,9 @@ def same_nested(info, k, scalar):
     ],
 )
 def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
-    """Through ends and restarts; with two lines through the camera, choices at halts and the memory of classes."""
+    """Through ends and restarts; with two lines through the camera, choices at halts and the memory
+    of classes.
+    """
     lines = changes is TWO_LINES
     changes = {**kind.quick, "control": {"time_limit": 5.0}, "observation": variant, **changes}
     count, steps = (3, 450) if lines else (ROVERS, 70)
@@ -216,7 +224,9 @@ def test_flat_infos_are_the_same_numbers(kind, info):
 
 @KINDS
 def test_nothing_is_identified_unless_something_asks(kind):
-    """Observation, info or reward; without, the environment drives the same and its infos have no estimate."""
+    """Observation, info or reward; without, the environment drives the same and its infos have no
+    estimate.
+    """
     for asked in (
         {"observation": "identified"},
         {"info": "full"},

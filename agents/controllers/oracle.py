@@ -1,13 +1,16 @@
-"""Oracle: a planner on clones of the true world, as the limit of the task (model predictive control by sampling).
+"""Oracle: a planner on clones of the true world, as the limit of the task (model predictive control
+by sampling).
 
-Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times. Every clone drives a plan
-of its own to a horizon of several seconds, halts and ruts included: back away, ramp the rim speed up to a top speed,
-and later ramp to another speed. The wheel follows the plan with the best score: distance, less a penalty for sinkage.
-Plans are the present one, variations of it, soft starts with fixed settings, and random ones.
+Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times. Every
+clone drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
+ramp the rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan
+with the best score: distance, less a penalty for sinkage. Plans are the present one, variations of
+it, soft starts with fixed settings, and random ones.
 
-The planner knows the true state, the ground ahead and the next halt. It does not know the sensor noise and the later
-halts, because its clones have random streams of their own. It tries few plans of one kind, so its rate of finished
-courses is a lower bound of the rate that is possible with a known ground.
+The planner knows the true state, the ground ahead and the next halt. It does not know the sensor
+noise and the later halts, because its clones have random streams of their own. It tries few plans
+of one kind, so its rate of finished courses is a lower bound of the rate that is possible with a
+known ground.
 """
 
 from __future__ import annotations
@@ -110,7 +113,9 @@ class Oracle:
     def attach(
         self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
     ) -> None:
-        """Set the simulation whose observations come next, which was made with `threads` and `model`."""
+        """Set the simulation whose observations come next, which was made with `threads` and
+        `model`.
+        """
         self.simulation = simulation
         wheels = simulation.worlds.cause.size
         self.clones = Simulation(
@@ -229,7 +234,9 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time saved by a finish."""
+        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time
+        saved by a finish.
+        """
         w = self.clones.worlds
         s = self.clones.worlds.state
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time

@@ -1,4 +1,6 @@
-"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on its soil."""
+"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on
+its soil.
+"""
 
 import numpy as np
 
@@ -62,7 +64,9 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed [m/s], [n]."""
+        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed
+        [m/s], [n].
+        """
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
         slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
         # V from slip and rim speed is less noisy at low speeds than the speed sensor.
@@ -75,8 +79,9 @@ class SlipFollower(Ramped):
 class FixedSlip(Controller):
     """A rim speed whose acceleration holds a slip, from a creeping start up to a top speed.
 
-    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The acceleration of the rim
-    therefore controls the slip while the rim speed is between start and top.
+    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The
+    acceleration of the rim therefore controls the slip while the rim speed is between start and
+    top.
     """
 
     name = "fixed_slip"
@@ -120,8 +125,8 @@ class SlipLimiter(SlipFollower):
 class ExtremumSeeking(SlipFollower):
     """A limit of the slip that seeks the highest drawbar pull.
 
-    The limit swings about an estimate of the best slip. The estimate climbs the slope of the measured pull over the
-    measured slip, a regression over the last seconds.
+    The limit swings about an estimate of the best slip. The estimate climbs the slope of the
+    measured pull over the measured slip, a regression over the last seconds.
     """
 
     name = "extremum_seeking"
@@ -172,7 +177,9 @@ class ExtremumSeeking(SlipFollower):
 
 
 class BestSlipIdentified(SlipFollower):
-    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as identified."""
+    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as
+    identified.
+    """
 
     name = "best_slip_identified"
     variant = "identified"
@@ -180,7 +187,10 @@ class BestSlipIdentified(SlipFollower):
 
     def soil_columns(self, observation) -> list:
         """The columns of `SoilState` read from the observation, each [n] or one number."""
-        read = lambda name: observation[:, self.column[name]]
+
+        def read(name: str) -> np.ndarray:
+            return observation[:, self.column[name]]
+
         belief = self.scenario.belief
         return [
             np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
@@ -203,7 +213,9 @@ class BestSlipIdentified(SlipFollower):
         return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
 
     def target_slip(self, observation, state):
-        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
+        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose
+        load by 10 %.
+        """
         soils = self.soils(observation)
         load = self.load(observation)
         known = state["known"]

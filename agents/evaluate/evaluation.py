@@ -1,7 +1,8 @@
 """Configuration of an evaluation, and its cells: blocks of courses of one controller.
 
-The folder holds study.yaml (the whole task, resolved) and a file in cells/ for each block that is driven. Blocks are
-cut the same way by every engine, so that all engines and any number of interruptions give the same files.
+The folder holds study.yaml (the whole task, resolved) and a file in cells/ for each block that is
+driven. Blocks are cut the same way by every engine, so that all engines and any number of
+interruptions give the same files.
 """
 
 from __future__ import annotations
@@ -69,7 +70,10 @@ class Evaluation(OfTask):
 
 @dataclass(frozen=True)
 class Block:
-    """Courses `first` ... `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`."""
+    """Courses `first` ...
+
+    `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`.
+    """
 
     controller: str
     first: int
@@ -149,7 +153,8 @@ class Job:
 def run(
     asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]
 ) -> dict:
-    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it drives.
+    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it
+    drives.
 
     `progress` receives numbers of courses done.
     """
@@ -170,8 +175,8 @@ def run(
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     """The content of evaluation.json: a `comparison`, with how each controller was made.
 
-    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen": {name: "given",
-    "tuned" or "untuned", of the settings}.
+    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen":
+    {name: "given", "tuned" or "untuned", of the settings}.
     """
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}

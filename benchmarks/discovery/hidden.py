@@ -60,7 +60,8 @@ class Hidden:
 
 
 def enter(registry: list[Form], effect: str, strength: str, cap, channels=CHANNELS, **options):
-    """Add the decorated function to `registry` as a form of `effect`; `cap` is a number or a function of `plan.Bench`.
+    """Add the decorated function to `registry` as a form of `effect`; `cap` is a number or a
+    function of `plan.Bench`.
 
     An empty `effect` takes the name of the function.
     """

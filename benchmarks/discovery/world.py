@@ -1,11 +1,13 @@
 """Hidden truth of the cases: a rigid wheel on loose soil, written apart from `soil_env`.
 
-Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Eqs. (1)-(10): normal stress of Wong
-& Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam = theta1/2, the sinkage from the vertical
-balance, the drawbar pull by Eq. (2). Nothing here comes from `soil_env`: own quadrature (trapezoidal rule after a
-smoothing change of variable, Sidi 1993), own root search, numpy only.
+Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Eqs. (1)-(10):
+normal stress of Wong & Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam =
+theta1/2, the sinkage from the vertical balance, the drawbar pull by Eq. (2). Nothing here comes
+from `soil_env`: own quadrature (trapezoidal rule after a smoothing change of variable, Sidi 1993),
+own root search, numpy only.
 
-SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape [N, nodes].
+SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape
+[N, nodes].
 """
 
 from collections.abc import Callable
@@ -92,7 +94,8 @@ def column(values, count: int | None = None) -> np.ndarray:
 
 
 def _quadrature(intervals: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1): trapezoidal rule in u with x = u^3 (10 - 15 u + 6 u^2), Sidi (1993).
+    """Nodes and weights on (0, 1): trapezoidal rule in u with x = u^3 (10 - 15 u + 6 u^2), Sidi
+    (1993).
 
     dx/du vanishes at both ends, so that (1 - x)^n there does not slow the convergence.
     """
@@ -175,7 +178,9 @@ class Contact:
         return np.arctan(self.tan_phi)
 
     def stresses(self, entry: np.ndarray, amplitude=1.0) -> tuple[Arc, np.ndarray, np.ndarray]:
-        """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude` multiplies S."""
+        """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude`
+        multiplies S.
+        """
         r = self.radius
         exit_ = self.exit_angle(entry, self.radius)
         middle = 0.5 * (entry + exit_) + sum(shift(entry) for shift in self.peak_shift)
@@ -198,7 +203,9 @@ class Contact:
     def integrals(
         self, entry: np.ndarray, amplitude=1.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude` multiplies S."""
+        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude`
+        multiplies S.
+        """
         arc, tau, weight = self.stresses(entry, amplitude)
         cos = np.cos(arc.theta)
         sin = np.sin(arc.theta)
@@ -274,7 +281,9 @@ class Contact:
 def _root(
     function, low: float, high: float, start: np.ndarray, tolerance=1e-10, rounds=60
 ) -> np.ndarray:
-    """Root [N, 1] of a function that rises across [low, high], by secants kept inside the bracket; NaN where none."""
+    """Root [N, 1] of a function that rises across [low, high], by secants kept inside the bracket;
+    NaN where none.
+    """
     a = np.full_like(start, low)
     b = np.full_like(start, high)
     x0 = start.copy()
@@ -303,7 +312,9 @@ def _root(
 
 
 def predict(ground: Ground, wheel: Wheel, rows: Rows, effects=()) -> Outcome:
-    """Steady state of every row; `effects` are functions that alter a `Contact`, applied in their order."""
+    """Steady state of every row; `effects` are functions that alter a `Contact`, applied in their
+    order.
+    """
     contact = Contact(rows, wheel, ground)
     for effect in effects:
         effect(contact)

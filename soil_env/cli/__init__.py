@@ -1,4 +1,7 @@
-"""Command `soil-env`, a subcommand a task. Modules are imported when their subcommand is asked for."""
+"""Command `soil-env`, a subcommand a task.
+
+Modules are imported when their subcommand is asked for.
+"""
 
 import sys
 from collections.abc import Sequence

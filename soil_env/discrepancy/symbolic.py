@@ -1,13 +1,15 @@
 """Symbolic regression of a misfit that no listed effect explains, in dimensionless groups.
 
-The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any channel. Terms are chosen
-one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a
-term must lower the objective by more than its price, that of a parameter under BIC and of the choice among all laws as
-simple; of those that do, the one is taken that gains most by the mean of that and of the likelihood of held-out
-conditions. Then law and soil are refitted in turn. The form errors of the fit stay in the covariance, so that a law is
+The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any
+channel. Terms are chosen one after the other, each fitted jointly with the fit's own parameters (to
+first order, so that the soil may move): a term must lower the objective by more than its price,
+that of a parameter under BIC and of the choice among all laws as simple; of those that do, the one
+is taken that gains most by the mean of that and of the likelihood of held-out conditions. Then law
+and soil are refitted in turn. The form errors of the fit stay in the covariance, so that a law is
 sought only for what is more than that.
 
-What the law does to held-out values is found by choosing it anew without each group (`held_out_predictions`).
+What the law does to held-out values is found by choosing it anew without each group
+(`held_out_predictions`).
 """
 
 from __future__ import annotations
@@ -112,7 +114,9 @@ class Library:
 
 
 def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
-    """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns` times at most."""
+    """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns`
+    times at most.
+    """
     best = ResidualFit(
         (), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0)
     )
@@ -134,10 +138,11 @@ def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
 
 
 def held_out_predictions(problem: Problem, fit: Fit, say: Callable[[str], None]) -> np.ndarray:
-    """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN where not in use.
+    """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN
+    where not in use.
 
-    Soil, effects, terms and coefficients all come from the other groups, of which at most `HELD_OUT` are made of the
-    groups of a way. Mean over the ways to cut the table.
+    Soil, effects, terms and coefficients all come from the other groups, of which at most
+    `HELD_OUT` are made of the groups of a way. Mean over the ways to cut the table.
     """
     total = np.zeros_like(problem.data.y)
     ways = [_bundled(way) for way in folds(problem.data)]
@@ -159,7 +164,9 @@ def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
-    """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are `offset`."""
+    """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are
+    `offset`.
+    """
     rows = problem.data.rows
     soil = problem.state(fit.parameters())
     sinkage = fit.output[:, 0] - offset[:, 0]
@@ -244,7 +251,9 @@ def at_groups(
 
 
 def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Library:
-    """The terms worth their price, added one after the other; after each, all are reconsidered beside the others."""
+    """The terms worth their price, added one after the other; after each, all are reconsidered
+    beside the others.
+    """
     picked: list[int] = []
     for _ in range(TERMS):
         k = _next(problem, fit, offset, found, picked)
@@ -298,7 +307,9 @@ def _next(
 
 
 def _likelihood(problem: Problem, fall: np.ndarray) -> np.ndarray:
-    """Fall of the objective as a log-likelihood ratio, the noise being known to some degrees of freedom only."""
+    """Fall of the objective as a log-likelihood ratio, the noise being known to some degrees of
+    freedom only.
+    """
     f = problem.freedom
     return fall if math.isinf(f) else f * np.log1p(fall / f)
 
@@ -319,10 +330,12 @@ def with_terms(a: np.ndarray, e: np.ndarray, column: np.ndarray) -> tuple[np.nda
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others by the linear model A x = e.
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others by the
+    linear model A x = e.
 
-    With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the predictive covariance
-    of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
+    With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the
+    predictive covariance of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and
+    its error S r.
     """
     normal = a.T @ a
     m = member.shape[1]

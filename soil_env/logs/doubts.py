@@ -1,9 +1,10 @@
 """Implausible readings: another unit, sign, field or mass than the map says.
 
-Each reading is compared with what the map says of the wheel, or with another reading of the same quantity. Rim speed is
-compared with travel speed and slip, a force with the weight, torque with weight times radius, and pitch with the
-gravity in accelerometer or pull. Where the load is doubtful, so is the mass: other forces are not compared then. All
-values are medians over the steps that drive. A doubt is one line: what, where, what was expected.
+Each reading is compared with what the map says of the wheel, or with another reading of the same
+quantity. Rim speed is compared with travel speed and slip, a force with the weight, torque with
+weight times radius, and pitch with the gravity in accelerometer or pull. Where the load is
+doubtful, so is the mass: other forces are not compared then. All values are medians over the steps
+that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math
@@ -56,7 +57,9 @@ _SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
-    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not known."""
+    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not
+    known.
+    """
     brief = interval < _USUAL[0] and length < _SHORT
     if (
         log_map.time is None
@@ -72,8 +75,10 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     ]
     likely = " or ".join(u for u in usual if u != now) or "another"
     return [
-        f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s in all: expected "
-        f"{_USUAL[0]:g} to {_USUAL[1]:g} s apart: unit {likely}, not {now}?"
+        (
+            f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s "
+            f"in all: expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart: unit {likely}, not {now}?"
+        )
     ]
 
 
@@ -168,7 +173,9 @@ class _Doubts:
         return slip is None or self._slip(slip, both)
 
     def _slip(self, slip: np.ndarray, both: np.ndarray) -> bool:
-        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is doubtful."""
+        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is
+        doubtful.
+        """
         of_speeds = slips(self.rim, self.speed)
         away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
         if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
@@ -180,7 +187,10 @@ class _Doubts:
         return True
 
     def _sizes(self) -> bool:
-        """Compare readings with sizes of the wheel; True if nothing is doubtful. Forces wait for a doubtful load."""
+        """Compare readings with sizes of the wheel; True if nothing is doubtful.
+
+        Forces wait for a doubtful load.
+        """
         weight = self.map.weight
         radius = self.map.wheel.radius
         gravity = self.map.gravity
@@ -221,7 +231,9 @@ class _Doubts:
         return len(self.lines) == before
 
     def _pitch(self) -> None:
-        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
+        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g
+        sin(pitch).
+        """
         log = self.log
         gravity = self.map.gravity
         if "pitch" not in log.readings:

@@ -27,8 +27,9 @@ _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
 _TURNING = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/s": 2.0 * math.pi}
 _FORCE = {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605}
 _TORQUE = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004}
-#: Units of each reading, the first being the one that readings are turned into. An ampere is one of a motor's current,
-#: a quaternion the orientation of the body, x forward and z up as in ROS (REP 103), of which the uphill pitch is taken.
+#: Units of each reading, the first being the one that readings are turned into. An ampere is one of
+#: a motor's current, a quaternion the orientation of the body, x forward and z up as in ROS (REP
+#: 103), of which the uphill pitch is taken.
 UNITS: dict[str, dict[str, float]] = {
     "wheel_speed": _TURNING,
     "speed": _SPEED,
@@ -52,15 +53,17 @@ _WHEEL = {
     "stall_torque": 1e6,
     "no_load_speed": 10.0,
 }  # that limit nothing
-_BORDER = 2.0  # [wheel radii] length of a border between soils, where the belief of the map says nothing of it
+#: [wheel radii] length of a border between soils, where the belief of the map says nothing of it.
+_BORDER = 2.0
 
 
 @dataclass(frozen=True)
 class Source(Checked):
     """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
-    The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of the motor to one
-    turn of the wheel, for a speed, a torque or a current measured at the motor; a torque also gets `efficiency`.
+    The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of
+    the motor to one turn of the wheel, for a speed, a torque or a current measured at the motor; a
+    torque also gets `efficiency`.
     """
 
     topic: str = ""
@@ -168,7 +171,8 @@ class LogMap(Checked):
         self.noise()
         if self.windows.duration < 4.0 * self.period:
             raise ParameterError(
-                f"windows: duration = {self.windows.duration:g} s: expected at least four periods of {self.period:g} s"
+                f"windows: duration = {self.windows.duration:g} s: expected at least four periods "
+                f"of {self.period:g} s"
             )
 
     def _check_source(self, name: str, s: Source) -> None:
@@ -215,7 +219,9 @@ class LogMap(Checked):
 
 
 def read_map(path: str | Path) -> LogMap:
-    """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out
+    of range.
+    """
     mapping = read_yaml(Path(path))
     where = str(path)
     wheel = with_preset(mapping.get("wheel"), where)

@@ -32,7 +32,9 @@ class Row(NamedTuple):
 def rows(
     path: Path, stamps: str, unit: str, columns: dict[str, str], notes: Notes, progress: Progress
 ) -> Iterator[Row]:
-    """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its readings."""
+    """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its
+    readings.
+    """
     nans = Counter[str]()
 
     def converted(convert: Callable, text: str, number: int, column: str, expected: str):
@@ -114,7 +116,8 @@ def _csv(
             )  # the file ends there
             if in_header and stamps in header and not set(columns) <= set(header):
                 raise ParameterError(
-                    f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to read"
+                    f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to "
+                    "read"
                 )
             _check_columns(path, header, stamps, columns)
             at = header.index(stamps)
@@ -125,7 +128,10 @@ def _csv(
                 if len(cells) != len(
                     header
                 ):  # allowed in the last row, where a recording was cut off
-                    short = f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
+                    short = (
+                        f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as "
+                        "the header"
+                    )
                     continue
                 count += 1
                 yield reader.line_num, cells[at], [cells[p] for p in places]

@@ -17,7 +17,9 @@ _POINTS = 600  # of the history, at most
 
 
 class CourseView:
-    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step, `draw` a frame."""
+    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step,
+    `draw` a frame.
+    """
 
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
@@ -38,7 +40,9 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any, k: int) -> None:
-        """Add the present state of number k to the history; at its reset the history starts anew."""
+        """Add the present state of number k to the history; at its reset the history starts
+        anew.
+        """
         steps = int(simulation.steps[k])
         wheels = shown_wheels(simulation, k)
         if steps == 0:
@@ -69,7 +73,9 @@ class CourseView:
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
-        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
+        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
+        the window.
+        """
         self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
         simulation.complete(k)
@@ -93,7 +99,9 @@ class CourseView:
         self._window = self._canvas = self._clock = None
 
     def _show(self, surface: Any) -> None:
-        """Put a picture into the window, which is opened at the first call, and wait until it is due."""
+        """Put a picture into the window, which is opened at the first call, and wait until it is
+        due.
+        """
         import pygame
 
         if self._window is None:

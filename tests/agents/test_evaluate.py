@@ -1,4 +1,6 @@
-"""`soil-env evaluate`: its files, going on after a kill, bad input in one line, and drives against a plain loop."""
+"""`soil-env evaluate`: its files, going on after a kill, bad input in one line, and drives against
+a plain loop.
+"""
 
 import csv
 import json
@@ -27,8 +29,8 @@ ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
 FIXED = "--settings.fixed_slip.slip=0.2"
 SHORT = (
-    "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 --seed=11 "
-    "--tuning-courses=0"
+    "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 "
+    "--seed=11 --tuning-courses=0"
 ).split()
 
 
@@ -65,7 +67,9 @@ def same(a, b):
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory):
-    """Folder of two training seeds of an agent, as train.py leaves them, with hardly any training."""
+    """Folder of two training seeds of an agent, as train.py leaves them, with hardly any
+    training.
+    """
     folder = tmp_path_factory.mktemp("models")
     for seed in (0, 1):
         config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
@@ -98,7 +102,9 @@ def runs_of(returns, finished=True):
 
 
 def test_a_comparison_of_known_runs():
-    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
+    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of
+    `a` is bogged.
+    """
     rng = np.random.default_rng(0)
     scenario = load_scenario("mixed")
     returns = rng.normal(5.0, 2.0, (2, 40))

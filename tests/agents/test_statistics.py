@@ -74,7 +74,9 @@ def test_the_interval_holds_the_middle_95_percent():
 
 
 def test_two_way_draws_cover_the_luck_of_training():
-    """10 training seeds, each better or worse on all courses alike; the truth is the mean over seeds and courses."""
+    """10 training seeds, each better or worse on all courses alike; the truth is the mean over
+    seeds and courses.
+    """
     rng = np.random.default_rng(2)
     covered = 0
     trials = 120

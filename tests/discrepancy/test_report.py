@@ -102,7 +102,9 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
 
 
 def test_the_summary_follows_the_probabilities(planted):
-    """One sentence for each verdict, with the probability of `Finding`; the same as in the table and report.json."""
+    """One sentence for each verdict, with the probability of `Finding`; the same as in the table
+    and report.json.
+    """
     finding = planted.finding
     one = finding.best("slip_sinkage")
     other = finding.best("bulldozing")
@@ -143,7 +145,9 @@ def test_the_summary_follows_the_probabilities(planted):
     "before, after, verdict", [(9.0, 1.2, "named"), (9.0, 4.0, "partly"), (1.0, 1.38, "partly")]
 )
 def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict):
-    """An error that stays above the noise, or that the named effect makes larger, is stated with the name."""
+    """An error that stays above the noise, or that the named effect makes larger, is stated with
+    the name.
+    """
     floor = planted.gap["drawbar_pull"].noise_floor
     gap = planted.gap | {"drawbar_pull": Gap(before * floor, after * floor, floor)}
     report = dataclasses.replace(planted, gap=gap)
@@ -156,7 +160,9 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
 
 
 def test_a_soil_far_from_the_setup_is_a_caution(planted):
-    """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model alone."""
+    """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model
+    alone.
+    """
     k = [u.name for u in planted.fit.unknowns].index("cohesion")
     for far in (3.5, 9.0):
         u = planted.fit.u.copy()

@@ -1,4 +1,6 @@
-"""Calibration and search: what is named and what is not, and the verdict that follows from the probabilities."""
+"""Calibration and search: what is named and what is not, and the verdict that follows from the
+probabilities.
+"""
 
 import dataclasses
 
@@ -41,7 +43,9 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
 
 
 def law_error(data, size, seed):
-    """The table with smooth relative errors of the stress laws, linear in their size, which no effect makes."""
+    """The table with smooth relative errors of the stress laws, linear in their size, which no
+    effect makes.
+    """
     rng = np.random.default_rng(seed)
     p = Problem(data, NOISE_SD.copy(), data.measured)
     fit = p.fit()

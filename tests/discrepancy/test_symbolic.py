@@ -1,4 +1,6 @@
-"""The simplest law of what is left: planted laws come back, chance adds nothing, the saved model says the same."""
+"""The simplest law of what is left: planted laws come back, chance adds nothing, the saved model
+says the same.
+"""
 
 import math
 
@@ -102,7 +104,9 @@ def test_gradient_vanishes_with_the_coefficients(rich):
 
 
 def test_a_law_is_chosen_anew_without_each_group(rich):
-    """Held-out values of a law that only one group asks for are worse than those of the law that has seen it."""
+    """Held-out values of a law that only one group asks for are worse than those of the law that
+    has seen it.
+    """
     added = planted(rich, 1, -0.4, slip=2.0)
     p = problem(rich, np.random.default_rng(12), added)
     base = p.fit()

@@ -73,7 +73,9 @@ def log_of(driven, scenario):
 
 @pytest.fixture(scope="module")
 def logs():
-    """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
+    """Drives of three scenarios as logs with their maps, three courses each: {name: [(log,
+    map)]}.
+    """
     out = {}
     for name, controller in (
         ("mixed", SteppedSpeed),
@@ -93,7 +95,9 @@ def changed(log, without=(), **factors):
     return replace(log, readings=readings)
 
 
-WRONG = {  # readings left out, factors of others, mass in the map over that of the wheel; where, what is proposed
+#: Readings left out, factors of others, mass in the map over that of the wheel; where, what is
+#: proposed.
+WRONG = {
     "rpm": ((), {"wheel_speed": 30.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in rpm"),
     "backwards": ((), {"wheel_speed": -1.0}, 1.0, "column wheel_speed", "sign"),
     "km/h": ((), {"speed": 3.6}, 1.0, "column speed", "km/h"),

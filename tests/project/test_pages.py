@@ -1,7 +1,8 @@
-"""Pages against the code: snippets run, commands parse, tables of the contract agree, named code exists.
+"""Pages against the code: snippets run, commands parse, tables of the contract agree, named code
+exists.
 
-Links within the site are checked by `mkdocs build --strict`. `python -m tests.project.test_pages` writes the table of
-named effects into its page again.
+Links within the site are checked by `mkdocs build --strict`. `python -m tests.project.test_pages`
+writes the table of named effects into its page again.
 """
 
 import functools
@@ -141,7 +142,9 @@ def help_of(*command: str) -> str:
 
 
 def check_options(words: list[str], text: str) -> None:
-    """Every option is in the help text; --changes.course.length also as --changes.KEY, --ppo.history as --ppo.KEY."""
+    """Every option is in the help text; --changes.course.length also as --changes.KEY,
+    --ppo.history as --ppo.KEY.
+    """
     for word in words:
         if word.startswith("--"):
             option = word.partition("=")[0]

@@ -1,4 +1,6 @@
-"""Pictures of a wheel and of a rover: wheels, stresses and ruts where they are, history, windows, video."""
+"""Pictures of a wheel and of a rover: wheels, stresses and ruts where they are, history, windows,
+video.
+"""
 
 import math
 import os
@@ -53,7 +55,9 @@ def ground(simulation):
 
 
 def hubs(simulation):
-    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
+    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units
+    per metre.
+    """
     left, top, width, height = SCENE
     scale = width / width_of(simulation)
     wheels = shown_wheels(simulation, 0)
@@ -96,7 +100,9 @@ def integral(values, x):
 @pytest.mark.parametrize("command", [0.5, 0.9, -0.3])
 @VEHICLES
 def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
-    """Load, pull and torque of the state, by the trapezoidal rule; the load is what the suspension gives."""
+    """Load, pull and torque of the state, by the trapezoidal rule; the load is what the suspension
+    gives.
+    """
     simulation, view = start(rover)
     drive(simulation, view, 15, command)
     world = simulation.numbers.world.wheel

@@ -1,8 +1,9 @@
-"""Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
+"""Identification of a soil from a measurement table: the most probable parameters under the setup's
+priors.
 
-Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
-that the setup does not give as known. `problem.py` has the equations; here the solution is turned into intervals and
-warnings.
+Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion
+c, those are fitted that the setup does not give as known. `problem.py` has the equations; here the
+solution is turned into intervals and warnings.
 """
 
 import math
@@ -50,7 +51,9 @@ _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 
 @dataclass(frozen=True)
 class Parameter:
-    """An identified parameter: estimate with the bounds of its 95 % interval; both equal `value` if it is known."""
+    """An identified parameter: estimate with the bounds of its 95 % interval; both equal `value` if
+    it is known.
+    """
 
     value: float
     low: float
@@ -62,7 +65,9 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """One channel: measured and fitted values [N] at the most probable slip and load, and its noise."""
+    """One channel: measured and fitted values [N] at the most probable slip and load, and its
+    noise.
+    """
 
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
@@ -109,10 +114,11 @@ class TableEstimate:
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and warnings.
 
-    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
-    and the intervals are over its sizes. Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage
-    that was not measured follows from the load. Raises `ParameterError` if no row has enough, nothing is to fit, or
-    measured values are fewer than fitted parameters.
+    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
+    enters the weights, and the intervals are over its sizes. Base model: smooth rim on level, fresh
+    soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
+    `ParameterError` if no row has enough, nothing is to fit, or measured values are fewer than
+    fitted parameters.
     """
     problem = TableProblem(table, setup)
     u, converged = _settle(problem, problem.search())
@@ -134,7 +140,9 @@ class _Plain(NamedTuple):
 
 
 def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
-    """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
+    """The solution from u with conditions and, with `guess`, noise renewed until they no longer
+    change; whether so.
+    """
     guessed = problem.estimated & guess
     converged = False
     share = 1.0  # of each move; lessened where they go in circles, as when the model does not fit
@@ -222,7 +230,8 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
+    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the
+    logarithm.
 
     Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
@@ -307,21 +316,22 @@ def _units(
     S = parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
-            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, and forces and "
-            "torque where they are in kN too."
+            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, "
+            "and forces and torque where they are in kN too."
         )
     elif doubt := load_doubt(problem.table, problem.setup):
         words.append(doubt)
     elif S.high < SOFT and not S.known:
         words.append(
-            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: expected newtons and "
-            "metres in the table."
+            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: "
+            "expected newtons and metres in the table."
         )
     for name, fit in fits.items():
         if fit.too_small < 1e-4 / len(fits):
             words.append(
-                f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise of {fit.noise:.3g} "
-                f"{fit.unit}: the noise or the unit of one of them is wrong, and the intervals are too wide."
+                f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise "
+                f"of {fit.noise:.3g} {fit.unit}: the noise or the unit of one of them is wrong, "
+                "and the intervals are too wide."
             )
     return words
 
@@ -332,15 +342,17 @@ def _undetermined(
     """Warnings of parameters that the data hardly determine, alone or in pairs."""
     label = dict(zip(NAMES, LABELS, strict=True))
     words = [
-        f"The data do not determine the {label[name]}: its standard deviation is {p.sd_over_prior:.0%} of the prior's."
+        f"The data do not determine the {label[name]}: its standard deviation is "
+        f"{p.sd_over_prior:.0%} of the prior's."
         for name, p in parameters.items()
         if name in label and p.sd_over_prior > UNDETERMINED
     ]
     for i, j in combinations(range(len(labels)), 2):
         if abs(correlation[i, j]) > TIED:
             words.append(
-                f"The data tie {labels[i]} and {labels[j]} together (correlation {correlation[i, j]:+.3f}): a "
-                "combination of the two is determined, neither of them alone."
+                f"The data tie {labels[i]} and {labels[j]} together (correlation "
+                f"{correlation[i, j]:+.3f}): a combination of the two is determined, neither of "
+                "them alone."
             )
     return words
 
@@ -352,7 +364,9 @@ def _doubts(
     fits: dict[str, ChannelFit],
     converged: bool,
 ) -> list[str]:
-    """Warnings on the solution u with its `fits`, and on the model by the solution under noise alone."""
+    """Warnings on the solution u with its `fits`, and on the model by the solution under noise
+    alone.
+    """
     words = []
     label = dict(zip(NAMES, LABELS, strict=True))
     setup = problem.setup
@@ -365,7 +379,8 @@ def _doubts(
     ]
     if at_end:
         words.append(
-            f"At the end of its admissible range: {', '.join(at_end)}; its interval is not reliable."
+            f"At the end of its admissible range: {', '.join(at_end)}; its interval is not "
+            "reliable."
         )
     given = {name: getattr(setup.soil, name, None) for name in NAMES}
     given |= {
@@ -375,8 +390,8 @@ def _doubts(
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
         if given[unknown.name] is not None and abs(d) > 3.0:
             words.append(
-                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} standard deviations from "
-                "its prior: prior, table or laws are wrong."
+                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} "
+                "standard deviations from its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
     check = (
@@ -390,22 +405,23 @@ def _doubts(
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(plain.fits[name].residual ** 2)))
             words.append(
-                f"The base model does not fit the {channel} to its noise: were the stress laws exact, residuals would "
-                f"be {rms:.3g} times the given standard deviation. The intervals allow for wrong laws, not for a wrong "
-                f"unit or sign or an effect that is missing. {check}"
+                f"The base model does not fit the {channel} to its noise: were the stress laws "
+                f"exact, residuals would be {rms:.3g} times the given standard deviation. The "
+                "intervals allow for wrong laws, not for a wrong unit or sign or an effect that is "
+                f"missing. {check}"
             )
         elif fit.estimated and _follows(
             problem.rows.slip, problem.rows.load, plain.fits[name].residual
         ):
             words.append(
-                f"The residuals of {channel} follow slip and load instead of scattering: the base model does not fit, "
-                f"and its error counts here as noise. {check}"
+                f"The residuals of {channel} follow slip and load instead of scattering: the base "
+                f"model does not fit, and its error counts here as noise. {check}"
             )
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
         words.append(
-            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are wide and may still "
-            "be too narrow. Give the noise if it is known."
+            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are "
+            "wide and may still be too narrow. Give the noise if it is known."
         )
     words += _not_modelled(problem)
     if not converged:
@@ -416,7 +432,9 @@ def _doubts(
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
-    """Rows left out or taken otherwise than the table has them, and what of the rig the base model lacks."""
+    """Rows left out or taken otherwise than the table has them, and what of the rig the base model
+    lacks.
+    """
     words = []
     table = problem.table
     used = problem.use
@@ -424,7 +442,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
         words.append(
-            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out."
+            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left "
+            "out."
         )
     if unseen:
         words.append(
@@ -432,7 +451,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
         )
     if np.any(table.passes[used] > 1):
         words.append(
-            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes."
+            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by "
+            "earlier passes."
         )
     if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
         words.append(
@@ -446,7 +466,9 @@ def _not_modelled(problem: TableProblem) -> list[str]:
 
 
 def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
-    """True if a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
+    """True if a smooth function of slip and load explains more of the residuals than chance does (F
+    test, 5e-4).
+    """
     kept = np.isfinite(residual)
     e = residual[kept]
     i = slip[kept]
