@@ -59,9 +59,8 @@ class Info(Checked):
     return_count: float
     clip: float = quantity("", 0.0)  # of a normalised input
     scenario: dict = field(default_factory=dict)  # resolved
-    model: dict = field(
-        default_factory=dict
-    )  # model.yaml of the world of the training; empty: no effects
+    #: model.yaml of the world of the training; empty: no effects.
+    model: dict = field(default_factory=dict)
 
     @cached_property
     def task(self) -> Scenario | RoverScenario:
@@ -133,9 +132,8 @@ class ChoosingPolicy(ActorCriticPolicy):
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        mean = torch.where(
-            choosing > 0.0, difference, self.action_net(hidden)
-        )  # normalised: above its mean
+        # Normalised: above its mean.
+        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:

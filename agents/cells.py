@@ -268,9 +268,8 @@ def on_ray(
     if ours:
         options = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is not None or not os.environ.get("RAY_ADDRESS"):
-            options["address"] = (
-                address or "local"
-            )  # "auto" tries a cluster that died here for minutes
+            # "auto" tries a cluster that died here for minutes.
+            options["address"] = address or "local"
         if workers is not None:
             options["num_cpus"] = workers
         try:

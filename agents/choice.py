@@ -31,9 +31,8 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.passed = np.zeros(KEPT, dtype=np.float32)
         self.count = 0  # of the choices whose end is known
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
-        self.on = np.zeros(
-            (self.num_envs, len(lines[0])), dtype=np.float32
-        )  # the line that each wheel took last
+        # The line that each wheel took last.
+        self.on = np.zeros((self.num_envs, len(lines[0])), dtype=np.float32)
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
@@ -43,16 +42,16 @@ class ChoiceVecEnv(VecEnvWrapper):
 
     def reset(self) -> np.ndarray:
         self.seen = self.venv.reset()
-        self.under_way[:] = self.chose[:] = False
+        self.under_way[:] = False
+        self.chose[:] = False
         return self.seen
 
     def step_async(self, actions: np.ndarray) -> None:
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
         ahead, beside = (self.seen[:, columns] for columns in self.lines)
-        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[
-            choosing
-        ]  # in a halt the last action decides
+        # In a halt the last action decides.
+        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]
         self.under_way |= choosing
         self.chose = choosing
         self.venv.step_async(actions)
@@ -61,7 +60,8 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.seen, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones & self.under_way)
         self._keep(ended, [float(infos[k]["cause"] == "FINISHED") for k in ended])
-        self.under_way[dones] = self.chose[dones] = False
+        self.under_way[dones] = False
+        self.chose[dones] = False
         return self.seen, rewards, dones, infos
 
     def _keep(self, wheels: np.ndarray, passed) -> None:

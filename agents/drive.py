@@ -192,8 +192,7 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
 
     images = [Image.fromarray(frame) for frame in frames]
     if len(images) > 1:
-        images = [
-            image.quantize(64, Image.Quantize.FASTOCTREE) for image in images
-        ]  # keeps colours of small areas
+        # Keeps colours of small areas.
+        images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     images[0].save(path, **(more if path.suffix == ".gif" else {}))

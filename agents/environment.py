@@ -99,9 +99,9 @@ class Moments(RunningMeanStd):
         """Take in the moments of a batch."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
         for values in (self.mean, self.var):
-            values[self.lines[0]] = values[self.lines[1]] = 0.5 * (
-                values[self.lines[0]] + values[self.lines[1]]
-            )
+            mean = 0.5 * (values[self.lines[0]] + values[self.lines[1]])
+            values[self.lines[0]] = mean
+            values[self.lines[1]] = mean
 
 
 class SeveralWorlds(NativeVecEnv):

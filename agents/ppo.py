@@ -22,15 +22,8 @@ from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_i
 from .config import PPOConfig
 from .environment import World, normalised
 
-_SAME = (
-    "n_steps",
-    "batch_size",
-    "n_epochs",
-    "gamma",
-    "gae_lambda",
-    "clip_range",
-    "ent_coef",
-)  # named as in SB3
+#: Named as in SB3.
+_SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
 
 
 def build(
@@ -58,9 +51,8 @@ def learner(
     model = PPO(
         policy,
         env,
-        learning_rate=lambda left: (
-            config.learning_rate * max(left, 0.05)
-        ),  # of the share that is left
+        # Of the share that is left.
+        learning_rate=lambda left: config.learning_rate * max(left, 0.05),
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
         tensorboard_log=None if tensorboard is None else str(tensorboard),
@@ -147,9 +139,8 @@ def resume(
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
-    seed = (
-        seed + info.timesteps
-    ) % 2**31  # other courses and other noise than at the start of the run
+    # Other courses and other noise than at the start of the run.
+    seed = (seed + info.timesteps) % 2**31
     model = build(scenario, observation, config, seed, tensorboard, world)
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)

@@ -23,15 +23,15 @@ class Policy:
 
     def __init__(self, path=HERE / "policy.onnx"):
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
         options.log_severity_level = 3  # errors
         self.session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
         )
         own = {x.name: x for x in self.session.get_inputs()}
-        self.kept = (
-            own["history"].shape[1] if "history" in own else 0
-        )  # numbers kept from step to step
+        # Numbers kept from step to step.
+        self.kept = own["history"].shape[1] if "history" in own else 0
 
     def act(self, observation, memory=None, new_course=None):
         """(actions [n, 1] in [-1, 1], memory [n, kept]) for float32 observations [n, D] and the

@@ -71,7 +71,8 @@ class CourseVecEnv(NativeVecEnv):
         self.model = load_model(model)
         self.observation_variant = observation
         own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
-        self.env = env = kind(num_envs, task, observation, **own, **options)
+        env = kind(num_envs, task, observation, **own, **options)
+        self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.scenario = env.scenario
         self.simulation = env.simulation

@@ -128,10 +128,8 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
     folder = Path(folder)
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
-    for left_over in (
-        folder / CHECKPOINT,
-        *folder.glob(".*.partial*"),
-    ):  # a kill may have left them beside the model
+    # A kill may have left them beside the model.
+    for left_over in (folder / CHECKPOINT, *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return load_agent(folder / MODEL)
 

@@ -45,7 +45,8 @@ class SwingingSpeed(ConstantSpeed):
 
     def rim_speed(self, observation, state):
         """Rim speed of this period [m/s], [n]."""
-        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        state["time"] = t
         return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 

@@ -29,13 +29,8 @@ from soil_env.terramechanics.model import load_model
 
 NAME = "identification"
 SEED = 20261126  # nothing was chosen on its courses, nor changed after they were seen
-OWN = (
-    "two_lines",
-    "mixed",
-    "loose_slopes",
-    "sticky",
-    "field_vehicle",
-)  # scenarios with the laws of the filter
+#: Scenarios with the laws of the filter.
+OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle")
 OTHERS = {
     "unseen": [""],
     "mixed": ["grousers", "shear_softening", "bulldozing", "law_errors", "two_effects"],
@@ -44,12 +39,8 @@ ROVERS = ("field_rover", "mars_rover", "lunar_micro_rover")
 ROVER_DRIVES = {"swinging slip": drives.SwingingSlip, "constant speed": drives.constant_speeds}
 EVERY = (*(name for name in CONTROLLERS if name != "best_slip_true"), "swinging_speed", "ramp")
 ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start", "wheel_speed"))
-FEW = (
-    "soft_start",
-    "best_slip_identified",
-    "extremum_seeking",
-    "swinging_speed",
-)  # drives of OTHERS
+#: Drives of OTHERS.
+FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
 SHOWN = (0, 1, 5)  # of `QUANTITIES`: friction angle, ln K, best pull
 #: Asked of a row: shares in 68 %, in 95 % and beyond 3 sd [%], bias over the mean sd.
 ASKED = {

@@ -91,9 +91,8 @@ class Recorder:
             vector(reading["drawbar_pull"], 0.0, reading["load"]), zero
         )
         self.write("/wheel/wrench", seconds, "geometry_msgs/msg/WrenchStamped", force)
-        half = (
-            -0.5 * reading["pitch"]
-        )  # REP 103: a positive rotation about y, to the left, is nose down
+        # REP 103: a positive rotation about y, to the left, is nose down.
+        half = -0.5 * reading["pitch"]
         up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
         felt = vector(reading["acceleration"], 0.0, 0.0)

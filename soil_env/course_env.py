@@ -89,9 +89,8 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
     finite = np.isfinite(a)
     if not finite.all():
-        row = (
-            () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
-        )  # the first that is wrong
+        # The first that is wrong.
+        row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
         raise ValueError(
             f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]"
         )

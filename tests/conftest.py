@@ -17,9 +17,8 @@ for name, value in (
 ):
     os.environ.setdefault(name, value)
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(
-        name, "1"
-    )  # matrices and networks are small, and as many tests run as there are cores
+    # Matrices and networks are small, and as many tests run as there are cores.
+    os.environ.setdefault(name, "1")
 
 # A shell starts what runs in the background with Ctrl-C ignored, and processes started from here
 # would inherit that.

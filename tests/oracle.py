@@ -20,9 +20,8 @@ from tests import oracle_cases
 FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
-SEARCHED = (
-    1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
-)
+#: The same for results of an optimiser, which stops elsewhere on another processor or BLAS.
+SEARCHED = 1e-4
 
 
 def tolerance(case: str, values: np.ndarray) -> float:

@@ -101,9 +101,8 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
         observation, reward, terminated, truncated, info = env.step(levels)
         total = total + reward
         over = terminated | truncated
-        cause = info.get("final_info", info)[
-            "cause"
-        ]  # in SameStep mode `info` is of after the reset
+        # In SameStep mode `info` is of after the reset.
+        cause = info.get("final_info", info)["cause"]
         ends += [f"{k} {j} {cause[j]}" for j in np.flatnonzero(over)]
         if k % 25 == 24:
             for name, value in zip(out, (float(k), observation, total, info["x"]), strict=True):

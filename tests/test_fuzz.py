@@ -326,7 +326,8 @@ def lost_and_turnover(substep):
     }
     env = SoilWheelVectorEnv(8, "mixed", action="torque", threads=1, **changes)
     env.reset(seed=4)
-    lost = turnover = 0.0
+    lost = 0.0
+    turnover = 0.0
     for step in range(30):
         before = env.simulation.worlds.state.copy()
         env.step(np.full((8, 1), 0.35 + 0.1 * math.sin(0.5 * step)))

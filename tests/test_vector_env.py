@@ -36,20 +36,14 @@ WHEEL = Kind(
     SoilWheelVectorEnv,
     "SoilWheel-v0",
     1,
-    {
-        "course": {"length": 2.0},
-        "control": {"action": "torque", "time_limit": 4.5},
-    },
+    {"course": {"length": 2.0}, "control": {"action": "torque", "time_limit": 4.5}},
 )
 ROVER = Kind(
     SoilRoverEnv,
     SoilRoverVectorEnv,
     "SoilRover-v0",
     2,
-    {
-        "course": {"length": 1.0},
-        "control": {"time_limit": 5.0},
-    },
+    {"course": {"length": 1.0}, "control": {"time_limit": 5.0}},
 )
 WORLD = WheelSoilModel.from_content(
     {
@@ -207,9 +201,8 @@ def test_flat_infos_are_the_same_numbers(kind, info):
         assert set(numbers) == set(arrays) == {name for name in synced if name[0] != "_"}
         expected = flat(nested) if kind is WHEEL else numbers
         for name, value in numbers.items():
-            assert (
-                isinstance(value, np.number) and value == expected[name]
-            )  # numpy's: TorchRL asks for a dtype
+            # Numpy's: TorchRL asks for a dtype.
+            assert isinstance(value, np.number) and value == expected[name]
             assert arrays[name][0] == pytest.approx(value, rel=1e-14) and synced[name][0] == value
         infos = [full.step(a[0])[4], one.step(a[0])[4], many.step(a)[4], sync.step(a)[4]]
     some = {

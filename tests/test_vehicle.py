@@ -92,9 +92,8 @@ def test_bad_rovers_are_named_in_one_line(changes, message):
 def test_wheels_and_rovers_are_not_taken_for_each_other(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
-    assert (
-        load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
-    )  # it has one then
+    # It has one then.
+    assert load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
     for load, which in (
         (load_rover, load_scenario("mixed")),
         (load_rover, "mixed"),

@@ -64,12 +64,10 @@ class Controller:
         self.weight_torque = scenario.weight * wheel.radius
         self.action = scenario.control.action  # [s] between two actions
         self.period = scenario.control.duration
-        self.change = (
-            scenario.control.rim_acceleration * self.period / self.top_speed
-        )  # of command by an action of 1
-        self.gain = (
-            wheel.inertia / self.period
-        )  # [N m s]: a free wheel is on speed after one period
+        # Of command by an action of 1.
+        self.change = scenario.control.rim_acceleration * self.period / self.top_speed
+        # [N m s]: a free wheel is on speed after one period.
+        self.gain = wheel.inertia / self.period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         #: Values of the settings.
         self.settings = {
@@ -125,9 +123,8 @@ class Controller:
         if self.action == "torque":
             action = self._torque(batch, rim_speed, state) / self.stall
         else:
-            droop = (
-                batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
-            )  # of the drive's loop
+            # Of the drive's loop.
+            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
             action = rim_speed / self.top_speed + droop
             if self.action == "rim_acceleration":
                 action = (action - batch[:, self.column["rim_command"]]) / self.change

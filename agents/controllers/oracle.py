@@ -35,9 +35,8 @@ SPEEDS = (0.05, 1.0)  # [of the top rim speed]
 BACKING = (0.5, 4.0)  # [s] of going back, and the share of drawn plans that begin so
 BACKING_SHARE = 0.25
 BACK = -0.1  # [of the top rim speed]
-FIXED = tuple(
-    (a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8)
-)  # soft starts, tried every time
+#: Soft starts, tried every time.
+FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))
 DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
 VARIED = 10  # plans
 DRAWN = 14
@@ -152,9 +151,8 @@ class Oracle:
         tried = self._candidates(self.driver.plans.at(due))
         clone(self.simulation, wheels, self.clones, places)
         streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
-        self.clones.worlds.streams[places] = np.repeat(
-            streams, COUNT
-        )  # the same noise for all plans of a wheel
+        # The same noise for all plans of a wheel.
+        self.clones.worlds.streams[places] = np.repeat(streams, COUNT)
         self.dreamer.plans = Plans(*(x.ravel() for x in tried))
         score = self._tried(
             batch[wheels], {name: values[wheels] for name, values in memory.items()}

@@ -12,9 +12,8 @@ from .base import SPEED, START, Controller, Ramped, Setting
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
-CHANGE = np.array(
-    [0.01] * 7 + [0.1]
-)  # relative change of soil and load that recomputes the best slip
+#: Relative change of soil and load that recomputes the best slip.
+CHANGE = np.array([0.01] * 7 + [0.1])
 
 
 class FullThrottle(Controller):
@@ -105,9 +104,8 @@ class FixedSlip(Controller):
         )
         rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
         state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
-        held = np.where(
-            rim > top, np.minimum(gain, 0.0), gain
-        )  # at its limits the acceleration does not wind up
+        # At its limits the acceleration does not wind up.
+        held = np.where(rim > top, np.minimum(gain, 0.0), gain)
         state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
         return state["rim"]
 
@@ -162,10 +160,8 @@ class ExtremumSeeking(SlipFollower):
         share = np.where(driving, self.period / self.memory_time, 0.0)
         a = slip - state["slip_mean"]
         b = pull - state["pull_mean"]
-        state["slip_mean"], state["pull_mean"] = (
-            state["slip_mean"] + share * a,
-            state["pull_mean"] + share * b,
-        )
+        state["slip_mean"] = state["slip_mean"] + share * a
+        state["pull_mean"] = state["pull_mean"] + share * b
         state["power"] = state["power"] + share * (a * a - state["power"])
         state["product"] = state["product"] + share * (a * b - state["product"])
         slope = state["product"] / (state["power"] + self._LITTLE)

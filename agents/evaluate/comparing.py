@@ -15,9 +15,8 @@ from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
 RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
-ORACLE_BLOCK = (
-    10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
-)
+#: Courses that it drives side by side: it is slow, and a block is what an interruption loses.
+ORACLE_BLOCK = 10
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}

@@ -60,9 +60,8 @@ def parse(
     """
     settings = settings or {}
     out = {}
-    first: dict[
-        str, tuple[str, str, bool]
-    ] = {}  # kind, text and explicit naming of the first entry of a name
+    # Kind, text and explicit naming of the first entry of a name.
+    first: dict[str, tuple[str, str, bool]] = {}
     items = [item.strip() for item in text.split(",")]
     if not any(items):
         raise ParameterError("controllers: expected at least one, got none")

@@ -88,9 +88,8 @@ class Runs:
     slip: np.ndarray  # mean
     sinkage: np.ndarray  # mean [m]
     returns: np.ndarray
-    more: dict[str, np.ndarray] = field(
-        default_factory=dict
-    )  # further metrics in their units, NaN where not defined
+    #: Further metrics in their units, NaN where not defined.
+    more: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

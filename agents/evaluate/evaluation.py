@@ -36,12 +36,10 @@ class Evaluation(OfTask):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
-    tuned: dict = field(
-        default_factory=dict
-    )  # {classical controller: settings that tuning has found}
-    model: dict = field(
-        default_factory=dict
-    )  # content of the model.yaml of the world's effects; empty = none
+    #: {classical controller: settings that tuning has found}.
+    tuned: dict = field(default_factory=dict)
+    #: Content of the model.yaml of the world's effects; empty = none.
+    model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
     version: str = field(default_factory=code_version)
 
@@ -141,9 +139,8 @@ class Job:
         if key == ORACLE:
             return Oracle(self.asked.scenario)
         contestant = self.controllers[key]
-        if (
-            contestant.kind == "class"
-        ):  # an object may keep things in itself: a new one for every block
+        # An object may keep things in itself: a new one for every block.
+        if contestant.kind == "class":
             return loading.load(contestant, self.asked.scenario)
         if key not in self._loaded:
             self._loaded[key] = loading.load(contestant, self.asked.scenario, self.files.get(key))

@@ -27,7 +27,8 @@ try:
 
     from .. import agent as saved
 except ImportError:  # reported in one line where a model is loaded
-    torch = saved = None
+    torch = None
+    saved = None
 
 #: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
 #: the first that fits.
@@ -141,7 +142,8 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         raise ParameterError(
             f"{path}: a {algorithm} model needs {package.replace('_', '-')}"
         ) from None
-    if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
+    beside = path.with_name("vecnormalize.pkl")
+    if beside.is_file():  # as rl-baselines3-zoo writes it
         raise ParameterError(
             f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead"
         )

@@ -136,9 +136,8 @@ def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) ->
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), _CHUNK):
         part = slice(start, start + _CHUNK)
-        up_to = np.cumsum(
-            members[part][:, m] * courses[part][:, c], axis=1
-        )  # scores up to each of `ordered`
+        # Scores up to each of `ordered`.
+        up_to = np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
         out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
     return np.concatenate(out) / (n - 2 * cut)
 

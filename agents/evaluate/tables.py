@@ -122,6 +122,5 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
         line[0].set_yticks(range(len(names)), names)
         line[0].set_title(group, loc="left", fontsize=9)
-    return picture_of(
-        figure, dpi=110, metadata={"Software": None}
-    )  # the same bytes for the same figure
+    # The same bytes for the same figure.
+    return picture_of(figure, dpi=110, metadata={"Software": None})

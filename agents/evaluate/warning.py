@@ -37,17 +37,16 @@ class Foresight:
         self.probability = np.zeros(count)
         self.on = np.zeros(count, dtype=bool)  # alarms; [s] below `KEPT`
         self.quiet = np.zeros(count)
-        self.under, self.driven, self.time = np.zeros(
-            (3, count)
-        )  # [s] under alarm, of all driving, of all
+        # [s] under alarm, of all driving, of all.
+        self.under, self.driven, self.time = np.zeros((3, count))
         self.start_time, self.start_x = np.zeros((2, count))
+        # [m]
         self.least = (
             scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period
-        )  # [m]
+        )
         self.furthest = np.zeros(count)  # [m] a control period ago
-        self.mobile_lead = np.full(
-            (count, 2), np.nan
-        )  # [m], [s] from the alarm to the last mobile moment
+        # [m], [s] from the alarm to the last mobile moment.
+        self.mobile_lead = np.full((count, 2), np.nan)
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""

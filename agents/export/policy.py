@@ -31,9 +31,8 @@ def onnx_model(agent, description: dict):
     network of no such form.
     """
     shipped = isinstance(agent, DefaultPolicy)
-    choice = (
-        None if shipped else getattr(agent, "choice", None)
-    )  # of a model trained with LineAction
+    # Of a model trained with LineAction.
+    choice = None if shipped else getattr(agent, "choice", None)
     expected = Box(-1.0, 1.0, (1 if choice is None else 2,), np.float32)
     if not shipped and agent.policy.action_space != expected:
         raise ParameterError(f"action space {agent.policy.action_space}: expected {expected}")

@@ -55,9 +55,8 @@ class Target(OfTask):
 
     task: dict
     trained_on: str = ""  # target that the arms are made on; empty: this one
-    model: dict = field(
-        default_factory=dict
-    )  # content of the model.yaml of its world's effects; empty: none
+    #: Content of the model.yaml of its world's effects; empty: none.
+    model: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,8 @@ def table(content: dict, bounds: bool = True) -> Table:
     rows = []
     for name, entry in content["scenarios"].items():
         for arm, metrics in entry["controllers"].items():
-            difference = probability = ""
+            difference = ""
+            probability = ""
             if arm != base and base in entry["controllers"]:
                 difference = points(entry["paired"][arm][base]["finished"])
                 probability = cell(entry["improvement"][arm][base])

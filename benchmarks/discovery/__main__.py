@@ -232,8 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from benchmarks.discovery import (
-        __main__ as imported,
-    )  # processes of --jobs look functions up in a named module
+    # Processes of --jobs look functions up in a named module.
+    from benchmarks.discovery import __main__ as imported
 
     leave(imported.main())

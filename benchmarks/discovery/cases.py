@@ -185,10 +185,8 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         )
     wanted = [SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
-    for k in [
-        *range(len(effects)),
-        *range(len(effects) - 1),
-    ]:  # the first of two again, once the second is there
+    # The first of two again, once the second is there.
+    for k in [*range(len(effects)), *range(len(effects) - 1)]:
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
         strength, sizes[k] = measure.strength(effects[k], wanted[k], others)
         if strength == 0.0:

@@ -79,9 +79,8 @@ def trapped_water(contact, s, side):
     """
 
     def hook(tau, arc):
-        drained = (
-            side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6
-        )  # time of contact over that to drain
+        # Time of contact over that to drain.
+        drained = side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6
         lost = s / (1.0 + drained) * arc.sigma * contact.tan_phi
         return tau * (1.0 - lost / np.maximum(arc.limit, 1e-9))
 

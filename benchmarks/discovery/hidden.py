@@ -33,9 +33,8 @@ class Form:
     signs: tuple[int, ...] = (1,)
     floor: float = 0.0  # below it the form is another one
     order: int = 1  # forms alter the contact in this order: true slip first
-    scales_grade: bool = (
-        False  # the strength is the amplitude of the grades, not of the response to them
-    )
+    #: The strength is the amplitude of the grades, not of the response to them.
+    scales_grade: bool = False
 
     @property
     def source(self) -> str:

@@ -161,9 +161,8 @@ def covariance(
     slope = [(above - below) / (2.0 * step) for below, above in pairs]
     frequency = np.random.default_rng(0).standard_normal((features, LENGTHS.size)) / LENGTHS
     angle = angles(coordinates(arc, contact, pressure, load, lambda slip: slip), frequency)
-    basis = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1) / np.sqrt(
-        features
-    )  # [N, nodes, 2 features]
+    # [N, nodes, 2 features]
+    basis = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1) / np.sqrt(features)
     out = 0.0
     for parts in (by_normal, by_shear):
         dw, dp, dt = np.moveaxis(np.stack(parts, axis=1) @ basis, 1, 0)

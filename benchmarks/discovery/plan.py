@@ -49,9 +49,8 @@ SHALLOWEST = 0.03  # sinkage of the base world over the radius
 DEEPEST = 0.35
 LEVEL = 0.01
 POWER = 0.95
-FREE = (
-    10.0  # standard deviation of the strength of another effect that is refitted, over its strength
-)
+#: Standard deviation of the strength of another effect that is refitted, over its strength.
+FREE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +199,8 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     runs = []
     clock = 0.0
     for number, (load, speed, number_of_pass, grade) in enumerate(blocks, start=1):
-        clock += (
-            rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)
-        )  # preparing the soil
+        # Preparing the soil.
+        clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)
         for slip in np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4):
             clock += rng.uniform(30, 90)
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))

@@ -126,18 +126,15 @@ class Contact:
     tan_phi: np.ndarray = field(init=False)
     shear_modulus: np.ndarray = field(init=False)  # K [m]
     shear_radius: np.ndarray = field(init=False)  # where the shear stress acts [m]
-    exit_angle: Callable = field(
-        default=lambda entry, radius: 0.0 * entry
-    )  # (theta1, r) -> theta2 <= 0
+    #: (theta1, r) -> theta2 <= 0.
+    exit_angle: Callable = field(default=lambda entry, radius: 0.0 * entry)
     mobilised: Callable = field(default=lambda ratio: -np.expm1(-ratio))  # of j/K >= 0
-    peak_shift: list = field(
-        default_factory=list
-    )  # theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
+    #: theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
+    peak_shift: list = field(default_factory=list)
     pressure: list = field(default_factory=list)  # (sigma, depth) -> sigma
     strength: list = field(default_factory=list)  # (tau_max, sigma, theta) -> tau_max
-    deepening: list = field(
-        default_factory=list
-    )  # z -> z, after the balance; the stresses then scale down to the load
+    #: z -> z, after the balance; the stresses then scale down to the load.
+    deepening: list = field(default_factory=list)
     forces: list = field(default_factory=list)  # theta1 -> (dW, dDP, dT), each [N, 1]
     sensors: list = field(default_factory=list)  # Outcome -> Outcome
     normal: list = field(default_factory=list)  # (sigma, Arc) -> sigma, along the whole arc
@@ -230,9 +227,8 @@ class Contact:
         r = self.shear_radius
         theta = arc.theta
         sigma = arc.sigma
-        start = np.arccos(
-            np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0)
-        )  # entry unless lugs reach further
+        # Entry unless lugs reach further.
+        start = np.arccos(np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0))
         j = r * ((start - theta) - (1.0 - self.slip) * (np.sin(start) - np.sin(theta)))
         limit = self.cohesion + sigma * self.tan_phi
         for hook in self.strength:

@@ -67,7 +67,8 @@ class Table:
             longest = max(
                 (k for k, number in enumerate(numbers) if not number), key=widths.__getitem__
             )
-            most = widths[longest] = max(widths[longest] - over, len(lines[0][longest]), 12)
+            most = max(widths[longest] - over, len(lines[0][longest]), 12)
+            widths[longest] = most
             for line in lines:
                 cell = line[longest]
                 line[longest] = cell if len(cell) <= most else cell[: most - 3] + "..."

@@ -231,9 +231,8 @@ def _convert(hint, value, where: str):
     if hint in (float, int):
         return number(hint, value, where)
     if hint not in (bool, str):
-        raise TypeError(
-            f"{where}: no rule to load a {hint!r}"
-        )  # a programming error, not the user's
+        # A programming error, not the user's.
+        raise TypeError(f"{where}: no rule to load a {hint!r}")
     expect(isinstance(value, hint), "true or false" if hint is bool else "text")
     return value
 
@@ -327,7 +326,8 @@ class _Strict(yaml.SafeLoader):
         for item in node.value:
             for part in item if isinstance(item, tuple) else (item,):
                 self._check(part, (*above, node))
-            if isinstance(item, tuple) and isinstance(key := item[0], yaml.ScalarNode):
+            key = item[0] if isinstance(item, tuple) else None
+            if isinstance(key, yaml.ScalarNode):
                 if key.value in keys:
                     twice = f"key {key.value!r} appears twice"
                     raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)

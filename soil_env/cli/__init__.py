@@ -13,9 +13,8 @@ import click
 from soil_env._io.loading import nearest
 from soil_env.cli.running import leave, run
 
-_AGENTS = (
-    "soil_env_agents" if find_spec("soil_env_agents") else "agents"
-)  # its name in a clone without installation
+#: Its name in a clone without installation.
+_AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
     "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),

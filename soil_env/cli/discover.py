@@ -53,7 +53,8 @@ def _stages(quiet: bool) -> Callable[[str], None]:
     said = {"reading"}
 
     def say(text: str) -> None:
-        if (stage := text.partition(":")[0]) not in said and not quiet:
+        stage = text.partition(":")[0]
+        if stage not in said and not quiet:
             said.add(stage)
             print(f"soil-env discover: {stage}", file=sys.stderr)
 

@@ -54,9 +54,8 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     report = report_of(recording.name, log, log_map, found, steady, out)
     replace_files(out, report.files)
     for place in out.iterdir():
-        if (
-            FILES.fullmatch(place.name) and place.name not in report.files and place.is_file()
-        ):  # of an earlier run
+        # Of an earlier run.
+        if FILES.fullmatch(place.name) and place.name not in report.files and place.is_file():
             place.unlink()
     print(report.text, end="")
 

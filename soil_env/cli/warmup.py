@@ -40,9 +40,8 @@ def warm_up() -> None:
     """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the
     source paper.
     """
-    from soil_env.paper import (
-        compare,
-    )  # with its printed values; here so that importing this file reads none
+    # With its printed values; here so that importing this file reads none.
+    from soil_env.paper import compare
 
     model = WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}

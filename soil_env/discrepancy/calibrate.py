@@ -79,11 +79,8 @@ class Sizes(NamedTuple):
 
     law: float = 0.0  # alpha, relative, of the stresses of the base law
     effect: float = 0.0  # beta, relative to what an effect adds
-    free: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # of an anonymous contribution, relative to the channel's rms
+    #: Of an anonymous contribution, relative to the channel's rms.
+    free: tuple[float, float, float] = (0.0, 0.0, 0.0)
     span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
     #: Of every value by itself about the model, over the noise: more than 1 if soils vary by row.
     scatter: float = 1.0
@@ -112,9 +109,8 @@ class Fit:
     added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
     residual: np.ndarray  # [M] whitened (y - f) of the values in use
     jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
-    law: tuple[
-        np.ndarray, ...
-    ]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
+    #: [M, R] whitened form error of the base law at the size 1, over each of the spans.
+    law: tuple[np.ndarray, ...]
     effect: np.ndarray  # [M, R] of the effects
     free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
     rig: np.ndarray  # [M, R] of the nuisances of the instrument
@@ -215,7 +211,8 @@ class Problem:
         speed = rows.conditions[:, 0]
         z = self.data.y[:, 0]
         sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
-        middle = sliding = 0.0
+        middle = 0.0
+        sliding = 0.0
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
             slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])

@@ -17,13 +17,8 @@ UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
 LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, beyond which the unit is wrong
 MOST_PRESSURE = 1e7
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
-LOGARITHMIC = (
-    "load",
-    "speed",
-    "pass",
-    "wheel_radius",
-    "wheel_width",
-)  # conditions that are compared by their ratio
+#: Conditions that are compared by their ratio.
+LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
 #: Difference below which two values of a condition are one level; relative where it is compared by
 #: its ratio.
@@ -67,9 +62,8 @@ class Data:
     y: np.ndarray  # [N, 3] measured, nan where not
     varied: dict[str, Factor]  # slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
-    relative_sd: (
-        np.ndarray
-    )  # [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own
+    #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
+    relative_sd: np.ndarray
 
     @property
     def measured(self) -> np.ndarray:

@@ -99,9 +99,8 @@ def _channels_doubted(problem: Problem) -> tuple[str, ...]:
     """
     data = problem.data
     out = []
-    free = (
-        data.setup.load == "vertical" or "grade_deg" in data.varied
-    )  # a wheel that climbs freely pulls nothing
+    # A wheel that climbs freely pulls nothing.
+    free = data.setup.load == "vertical" or "grade_deg" in data.varied
     size = data.rows.load * data.rows.wheels[:, 0]
     for j, name, unit, over in (
         (0, "sinkage", "", data.rows.wheels[:, 0]),
@@ -169,9 +168,8 @@ def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
         )
     if problem.used[:, 1:].any(axis=0).all():
         swapped = [0, 2, 1]
-        of_table = math.isfinite(
-            problem.freedom
-        )  # else the setup gives it by the name of the channel
+        # Else the setup gives it by the name of the channel.
+        of_table = math.isfinite(problem.freedom)
         scale = problem.noise[swapped] / problem.noise if of_table else np.ones(3)
         add(
             "columns",

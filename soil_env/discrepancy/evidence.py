@@ -164,10 +164,9 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """log(Phi(b) - Phi(a)), a < b."""
-    turn = a > 0.0
-    a, b = np.where(turn, -b, a), np.where(turn, -a, b)
-    upper: np.ndarray = log_ndtr(b)
-    lower: np.ndarray = log_ndtr(a)
+    turn = a > 0.0  # there by the other tail, where the difference of two ones would vanish
+    upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
+    lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
     between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
     return between
 
@@ -433,9 +432,8 @@ def anonymous_grid(
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
-    kinds: list[
-        list[tuple[dict[str, Any], float]]
-    ] = [  # (sizes, log of their probability up to a constant)
+    # (sizes, log of their probability up to a constant).
+    kinds: list[list[tuple[dict[str, Any], float]]] = [
         [
             ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
             for f in free

@@ -96,7 +96,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
     The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml
     has them. Refits are linearised about the fit to all. Mean over the ways to cut the table.
     """
-    (a, e), (member, ways) = fit.linearised(), groups(problem)
+    a, e = fit.linearised()
+    member, ways = groups(problem)
     top = a[: fit.residual.size]
     normal = a.T @ a
     r = e[: fit.residual.size]

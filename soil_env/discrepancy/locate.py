@@ -28,9 +28,8 @@ EFFECT = 0.12
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|
-_TAIL = (
-    0.95  # quantile of the simulated maxima at which the number of independent looks is read off
-)
+#: Quantile of the simulated maxima at which the number of independent looks is read off.
+_TAIL = 0.95
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
 
@@ -40,9 +39,8 @@ class Disagreement:
     """One box in which a channel leaves the model."""
 
     channel: str
-    region: dict[
-        str, tuple[float, float]
-    ]  # condition -> (low, high) in its unit; what is not named is not limited
+    #: condition -> (low, high) in its unit; what is not named is not limited.
+    region: dict[str, tuple[float, float]]
     size: float  # [m, N or N m] mean of measured - model in the box
     size_sd: float  # the same in standard deviations of the noise of one value
     p_value: float  # of anything as large anywhere

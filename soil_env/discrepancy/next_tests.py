@@ -124,7 +124,8 @@ class Candidates(NamedTuple):
         """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the
         grid.
         """
-        (count, points, channels), chosen = self.mean.shape, list(chosen)
+        count, points, channels = self.mean.shape
+        chosen = list(chosen)
         before = len(chosen) * channels
         mean = np.empty((count, points, before + channels))
         cov = np.zeros((count, points, before + channels, before + channels))
@@ -133,11 +134,11 @@ class Candidates(NamedTuple):
             mean[k, :, :before] = self.mean[k, chosen].ravel()
             mean[k, :, before:] = self.mean[k]
             cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
-            cov[k, :, before:, :before] = cross = root @ first.T
+            cross = root @ first.T
+            cov[k, :, before:, :before] = cross
             cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
-            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + self.own[k][
-                :, :, None
-            ] * np.eye(channels)
+            own = self.own[k][:, :, None] * np.eye(channels)
+            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + own
         return mean, cov
 
 
@@ -260,7 +261,9 @@ def _said(
     problem: Problem, of: Candidates, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """Predictions of a run, and what it separates, as in `NextTest`."""
-    seen, mean, sd = problem.used.any(axis=0), *np.full((2, len(of.names), 3), np.nan)
+    seen = problem.used.any(axis=0)
+    mean = np.full((len(of.names), 3), np.nan)
+    sd = mean.copy()
     mean[:, seen] = of.mean[:, g]
     sd[:, seen] = np.sqrt(
         [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
@@ -288,7 +291,8 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
             distance = square / 8.0 + 0.5 * (
                 np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j])
             )
-            out[i, j] = out[j, i] = np.exp(-np.maximum(distance, 0.0))
+            out[i, j] = np.exp(-np.maximum(distance, 0.0))
+            out[j, i] = out[i, j]
     return out
 
 
@@ -323,9 +327,8 @@ def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
         n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
     changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
-    changed["pass"] = np.maximum(
-        grid.value["pass"] - 1.0, 0.0
-    )  # on fresh soil they have to be made first
+    # On fresh soil they have to be made first.
+    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
     cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
     return cost + sum(
         (price * changed[name] for name, price in rig.cost.items() if name != "run"),

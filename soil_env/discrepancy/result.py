@@ -63,9 +63,8 @@ class Report:
     fit: Fit  # of `model`, whose soil is `soil`
     base_model: WheelSoilModel
     model: WheelSoilModel
-    held_before: (
-        np.ndarray
-    )  # [N, 3] held-out predictions of the base model, NaN where no value is in use
+    #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
+    held_before: np.ndarray
     held_after: np.ndarray  # [N, 3] of the corrected model
     doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
     settings: Settings

@@ -71,9 +71,8 @@ class Hypothesis:
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
-    like: tuple[
-        str, ...
-    ] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
+    #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
+    like: tuple[str, ...] = ()
 
     @property
     def law(self) -> str:
@@ -98,9 +97,8 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
-    refuted: tuple[
-        tuple[str, ...], ...
-    ] = ()  # sets of effects that held-out rows or a pattern speak against
+    #: Sets of effects that held-out rows or a pattern speak against.
+    refuted: tuple[tuple[str, ...], ...] = ()
 
     def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
         """The finding once these effects, together, are refuted: what is left, with probabilities

@@ -280,9 +280,8 @@ def _next(
     q = np.linalg.qr(a)[0]
     m = found.column.shape[0]
     whole = np.einsum("mc,mc->c", found.column, found.column)
-    length = whole - np.sum(
-        (q[:m].T @ found.column) ** 2, axis=0
-    )  # of what the parameters do not absorb
+    # Of what the parameters do not absorb.
+    length = whole - np.sum((q[:m].T @ found.column) ** 2, axis=0)
     along = found.column.T @ (e - q @ (q.T @ e))[:m]
     fall = along**2 / (length + 1.0)
     worth = _likelihood(problem, fall) - math.log(m) - found.price
@@ -299,9 +298,8 @@ def _next(
         - found.price[k]
         for k in best
     ]
-    gain = 0.5 * (
-        np.array(gain) + worth[best]
-    )  # held-out values alone do not mind an implausible soil
+    # Held-out values alone do not mind an implausible soil.
+    gain = 0.5 * (np.array(gain) + worth[best])
     k = int(np.argmax(gain))
     return int(best[k]) if gain[k] > 0.0 else None
 

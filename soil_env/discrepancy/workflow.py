@@ -68,9 +68,8 @@ def run(
         None if isinstance(table, Table) else _digest(table),
         None if isinstance(setup, Setup) else _digest(setup),
     )
-    with threadpool_limits(
-        1
-    ):  # the matrices are small: threads of the BLAS cost more than they give
+    # The matrices are small: threads of the BLAS cost more than they give.
+    with threadpool_limits(1):
         report = _conclude(rows, read, settings, say, next_runs)
     if out is not None:
         say("writing")
@@ -242,9 +241,8 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     values = {name: float(soil[name]) for name in names}
     acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
     effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
-    if (
-        problem.data.setup.load == "vertical"
-    ):  # the load of a model presses normal to the ground but for this share
+    # The load of a model presses normal to the ground but for this share.
+    if problem.data.setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel

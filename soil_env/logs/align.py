@@ -44,9 +44,8 @@ class Aligned:
 
     start: int  # [ns] of time 0, in the clock of the recording
     time: np.ndarray  # [N] s, rising in whole periods, with jumps where nothing was read
-    readings: dict[
-        str, np.ndarray
-    ]  # [N] each, by the names of `soil_env.online.Readings`; NaN = missing
+    #: [N] each, by the names of `soil_env.online.Readings`; NaN = missing.
+    readings: dict[str, np.ndarray]
     channels: dict[str, Channel]
     period: float  # [s]
     notes: list[str] = field(default_factory=list)

@@ -18,10 +18,8 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-_SLIPS = (
-    0.05,
-    0.3,
-)  # difference between the slip measured and that of the speeds: least of another sign, most
+#: Difference between the slip measured and that of the speeds: least of another sign, most.
+_SLIPS = (0.05, 0.3)
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
 _AGAINST = -0.5  # slope of the gravity felt by that of the pitch; size of their correlation
 _ALIKE = 0.5
@@ -44,9 +42,8 @@ class Range(NamedTuple):
         return f"{self.low:g} to {self.high:g}"
 
 
-_RIM = Range(
-    0.65, 6.0
-)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
+#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
+_RIM = Range(0.65, 6.0)
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD = Range(0.2, 5.0)  # of weight, or of weight times radius
 _PULL = Range(1e-3, 2.0)
@@ -201,11 +198,8 @@ class _Doubts:
             "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
             "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
             "load": (of_weight, 0.5, _LOAD),
-            "drawbar_pull": (
-                of_weight,
-                0.75,
-                _PULL,
-            ),  # may be small for a while, as the torque of a wheel that rolls
+            # May be small for a while, as the torque of a wheel that rolls.
+            "drawbar_pull": (of_weight, 0.75, _PULL),
             "torque": (of_twist, 0.75, _TORQUE),
             "motor_torque": (of_twist, 0.75, _TORQUE),
         }

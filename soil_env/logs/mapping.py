@@ -45,14 +45,10 @@ UNITS: dict[str, dict[str, float]] = {
 #: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 _GEARED = ("wheel_speed", "torque", "motor_torque")
-UNKNOWN_INERTIA = (
-    1e5  # [kg m2] of a map that has none; a motor torque, which needs it, is left out then
-)
-_WHEEL = {
-    "inertia": UNKNOWN_INERTIA,
-    "stall_torque": 1e6,
-    "no_load_speed": 10.0,
-}  # that limit nothing
+#: [kg m2] of a map that has none; a motor torque, which needs it, is left out then.
+UNKNOWN_INERTIA = 1e5
+#: That limit nothing.
+_WHEEL = {"inertia": UNKNOWN_INERTIA, "stall_torque": 1e6, "no_load_speed": 10.0}
 #: [wheel radii] length of a border between soils, where the belief of the map says nothing of it.
 _BORDER = 2.0
 
@@ -67,9 +63,8 @@ class Source(Checked):
     """
 
     topic: str = ""
-    field: str = (
-        ""  # twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names
-    )
+    #: twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names.
+    field: str = ""
     column: str = ""
     constant: float | None = quantity("", default=None)  # in `unit`
     unit: str | None = None  # None = the SI unit
@@ -124,13 +119,11 @@ class LogMap(Checked):
     """Contents of a recording, and how it is read."""
 
     wheel: Wheel
-    channels: dict[
-        str, Source
-    ]  # by the name of the reading (`soil_env.online.Readings`); others are not measured
+    #: By the name of the reading (`soil_env.online.Readings`); others are not measured.
+    channels: dict[str, Source]
     time: TimeColumn | None = None  # of a table
-    clock: Literal["header", "log"] = (
-        "header"  # of a bag: time stamp in the message, or that of its recording
-    )
+    #: Of a bag: time stamp in the message, or that of its recording.
+    clock: Literal["header", "log"] = "header"
     period: float = quantity(
         "s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier"
     )
@@ -145,9 +138,8 @@ class LogMap(Checked):
         "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
     )
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    soil: dict[str, Any] = dataclasses.field(
-        default_factory=dict
-    )  # what is known of it, for setup.yaml
+    #: What is known of it, for setup.yaml.
+    soil: dict[str, Any] = dataclasses.field(default_factory=dict)
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:

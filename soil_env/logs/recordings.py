@@ -81,7 +81,8 @@ class _Clock:
     def __init__(self, source: str, gap: int) -> None:
         self._source = source
         self._gap = gap
-        self._back = self._left_out = 0
+        self._back = 0
+        self._left_out = 0
         self._first = ""
         self.begin()
 
@@ -125,15 +126,15 @@ class _Reader:
         }
         self.sources = {n: s for n, s in given.items() if s.constant is None}
         self.channels = {n: Channel(s.place) for n, s in given.items()}
-        self.limits = largest_readings(
-            log_map.wheel, log_map.gravity
-        )._asdict()  # larger readings are left out
+        # Larger readings are left out.
+        self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
         self._scale = {n: (factor(n, s), s.offset) for n, s in self.sources.items()}
         self._gap = round(log_map.max_gap * 1e9)
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
         for name, value in self.constants.items():
-            if not abs(value) <= (most := self.limits[name]):
+            most = self.limits[name]
+            if not abs(value) <= most:
                 raise ParameterError(
                     f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}"
                 )

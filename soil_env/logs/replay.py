@@ -47,17 +47,14 @@ class Replay:
     """Estimates over the steps of a log."""
 
     time: np.ndarray  # [N] s
-    values: dict[
-        str, np.ndarray
-    ]  # [N] each, by `COLUMNS`; the last three NaN before the first, all where refused
+    #: [N] each, by `COLUMNS`; the last three NaN before the first, all where refused.
+    values: dict[str, np.ndarray]
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: changed in this step
-    ground: (
-        np.ndarray
-    )  # [N] int from 1: one more at each border to another soil, and after each gap
-    differs: list[
-        float
-    ]  # probability, by ground, that its soil is not that of the last; NaN of the first after a gap
+    #: [N] int from 1: one more at each border to another soil, and after each gap.
+    ground: np.ndarray
+    #: Probability, by ground, that its soil is not that of the last; NaN of the first after a gap.
+    differs: list[float]
     borders: int  # that the identifier found, whatever lies behind them
     prior: Estimate
     on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either

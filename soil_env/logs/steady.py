@@ -36,9 +36,8 @@ _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9
 _LEAST_SPREAD = 0.01  # of slip, for a table
 
-Point = dict[
-    str, float | str
-]  # columns of a measurement table, ground and start [s]; NaN = not measured
+#: Columns of a measurement table, ground and start [s]; NaN = not measured.
+Point = dict[str, float | str]
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,15 +23,8 @@ from soil_env._io.loading import (
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
-COSTS = (
-    "run",
-    "slip",
-    "load",
-    "speed",
-    "grade_deg",
-    "wheel",
-    "pass",
-)  # of a run and of what is changed for it
+#: Of a run and of what is changed for it.
+COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
 # Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
@@ -228,9 +221,8 @@ class Setup(Checked):
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
     calibration: Calibration = Calibration()
-    checked: tuple[
-        str, ...
-    ] = ()  # effects that a check has ruled out, or that the columns were corrected for
+    #: Effects that a check has ruled out, or that the columns were corrected for.
+    checked: tuple[str, ...] = ()
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None

@@ -186,9 +186,8 @@ def read_table(
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
-        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(
-            int
-        ),  # checked below
+        # Checked below
+        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),
         run=np.array(runs),
         **columns,
     )
@@ -203,9 +202,8 @@ def read_table(
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped."""
     try:
-        with path.open(
-            encoding="utf-8-sig", newline=""
-        ) as stream:  # with or without a byte order mark
+        # With or without a byte order mark.
+        with path.open(encoding="utf-8-sig", newline="") as stream:
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
             _check_separator(path, [line for line in text if line.strip()][:2])
             reader = csv.reader(text, strict=True)

@@ -64,10 +64,8 @@ class Row(NamedTuple):
     printed: float
     ours: tuple[float, float]
     form: str = ".2f"
-    beyond: tuple[str, str] = (
-        "",
-        "",
-    )  # "<" or ">" where ours is the end of what was scanned, and no limit was found
+    #: "<" or ">" where ours is the end of what was scanned, and no limit was found.
+    beyond: tuple[str, str] = ("", "")
 
 
 def as_shown(value: float, form: str) -> float:

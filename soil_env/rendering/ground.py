@@ -120,9 +120,8 @@ def draw_ground(
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
     """A chequered flag at the end of the course."""
-    top = np.array(
-        [foot[0], max(foot[1] - 156, scene.box[1] + 40)]
-    )  # above the wheel, in view on a slope
+    # Above the wheel, in view on a slope.
+    top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])
     c.lines([foot + (0, 12), top], INK, 2.5)
     for i in range(12):
         c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])

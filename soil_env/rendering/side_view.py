@@ -243,17 +243,8 @@ def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: boo
     its estimate.
     """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
-    places = (
-        28,
-        106,
-        162,
-        216,
-        270,
-        324,
-        392,
-        402,
-        500,
-    )  # right ends but of the first and the last two
+    # Right ends but of the first and the last two.
+    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
     for row, w in enumerate(wheels):

@@ -27,7 +27,9 @@ class CourseView:
         self.scenario: Scenario = scenario
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
-        self._canvas = self._window = self._clock = None
+        self._canvas = None
+        self._window = None
+        self._clock = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -96,7 +98,9 @@ class CourseView:
         """Close the window, if there is one, and free the surfaces."""
         if self._window is not None:
             self._window.destroy()
-        self._window = self._canvas = self._clock = None
+        self._window = None
+        self._canvas = None
+        self._clock = None
 
     def _show(self, surface: Any) -> None:
         """Put a picture into the window, which is opened at the first call, and wait until it is

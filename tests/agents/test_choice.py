@@ -96,9 +96,8 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
     of_lines = model.policy.mlp_extractor.line_net
     noise = model.policy.log_std
-    assert noise.grad is not None and all(
-        x.grad is None for x in of_lines.parameters()
-    )  # PPO leaves the choice
+    # PPO leaves the choice.
+    assert noise.grad is not None and all(x.grad is None for x in of_lines.parameters())
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():

@@ -438,9 +438,8 @@ def test_nan_for_a_course_that_has_ended_is_allowed():
 
         def predict(self, obs, state=None, episode_start=None, deterministic=True):
             action = np.ones((len(obs), 1))
-            if (
-                state is not None
-            ):  # the readings of a wheel that drives are noisy: they never repeat
+            # The readings of a wheel that drives are noisy: they never repeat.
+            if state is not None:
                 action[(obs == state).all(axis=1)] = np.nan if self.careless else 1.0
             return action, obs.copy()
 

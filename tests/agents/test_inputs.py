@@ -129,7 +129,8 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     seen[:, :, -6] = first_class
     seen[:, :, -5] = ~first_class
     seen[:, :, -4:] = 0.0
-    seen[-1, :, -3] = seen[-1, :, -2] = 1.0  # ahead the second class, beside the first
+    seen[-1, :, -3] = 1.0  # ahead the second class
+    seen[-1, :, -2] = 1.0  # beside the first
     halted = rng.random((40, n)) < 0.2
     seen[:, :, history.halted] = halted
     kept = rng.normal(size=(n, history.kept)).astype(np.float32)  # of courses that have ended

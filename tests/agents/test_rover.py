@@ -167,7 +167,8 @@ def test_train_writes_the_comparison(tmp_path):
 def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
     """Also where it is what a wheel has by default."""
     assert main(["train", "--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
-    assert f"{given[0][2:]} = " in (said := capsys.readouterr().err)
+    said = capsys.readouterr().err
+    assert f"{given[0][2:]} = " in said
     assert "expected none beside rover = 'mars_rover'" in said and not list(tmp_path.iterdir())
 
 

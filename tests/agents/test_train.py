@@ -17,13 +17,7 @@ from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
-FILES = {
-    "config.yaml",
-    "scenario.yaml",
-    "model.zip",
-    "tensorboard",
-    "comparison",
-}
+FILES = {"config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison"}
 TINY = (
     "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 "
     "--ppo.n_epochs=1 --ppo.layer=8 --courses=4 --tuning_courses=1 --changes.control.time_limit=5 "
@@ -152,10 +146,8 @@ REFUSED = [  # (options, parts of the message)
     (["--courses"], ["courses", "value"]),
     (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
     (["--ppo.gamma", "1", "--ppo.gamma=0.9"], ["--ppo.gamma: given twice: expected one value"]),
-    (
-        ["--resum=x.yaml"],
-        ["unknown key 'resum'"],
-    ),  # no abbreviations: a misspelt key is no other option
+    # No abbreviations: a misspelt key is no other option.
+    (["--resum=x.yaml"], ["unknown key 'resum'"]),
     (["--name", "a/b"], ["a/b", "name"]),
     (
         ["--config", "smoke.yaml", "--rover", "mars_rover"],
@@ -164,10 +156,8 @@ REFUSED = [  # (options, parts of the message)
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
-    (
-        ["--config", "d.yaml"],
-        ["d.yaml: is empty: expected keys"],
-    ),  # it would be the default training of hours
+    # It would be the default training of hours.
+    (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),
 ]
 
 

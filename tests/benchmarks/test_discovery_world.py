@@ -376,7 +376,8 @@ def test_errors_of_sensors_and_drive():
 
 @pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
 def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
-    z, _, torque = out = table(hidden(name, s, load=70.0))
+    out = table(hidden(name, s, load=70.0))
+    z, _, torque = out
     load = ROWS.load + (s * torque / 0.15 if name == "arm_load" else -70.0 * s * z / 0.015)
     np.testing.assert_allclose(
         out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6

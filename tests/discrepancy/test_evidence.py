@@ -177,9 +177,8 @@ def test_beds_that_differ_are_a_pattern_of_the_stress():
         p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0)
     )[0]
     off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
-    free = evidence.anonymous(
-        q := problem(there, np.random.default_rng(3), softer * off[:, None]), evidence.settle(q, ())
-    )
+    q = problem(there, np.random.default_rng(3), softer * off[:, None])
+    free = evidence.anonymous(q, evidence.settle(q, ()))
     assert free.sizes.patterns[0][0] == "normal stress with bed"
 
 

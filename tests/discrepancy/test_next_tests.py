@@ -157,7 +157,8 @@ def test_information_and_sureness_are_bounds():
     cov = half @ half.transpose(0, 1, 3, 2) + 0.3 * np.eye(3)
     overlap = overlaps(mean, cov)
     of = [multivariate_normal(m[0], c[0]) for m, c in zip(mean, cov, strict=True)]
-    gained = sure = 0.0
+    gained = 0.0
+    sure = 0.0
     for i, p in enumerate(share):
         y = of[i].rvs(20000, random_state=rng)
         log = np.stack([x.logpdf(y) for x in of]) + np.log(share)[:, None]

@@ -55,14 +55,12 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     found = noise.sd * problem.data.relative_sd
     inner = (rows.slip > 0.1) & (rows.slip < 0.65)
     off = np.abs(found / expected - 1.0)[inner]
-    assert (
-        np.max(np.median(off, axis=0)) < 0.05
-    )  # of the sinkage 0.17 by the base model's slopes alone
+    # Of the sinkage 0.17 by the base model's slopes alone.
+    assert np.max(np.median(off, axis=0)) < 0.05
     assert np.max(off) < 0.15
     assert noise.origin == ("setup", "setup", "setup") and noise.of_conditions == ("slip", "load")
-    again, _ = calibrate(
-        prepare(problem.data.table, problem.data.setup)
-    )  # as where rows are left out: counted once
+    # As where rows are left out: counted once.
+    again, _ = calibrate(prepare(problem.data.table, problem.data.setup))
     assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 

@@ -81,9 +81,8 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
     run(*files, tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<b>" not in page and "&lt;b&gt;&amp;" in page
-    assert not re.search(
-        r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page
-    )  # it stands alone
+    # It stands alone.
+    assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page)
 
 
 def test_a_named_effect_is_shown_as_an_equation(planted_files):

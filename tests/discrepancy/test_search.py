@@ -119,9 +119,8 @@ def test_refuted_effects_leave_their_probability_to_the_others():
     assert left.refuted == (("a", "b"),) and left.names == ("a",)
     last = left.without(("a",)).without(("b",))
     assert [h.names for h in last.hypotheses] == [()] and last.none == pytest.approx(1.0)
-    alone = found.without(
-        ("a",), alone=True
-    )  # the pair may explain what the effect by itself leaves
+    # The pair may explain what the effect by itself leaves.
+    alone = found.without(("a",), alone=True)
     assert alone.share("a", "b") == pytest.approx(0.75) and alone.best("a").probability == 0.0
     certain = stated((("a",), False, 1.0), ((), False, 0.0), ((), True, 0.0)).without(("a",))
     assert [h.probability for h in certain.hypotheses] == [0.5, 0.5]

@@ -70,9 +70,8 @@ def test_planted_law_comes_back(rich, channel, coefficient, powers):
     assert base.residual @ base.residual > count + 3.0 * math.sqrt(2.0 * count)
     left = found.fit.residual @ found.fit.residual
     assert left < count + 2.0 * math.sqrt(2.0 * count)
-    got = saved(found).predict(
-        rich.table
-    )  # of soil and law, in which the sinkage drives the groups
+    # Of soil and law, in which the sinkage drives the groups.
+    got = saved(found).predict(rich.table)
     assert np.stack(got[:3], axis=1) == pytest.approx(
         found.fit.output, abs=1e-9 + 0.05 * NOISE.min()
     )
@@ -112,9 +111,8 @@ def test_a_law_is_chosen_anew_without_each_group(rich):
     base = p.fit()
     held = symbolic.held_out_predictions(p, base, lambda text: None)
     error = (p.data.y - held) / NOISE
-    assert (
-        np.sqrt(np.mean(error**2)) < 1.3
-    )  # a law that all groups share is found without any of them
+    # A law that all groups share is found without any of them.
+    assert np.sqrt(np.mean(error**2)) < 1.3
     only = np.where((rich.rows.slip > 0.5)[:, None] & (np.arange(3) == 2), 2.0, 0.0)
     q = problem(rich, np.random.default_rng(13), only)
     base = q.fit()

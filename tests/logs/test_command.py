@@ -81,9 +81,8 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
     driven = [0.1, 0.2, 0.35, 0.5, 0.7]
     log = made(log_map, [(s, 4.0) for s in driven])
     found = steady_windows(log, log_map)
-    assert (
-        sorted({round(row["slip"], 6) for row in found.rows}) == driven
-    )  # no row across a change of slip
+    # No row across a change of slip.
+    assert sorted({round(row["slip"], 6) for row in found.rows}) == driven
     assert len(found.rows) >= 3 * len(driven)
     noisy = steady_windows(made(log_map, [(s, 4.0) for s in driven], noise=1.0), log_map)
     assert noisy.noise["sinkage"] == pytest.approx(1e-4 / math.sqrt(10), rel=0.2)
@@ -107,7 +106,8 @@ def test_what_changes_is_not_steady(log_map):
     assert not steady_windows(ramp, log_map).rows
     still = made(log_map, [(0.2, 3.0)])
     assert len(steady_windows(still, log_map).rows) == 3
-    still.readings["wheel_speed"][:] = still.readings["speed"][:] = 0.0
+    still.readings["wheel_speed"][:] = 0.0
+    still.readings["speed"][:] = 0.0
     assert not steady_windows(still, log_map).rows
     sinking = made(log_map, [(0.2, 6.0)])
     sinking.readings["speed"] *= 0.05
@@ -230,9 +230,8 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
         ),
     }
     assert known == KNOWN  # of the map, in place of the belief
-    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})[
-        "dig_gain"
-    ]  # where an estimate was current
+    # Where an estimate was current.
+    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
 
 

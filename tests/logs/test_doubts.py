@@ -15,6 +15,7 @@ from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
 
+#: In the order of `SensorReading`.
 READINGS = (
     "slip",
     "sinkage",
@@ -26,7 +27,7 @@ READINGS = (
     "pitch",
     "motor_torque",
     "acceleration",
-)  # in the order of `SensorReading`
+)
 
 
 class SteppedSpeed(ConstantSpeed):
@@ -36,7 +37,8 @@ class SteppedSpeed(ConstantSpeed):
     hold = 2.5
 
     def rim_speed(self, observation, state):
-        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        state["time"] = t
         return self.top_speed * self.shares[(t / self.hold).astype(int) % self.shares.size]
 
 

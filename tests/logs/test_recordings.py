@@ -310,9 +310,8 @@ def test_a_cut_mcap_gives_what_is_whole_and_says_so(tmp_path, share):
     assert any("cut.mcap" in note for note in part.notes) and not whole.notes
     assert 0 < len(part) < len(whole)
     for name, values in part.readings.items():
-        inside = values[
-            : len(part) - 1
-        ]  # messages of the last step may lie on both sides of the cut
+        # Messages of the last step may lie on both sides of the cut.
+        inside = values[: len(part) - 1]
         assert np.array_equal(inside, whole.readings[name][: inside.size])
     (tmp_path / "cut.mcap").write_bytes(content[:-100])  # of the index, which is not needed
     part = read_recording(tmp_path / "cut.mcap", log_map)

@@ -153,9 +153,8 @@ def rounding(e):
     effects.append(-0.005 * np.eye(3))
     A = np.hstack(effects)
     n = A.shape[1]
-    within = np.block(
-        [[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)]
-    )  # |error| <= the largest
+    # |error| <= the largest.
+    within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])
     fits = np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0]
     return linprog(np.eye(n + 1)[n], within, np.zeros(2 * n), *fits, bounds=(None, None)).x[n]
 

@@ -229,9 +229,8 @@ def test_the_observation_tables(page, env_id, variant, once, twice):
     """Entries of the tables `twice` come again, for the line beside or the other axle."""
     found = tables(DOCS / "guide" / page)
     expected = entries(f"soil_env:{env_id}", observation=variant)
-    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(
-        variant, ()
-    )  # numbered as with "identified"
+    # Numbered as with "identified".
+    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(variant, ())
     agree([row for name in (*once, *twice) if name not in sensors for row in found[name]], expected)
     assert sum(len(found[name]) for name in once) + 2 * sum(
         len(found[name]) for name in twice

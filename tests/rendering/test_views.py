@@ -150,9 +150,8 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
         for p in (with_rut, without)
     ]
     assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
-    ahead = np.s_[
-        200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]
-    ]  # below the key of the stresses
+    # Below the key of the stresses.
+    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]]
     assert np.array_equal(with_rut[ahead], without[ahead])
 
 
@@ -192,7 +191,8 @@ def test_a_window_shows_the_picture(monkeypatch):
 
     pygame.display.quit()
     fast = {"control": {"period": 0.01, "substep": 0.01}}
-    (simulation, a), (_, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
+    simulation, a = start(mode="human", changes=fast)
+    _, b = start(mode="human", changes=fast)
     off_screen = CourseView(simulation.scenario, "rgb_array")
     for _ in range(3):
         drive(simulation, a, 1)

@@ -140,9 +140,8 @@ def mathematics(text: str) -> str:
     text = escape(text, quote=False)
     out = []
     unit = re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
-    for piece in re.split(
-        r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text
-    ):  # a number with its unit stays as it is
+    # A number with its unit stays as it is.
+    for piece in re.split(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text):
         out.append(
             piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", _symbol, piece)
         )

@@ -157,9 +157,8 @@ def _slip(report: Report) -> Figure:
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
-    tilt = (
-        report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
-    )  # of the rig; a model has none
+    # Of the rig; a model has none.
+    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         middle = data.rows.wheels[rows[len(rows) // 2]]

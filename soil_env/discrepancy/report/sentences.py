@@ -137,7 +137,8 @@ def disagreement(report: Report, d: Disagreement) -> str:
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
-    (low, high), (label, unit) = (f"{x:.3g}" for x in limits), CONDITIONS[name]
+    low, high = (f"{x:.3g}" for x in limits)
+    label, unit = CONDITIONS[name]
     if low == high:
         return f"{label} {low}{unit}"
     if limits[1] >= values.max():

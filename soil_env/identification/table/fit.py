@@ -74,9 +74,8 @@ class ChannelFit:
     noise: float  # 1-sigma
     relative: np.ndarray  # [N] that of a row over it
     estimated: bool  # the noise is estimated from the scatter
-    p_value: (
-        float  # of residuals so large by chance were the laws exact; nan if the noise is estimated
-    )
+    #: Of residuals so large by chance were the laws exact; nan if the noise is estimated.
+    p_value: float
     too_small: float  # the same of residuals so small
     unit: str
 
@@ -93,9 +92,8 @@ class TableEstimate:
 
     parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
     free: tuple[str, ...]  # fitted parameters in words
-    covariance: (
-        np.ndarray
-    )  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
+    #: [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg]).
+    covariance: np.ndarray
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
@@ -177,9 +175,8 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain) -> TableEstimate:
     scaling, free = _scaling(problem)
-    published = np.eye(
-        len(NAMES)
-    )  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
+    # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
+    published = np.eye(len(NAMES))
     published[PHI, PHI] = math.radians(1.0)
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
@@ -270,7 +267,8 @@ def _parameters(
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
-    (errors, left), variances = problem.errors(u), problem.variances
+    errors, left = problem.errors(u)
+    variances = problem.variances
     out = problem.predict(u)
     fits = {}
     for j, name in enumerate(SOURCES):

@@ -45,9 +45,8 @@ LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
 _NUGGET = 1e-9
-_SHORTER = (
-    3.0  # correlation length of a contribution of all conditions over that of one condition alone
-)
+#: Correlation length of a contribution of all conditions over that of one condition alone.
+_SHORTER = 3.0
 #: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage
 #: exponent that move and spread a parabola of stress as much; and the depth, over the sinkage, at
 #: which such a change leaves the pressure.
@@ -59,9 +58,8 @@ _MEAN_DEPTH = 0.75
 #: of 0.7 and K of a tenth of the radius.
 _TURNED = 2.6
 _STRONGER = 0.45
-_UNSEEN = (
-    1e-10  # share of the largest variance, or of the noise, below which a direction does not count
-)
+#: Share of the largest variance, or of the noise, below which a direction does not count.
+_UNSEEN = 1e-10
 
 #: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
 #: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
@@ -336,9 +334,8 @@ def _factor(normal: np.ndarray) -> np.ndarray:
     left as it is.
     """
     normal.ravel()[:: len(normal) + 1] += 1.0
-    factor, failed = lapack.dpotrf(
-        normal.T, lower=1, clean=0, overwrite_a=1
-    )  # .T: symmetric, and in Fortran's order
+    # .T: symmetric, and in Fortran's order.
+    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise LinAlgError(
             f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}"

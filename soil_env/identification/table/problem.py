@@ -35,10 +35,8 @@ _FAR = 1e3  # [sd] residual where the model has no value
 _STARTS = 8
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
-CHANNELS_OWN = (
-    0.0,
-    1.0,
-)  # relative error of each channel by itself over that of the stresses, equally probable
+#: Relative error of each channel by itself over that of the stresses, equally probable.
+CHANNELS_OWN = (0.0, 1.0)
 
 
 class LawError(NamedTuple):
@@ -118,9 +116,8 @@ class TableProblem:
         wheels = np.stack(
             [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
         )
-        level = np.zeros(
-            len(table)
-        )  # no speed: the base model does not depend on it, nor on the pass
+        # No speed: the base model does not depend on it, nor on the pass.
+        level = np.zeros(len(table))
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
         self.table: Table = table
         self.setup: Setup = setup
@@ -188,9 +185,8 @@ class TableProblem:
         self.noise: np.ndarray = np.zeros(5)
         self.estimated: np.ndarray = np.zeros(5, dtype=bool)
         self.floor: np.ndarray = np.zeros(5)
-        self.freedom: np.ndarray = np.full(
-            5, math.inf
-        )  # degrees of freedom behind an estimated noise
+        # Degrees of freedom behind an estimated noise.
+        self.freedom: np.ndarray = np.full(5, math.inf)
         for k, name in enumerate(SOURCES):
             given = (
                 getattr(self.setup.noise, name)
@@ -432,13 +428,13 @@ class TableProblem:
         """
         if not np.any(self.estimated):
             return
-        (errors, left), variances = self.errors(u), self.variances
+        errors, left = self.errors(u)
+        variances = self.variances
         for j in np.flatnonzero(self.estimated):
             k = self.measured[:, j - 2]
             self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
-            variance = (
-                float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
-            )  # no row has an sd of its own here
+            # No row has an sd of its own here.
+            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
 
