@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch.nn import functional
 
 KEPT = 400_000  # newest choices that are learned from
-BATCH = 2048
-RATE = 2e-3
+BATCH = 2048  # choices of an update
+RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
 PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 

@@ -16,14 +16,14 @@ from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 from soil_env.vehicle import RoverScenario
 
-ACTION = "rim_acceleration"  # of the action; [s] between two actions
-PERIOD = 0.5
+ACTION = "rim_acceleration"  # action of the scenarios that this policy drives
+PERIOD = 0.5  # [s] between two actions
 COMMON = layout("identified", CourseSpec(classes=3, lines=2))
 #: Entries after those: change of the rim command by an action of 1, stall torque [of weight x
 #: radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
-EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts, and over which it begins
-WIDTH = 0.05
+EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts
+WIDTH = 0.05  # slip over which a band begins
 NAMES = (
     *(e.name for e in COMMON),
     *ADDED,

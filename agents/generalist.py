@@ -43,16 +43,14 @@ from .progress import Bar, show
 from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
-#: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft
-#: start without a limit.
-ACCELERATIONS = (1.0, 0.55, 0.3)
-SHARES = (1.0, 0.6, 1.6)
-SOFT_START = {"start": 1.0, "acceleration": 0.07}
-#: Rounds of it: courses in each world, and settings that are left after it; for one world, and for
-#: all of a ground.
+# Settings that `chosen` tries.
+ACCELERATIONS = (1.0, 0.55, 0.3)  # factors of the teacher's acceleration
+SHARES = (1.0, 0.6, 1.6)  # factors of its share of the best slip
+SOFT_START = {"start": 1.0, "acceleration": 0.07}  # beside them, without a limit of the slip
+#: Rounds of it in one world: courses of each setting, and settings that are left.
 ROUNDS = ((50, 3), (200, 2), (300, 1))
-OF_GROUND = ((40, 3), (60, 1))
-TEACHING_SET = 5_000_011
+OF_GROUND = ((40, 3), (60, 1))  # the same for all worlds of a ground
+TEACHING_SET = 5_000_011  # course set of these rounds
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,10 @@ from .teachers import Teachers
 ROUND = 64  # steps of each wheel
 KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
-BATCH = 2048
-RATE = 2e-3
-NOISE = 0.2  # of the action: its sd, and its correlation from step to step
-MEMORY = 0.8
+BATCH = 2048  # steps of an update
+RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
+NOISE = 0.2  # sd of the noise of the action
+MEMORY = 0.8  # correlation of that noise from step to step
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 VALUE_STEPS = 600  # of the value network
 

@@ -23,6 +23,7 @@ from soil_env.vehicle import RoverScenario, load_rover
 
 #: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
+#: From the units of `Identifiers.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]

@@ -29,10 +29,10 @@ FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
 FIELDS = ("beta", "Vry", "avg_Vry", "slip", "avg_Fy", "avg_Fz", "avg_Z")
 HEADER = ("run", "time", "slip", "load", "speed", "sinkage", "drawbar_pull")
 RADIUS = 0.058  # [m] set_rover_params.m
-WIDTH = 0.05
+WIDTH = 0.05  # [m] the same
 GROUSER_HEIGHT = {"smooth": 0.0, "grouser": 0.005}  # [m] the same
-TRAVEL = 10.0  # [mm/s] nominal; [s] middle of the averages
-WINDOW = 72.5
+TRAVEL = 10.0  # [mm/s] nominal
+WINDOW = 72.5  # [s] middle of the averages
 #: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, from p = k z^n of the 18 flat plates
 #: of the repository: the median n, and the median pressure at 20 mm, amid the wheels' 14 to 26 mm.
 #: k and n are correlated from plate to plate: the sd of S is the scatter of ln k at a given n, and

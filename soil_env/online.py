@@ -49,9 +49,9 @@ __all__ = [
 ]
 
 _NAN = math.nan
-#: [s] between two sets of readings, for which the filter is made; a warning outside.
-SHORTEST_STEP = 1e-3
-LONGEST_STEP = 10.0
+# Times between two sets of readings for which the filter is made; a warning outside.
+SHORTEST_STEP = 1e-3  # [s]
+LONGEST_STEP = 10.0  # [s]
 #: Standard deviation, in weights and the like, of what is not measured: nothing beside what is.
 _UNKNOWN = 1e2
 

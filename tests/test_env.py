@@ -274,11 +274,8 @@ def test_halts_happen_and_ignore_the_action(make):
     for in_halt in (0.5, -1.0):
         rows = [env.reset(seed=1)[0]]
         for _ in range(80):
-            rows.append(
-                env.step(np.full(env.action_space.shape, in_halt if rows[-1][halted[0]] else 0.5))[
-                    0
-                ]
-            )
+            action = in_halt if rows[-1][halted[0]] else 0.5
+            rows.append(env.step(np.full(env.action_space.shape, action))[0])
         halts.append(np.array(rows))
     np.testing.assert_array_equal(*halts)
     rows = halts[0]

@@ -231,9 +231,8 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
             stepped = ~ended
             done = np.zeros(wheels, dtype=bool)
-            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][
-                :, ended
-            ]
+            state = env.simulation.worlds.state.data[:, :wheels]
+            before.data[:, :wheels][:, ended] = state[:, ended]
         else:
             stepped = ~done
             done = ended

@@ -29,18 +29,18 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .base import Ramped
 
 EVERY = 0.5  # [s] between two plans
-HORIZON = 11.0  # [s]
+HORIZON = 11.0  # [s] that a plan is driven ahead
 ACCELERATIONS = (0.03, 1.0)  # [m/s2] range of the plans, drawn evenly in the logarithm
-SPEEDS = (0.05, 1.0)  # [of the top rim speed]
-BACKING = (0.5, 4.0)  # [s] of going back, and the share of drawn plans that begin so
-BACKING_SHARE = 0.25
-BACK = -0.1  # [of the top rim speed]
+SPEEDS = (0.05, 1.0)  # [of the top rim speed] range of the plans
+BACKING = (0.5, 4.0)  # [s] range of going back, of drawn plans
+BACKING_SHARE = 0.25  # share of the drawn plans that go back first
+BACK = -0.1  # [of the top rim speed] when going back
 #: Soft starts, tried every time.
 FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))
 DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
-VARIED = 10  # plans
-DRAWN = 14
-COUNT = 1 + VARIED + len(FIXED) + DRAWN
+VARIED = 10  # plans that vary the best one so far
+DRAWN = 14  # plans drawn anew
+COUNT = 1 + VARIED + len(FIXED) + DRAWN  # plans of a wheel, with that which it follows
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
 _RUNNING = Cause.RUNNING.value
 _FINISHED = Cause.FINISHED.value

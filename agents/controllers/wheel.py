@@ -146,9 +146,9 @@ class ExtremumSeeking(SlipFollower):
         "power": 0,
         "product": 0,
     }
-    first = 0.3  # estimate at the start, and its bounds
-    low = 0.05
-    high = 0.8
+    first = 0.3  # estimate at the start
+    low = 0.05  # least estimate
+    high = 0.8  # largest estimate
     swing_period = 1.2  # [s]
     memory_time = 2.4  # [s] of the means and of the slope
     _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4

@@ -22,8 +22,8 @@ from soil_env.vehicle import RoverScenario
 from .warning import Foresight
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
-TUNING_SET = 1_000_001
-HELD_OUT_SET = 3_000_011
+TUNING_SET = 1_000_001  # for the settings of controllers
+HELD_OUT_SET = 3_000_011  # for comparisons
 _RUNNING = Cause.RUNNING.value
 _STUCK = [cause.value for cause in IMMOBILISED]
 

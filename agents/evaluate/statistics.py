@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-LEVEL = 0.95
+LEVEL = 0.95  # probability of every interval
 _NORMAL = float(stats.norm.ppf(0.5 + LEVEL / 2))
 _CHUNK = 100  # bootstrap draws whose weights are in memory at once
 

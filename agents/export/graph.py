@@ -14,8 +14,8 @@ from torch import nn
 
 from soil_env._io.loading import ParameterError
 
-OPSET = 17  # onnxruntime 1.14 and later
-IR = 8
+OPSET = 17  # version of the operators: onnxruntime 1.14 and later
+IR = 8  # version of the file format that goes with it
 _TYPES = {
     "float32": TensorProto.FLOAT,
     "float64": TensorProto.DOUBLE,

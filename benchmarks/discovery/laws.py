@@ -15,10 +15,9 @@ import numpy as np
 
 from benchmarks.discovery.world import Arc, Contact, column
 
-#: Scales of the coordinates of `coordinates` over which a law error changes: nominal, and drawn
-#: within a factor of 1.6.
+#: Nominal scales of the coordinates of `coordinates` over which a law error changes.
 LENGTHS = np.array([0.5, 0.8, 0.35, 0.8])
-LENGTH_SPREAD = 1.6
+LENGTH_SPREAD = 1.6  # factor within which they are drawn
 FEATURES = 16  # cosines of a random function
 OfSlip = Callable[[np.ndarray], np.ndarray]  # slip -> the coordinate that takes its place
 

@@ -45,10 +45,10 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-SHALLOWEST = 0.03  # sinkage of the base world over the radius
-DEEPEST = 0.35
-LEVEL = 0.01
-POWER = 0.95
+SHALLOWEST = 0.03  # least sinkage of the base world over the radius
+DEEPEST = 0.35  # largest one
+LEVEL = 0.01  # of the chi-square test by which an effect is seen
+POWER = 0.95  # of that test at the least strength that is drawn
 #: Standard deviation of the strength of another effect that is refitted, over its strength.
 FREE = 10.0
 

@@ -20,8 +20,8 @@ from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError
 
 ASSERTED = ("named", "partly")  # verdicts that assert a name
-MORE_LIKELY = 0.5
-BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+MORE_LIKELY = 0.5  # probability above which an answer states a name
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # edges of the probabilities that are judged together
 LEAST_IN_BIN = 20  # a bin with fewer answers has no deviation
 SENSORS = ("slip_bias", "sinkage_offset")  # of the catalogue, but not of the soil
 CALIBRATED = {"largest": 0.10, "mean": 0.03}  # deviation of stated probabilities that is asked for

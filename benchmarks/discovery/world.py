@@ -17,8 +17,8 @@ import numpy as np
 
 GRAVITY = 9.81  # [m/s2]
 NODES = 16  # intervals of the trapezoidal rule in each zone
-SHALLOWEST = 1e-3  # [rad] bracket of the entry angle
-DEEPEST = 1.5
+SHALLOWEST = 1e-3  # [rad] lower end of the bracket of the entry angle
+DEEPEST = 1.5  # [rad] upper end
 
 
 @dataclass(frozen=True)

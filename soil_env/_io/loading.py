@@ -286,9 +286,9 @@ def to_dict(instance: object) -> dict[str, typing.Any]:
     return plain(instance)
 
 
-MOST_BYTES = 1_000_000  # of a YAML file; shipped ones are far below
-MOST_VALUES = 20_000
-DEEPEST = 40
+MOST_BYTES = 1_000_000  # of a YAML file; shipped ones are far below, here and in the next two
+MOST_VALUES = 20_000  # scalars, lists and mappings of a file
+DEEPEST = 40  # levels of nesting
 _TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} levels"
 
 

@@ -17,9 +17,9 @@ import click
 from soil_env._io.loading import ParameterError
 
 BAD_INPUT = 2  # exit status
-INTERRUPTED = 130  # exit statuses, 128 + the number of SIGINT, SIGTERM, SIGPIPE
-TERMINATED = 143
-UNREAD = 141
+INTERRUPTED = 130  # exit status after SIGINT: 128 + 2
+TERMINATED = 143  # after SIGTERM: 128 + 15
+UNREAD = 141  # after SIGPIPE: 128 + 13
 _LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
 
 

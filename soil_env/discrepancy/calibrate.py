@@ -57,13 +57,13 @@ from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, slid
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
-PRIOR_WIDTH = 1.5
+PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
 #: Form error of an effect that is named by its place, in all channels alike, over that of others.
 ANY_FORM = 10.0
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
-_LAW = 24  # functions of a process at most: law, form of an effect, anonymous contribution
-_EFFECT = 24
-_FREE = 40
+_LAW = 24  # most functions of the process of the law's error
+_EFFECT = 24  # of that of the form of an effect
+_FREE = 40  # of an anonymous contribution
 #: Correlation lengths of the error of the base law, one as probable as another. The shortest is
 #: about the step between two slips of a table, for laws that are right at some slips alone: soil
 #: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
@@ -71,7 +71,7 @@ _FREE = 40
 LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
 #: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
 _LONGER = 1.6
-GRAVITY = 9.81
+GRAVITY = 9.81  # [m/s2]
 
 
 class Sizes(NamedTuple):

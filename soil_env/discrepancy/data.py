@@ -14,8 +14,8 @@ from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, beyond which the unit is wrong
-MOST_PRESSURE = 1e7
+LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which the unit is wrong
+MOST_PRESSURE = 1e7  # [Pa] above which it is
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
 #: Conditions that are compared by their ratio.
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
@@ -29,7 +29,7 @@ _SAME = {
     "wheel_radius": 0.005,
     "wheel_width": 0.005,
 }
-_SAME_RATIO = 0.02
+_SAME_RATIO = 0.02  # of the conditions that are not named above
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ class Data:
         fresh soil.
         """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
-        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[
-            1
-        ].ravel()
+        runs = self.table.run[np.maximum.accumulate(fresh)]
+        _, number = np.unique(runs, return_inverse=True)
+        return number.ravel()
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:

@@ -30,8 +30,8 @@ LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake
 #: Times smaller that its mean square above the noise has to get where the table is read otherwise.
 BETTER = 10.0
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
-LOW_SLIP = 0.2  # slip below which a group must begin, and its span, for that to say anything
-LEAST_SPAN = 0.15
+LOW_SLIP = 0.2  # slip below which a group must begin for a fall to say anything
+LEAST_SPAN = 0.15  # of the slips of a group, for the same
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do

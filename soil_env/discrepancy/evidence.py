@@ -46,8 +46,8 @@ from soil_env.identification.table.problem import finite
 #: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
 #: 30 % of it.
 EFFECT_SIZES = (0.03, 0.12, 0.3)
-EFFECT_PRIOR = (0.35, 0.5, 0.15)
-_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+EFFECT_PRIOR = (0.35, 0.5, 0.15)  # probability of each of them
+_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of estimated noise, equally probable
 ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
@@ -365,11 +365,11 @@ _OWNED = {
     "drawbar_pull": ("pass", "grade_deg"),
     "sinkage": ("pass", "elapsed"),
 }
-FEWEST_BEDS = 4  # of a table that can show that each has a soil of its own
-MOST_BEDS = 60
+FEWEST_BEDS = 4  # beds of soil of a table that can show that each has a soil of its own
+MOST_BEDS = 60  # the same: more are rows, which scatter says better
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY = 2  # sizes of the other form errors that are tried beside it
-_COARSE = (0.02, 0.1)
+_COARSE = (0.02, 0.1)  # sizes of the law's error that are tried with it, too
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:

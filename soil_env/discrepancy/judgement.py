@@ -108,9 +108,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
         error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
     predicted = np.full(problem.used.shape, math.nan)
-    scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[
-        problem.used
-    ]
+    noise = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)
+    scale = noise[problem.used]
     predicted[problem.used] = problem.data.y[problem.used] - error * scale
     return predicted
 
@@ -154,9 +153,8 @@ def closed_interval(
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for way in folds(problem.data):
         group = np.argmax(np.stack(way), axis=0)
-        weight *= rng.multinomial(len(way), np.full(len(way), 1.0 / len(way)), size=_CLOSED_DRAWS)[
-            :, group
-        ]
+        equal = np.full(len(way), 1.0 / len(way))
+        weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
     total = []
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)

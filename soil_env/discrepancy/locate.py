@@ -23,8 +23,8 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
-LAW = 0.1  # relative errors of the laws and of an effect's form that `structure` allows
-EFFECT = 0.12
+LAW = 0.1  # relative error of the laws that `structure` allows
+EFFECT = 0.12  # relative error of an effect's form that it allows
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|

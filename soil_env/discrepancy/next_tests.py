@@ -32,7 +32,8 @@ MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
 LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
 WITHIN_REACH = 0.01  # least probability of a candidate
-CANDIDATES = 14
+CANDIDATES = 14  # at most, the most probable ones
+#: Of the runs to choose from, where the setup says nothing of the rig.
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 BASE = "base model"
 _LARGEST = 3000  # points of a grid

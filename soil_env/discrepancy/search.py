@@ -38,8 +38,8 @@ from soil_env.discrepancy.unnamed import UNNAMED
 #: a listed error, each independent of the others: none is there with 32 %. An error is less
 #: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
 #: single name has odds of its own.
-ODDS = 0.06
-RIG_ODDS = 0.04
+ODDS = 0.06  # of the soil or the drive
+RIG_ODDS = 0.04  # of the instrument
 #: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to
 #: matter.
 UNLISTED_ODDS = 0.05

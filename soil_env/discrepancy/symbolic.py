@@ -34,14 +34,14 @@ from soil_env.terramechanics.residual import (
     residual_law,
 )
 
-TERMS = 3
-POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
+TERMS = 3  # of a law at most
+POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)  # of a group in a product
 POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
 WIDTH = 0.5  # prior sd of a term's rms over that of the channel
-_SWAPS = 3
-FURTHER_GROUP = 4.0  # added to the price of a term
-ODD_POWER = 0.5
+_SWAPS = 3  # rounds in which each term may be exchanged
+FURTHER_GROUP = 4.0  # added to the price of a term for each group after the first
+ODD_POWER = 0.5  # added for each power other than 1
 _ROUNDS = 5  # of law and soil in turn
 HELD_OUT = 4  # groups of a way, at most, without which a law is chosen anew
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at

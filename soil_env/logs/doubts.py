@@ -18,14 +18,14 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-#: Difference between the slip measured and that of the speeds: least of another sign, most.
+#: Differences between the slip measured and that of the speeds: least of another sign, most.
 _SLIPS = (0.05, 0.3)
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
-_AGAINST = -0.5  # slope of the gravity felt by that of the pitch; size of their correlation
-_ALIKE = 0.5
-_INTERVAL = (5e-4, 5.0)  # [s] between rows; the usual; length of a short table
-_USUAL = (2e-3, 2.0)
-_SHORT = 10.0
+_AGAINST = -0.5  # slope of the gravity felt by that of the pitch, below which its sign is wrong
+_ALIKE = 0.5  # size of the correlation of both, from which that counts
+_INTERVAL = (5e-4, 5.0)  # [s] between rows; a doubt beyond
+_USUAL = (2e-3, 2.0)  # [s] between rows, usual
+_SHORT = 10.0  # [s] length of a short table
 
 
 class Range(NamedTuple):

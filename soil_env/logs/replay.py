@@ -39,7 +39,7 @@ _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own s
 _BOUNDS = {
     f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED
 }
-_NO_WAY = (math.nan,) * 3
+_NO_WAY = (math.nan,) * 3  # slip, speed and distance of a step without them
 
 
 @dataclass(frozen=True, eq=False)

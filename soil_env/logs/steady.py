@@ -33,7 +33,7 @@ from soil_env.terramechanics.effects import excavation_rate
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
-_LEAST_SD = 1e-9
+_LEAST_SD = 1e-9  # in the unit of a channel: a smaller scatter is rounding
 _LEAST_SPREAD = 0.01  # of slip, for a table
 
 #: Columns of a measurement table, ground and start [s]; NaN = not measured.

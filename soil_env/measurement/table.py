@@ -56,11 +56,11 @@ UNITS = {
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
-LIGHTEST = 1e-3  # [N] of a load; the latter of a pull, and in N m of a torque, either way, too
-STRONGEST = 1e6
-MOST_PASSES = 10**6
-EXACTEST = 1e-9  # standard deviation, in the unit of its column
-COARSEST = 1e6
+LIGHTEST = 1e-3  # [N] of a load
+STRONGEST = 1e6  # [N], [N m] of a load, and of a pull or torque either way
+MOST_PASSES = 10**6  # pass numbers are whole and small
+EXACTEST = 1e-9  # least standard deviation, in the unit of its column
+COARSEST = 1e6  # largest one
 
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 

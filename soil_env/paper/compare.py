@@ -42,6 +42,7 @@ LABELS = {
     "k_phi": "k_phi",
     "sinkage_exponent": "n",
 }
+# Parameters of Table 3, in the order of `NAMES`: as identified there, and as they are.
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)

@@ -34,9 +34,9 @@ from soil_env.vehicle import Vehicle
 #: Box of the side view: left, top, width, height
 SCENE = (14, 52, 548, 302)
 AT = (0.5, 0.66)  # place of the ground below the middle of the vehicle, from left and top
-_WIDTH = 1.55  # of the side view: over the length of a rover from rim to rim; at least, of radii
-_LEAST_WIDTH = 8.5
-_BODY = (206, 198, 184)
+_WIDTH = 1.55  # of the side view over the length of a rover from rim to rim
+_LEAST_WIDTH = 8.5  # [radii] of the side view
+_BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
 COLOURS = {  # dark, pale

@@ -11,7 +11,7 @@ from soil_env.simulation.task import Cause
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import REST_SPEED, reaction
 
-ARC_POINTS = 25
+ARC_POINTS = 25  # of the contact arc at which stresses are drawn
 
 
 class Stresses(NamedTuple):

@@ -121,16 +121,14 @@ def test_a_comparison_of_known_runs():
     )
     a = found["controllers"]["a"]
     b = found["controllers"]["b"]
-    assert a["finished"]["value"] == pytest.approx(0.75) and a["immobilised"][
-        "value"
-    ] == pytest.approx(0.25)
+    assert a["finished"]["value"] == pytest.approx(0.75)
+    assert a["immobilised"]["value"] == pytest.approx(0.25)
     assert (b["finished"]["low"], b["finished"]["high"]) == pytest.approx(wilson(40, 40))
     assert found["by_seed"]["a"]["return"] == pytest.approx(returns.mean(axis=1))
     assert found["iqm"]["a"]["value"] == pytest.approx(stats.trim_mean(returns, 0.25, axis=None))
     paired = found["paired"]["a"]["b"]
-    assert paired["return"]["value"] == pytest.approx(1.0) and paired["finished"][
-        "value"
-    ] == pytest.approx(-0.25)
+    assert paired["return"]["value"] == pytest.approx(1.0)
+    assert paired["finished"]["value"] == pytest.approx(-0.25)
     assert paired["return"]["low"] <= 1.0 <= paired["return"]["high"]
     assert found["paired"]["b"]["a"]["return"]["high"] == pytest.approx(-paired["return"]["low"])
     p = found["improvement"]["a"]["b"]

@@ -202,9 +202,8 @@ def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
     )
     exact = replace(a.bench, error=None).truth(a.effects)
     assert np.max(np.abs(a.clean - exact) / np.array(a.bench.noise)[:, None]) > 1.0
-    noise = (np.array([a.columns[n] for n in CHANNELS]) - a.clean) / np.array(a.bench.noise)[
-        :, None
-    ]
+    errors = np.array([a.columns[n] for n in CHANNELS]) - a.clean
+    noise = errors / np.array(a.bench.noise)[:, None]
     assert noise.std() == pytest.approx(1.0, abs=0.12)
 
 

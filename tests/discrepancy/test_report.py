@@ -37,9 +37,8 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
-        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect[
-            "name"
-        ] in LISTED
+        assert {"name", "parameters", "share", "alternatives"} <= set(effect)
+        assert effect["name"] in LISTED
         assert all(p["low"] <= p["value"] <= p["high"] for p in effect["parameters"].values())
     assert all({"channel", "region", "size", "p_value"} <= set(d) for d in content["where"])
     assert set(content["gap"]) == set(content["remainder"]) == set(CHANNELS)

@@ -383,9 +383,8 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
     assert found.start == 1_770_000_000 * NS
-    assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings[
-        "speed"
-    ] == pytest.approx([0.25, 0.3, 0.35])
+    assert found.time == pytest.approx([0.0, 0.1, 0.2])
+    assert found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.channels["speed"].readings == 2
 
 

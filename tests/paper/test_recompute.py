@@ -56,9 +56,8 @@ def test_simpson_converges_to_the_quadrature():
     expected = np.array([judge.drawbar_pull, judge.load, judge.torque / e.radius])
     errors = []
     for m in (2, 4, 8, 16):
-        found = model.forces(SAND, 0.3, e.radius * (1.0 - math.cos(entry)), e._replace(simpson=m))[
-            0, :3
-        ]
+        sinkage = e.radius * (1.0 - math.cos(entry))
+        found = model.forces(SAND, 0.3, sinkage, e._replace(simpson=m))[0, :3]
         errors.append(np.abs(found / [1.0, 1.0, e.radius] - expected).max() / judge.scale)
     assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), (
         errors

@@ -43,8 +43,8 @@ UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not deter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
-LIGHT = 1.0  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
-SOFT = 1e3
+LIGHT = 1.0  # load [N] below which kilonewtons are suspected
+SOFT = 1e3  # S [N/m^(n+2)] below which they are
 _PASSES = 80  # of an iteration at most
 _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 

@@ -39,25 +39,21 @@ LAW_LENGTHS: tuple[Mapping[str, float], ...] = (
     LENGTHS | {"slip": 0.6},
     {"log_slip": 0.8} | _NO_SLIP,
 )
-LITTLE_SLIP = 0.05
+LITTLE_SLIP = 0.05  # of `log_slip`: above it the logarithm counts, below it the slip
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
-_NUGGET = 1e-9
+_NUGGET = 1e-9  # of the largest eigenvalue, below which a function is rounding
 #: Correlation length of a contribution of all conditions over that of one condition alone.
 _SHORTER = 3.0
-#: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage
-#: exponent that move and spread a parabola of stress as much; and the depth, over the sinkage, at
-#: which such a change leaves the pressure.
-_MOVED = 0.25
-_SPREAD = 0.32
-_MEAN_DEPTH = 0.75
-#: Change of ln K that moves the resultant of the shear stress as much, and the relative change of
-#: the strength per ln K that keeps the mean of the shear stress: at a slip of 0.3, an entry angle
-#: of 0.7 and K of a tenth of the radius.
-_TURNED = 2.6
-_STRONGER = 0.45
+# By an error of size 1, that moves and spreads a parabola of stress as much:
+_MOVED = 0.25  # shift of the stress peak [of the entry angle]
+_SPREAD = 0.32  # change of the sinkage exponent
+_MEAN_DEPTH = 0.75  # depth, over the sinkage, at which such a change leaves the pressure
+# At a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius:
+_TURNED = 2.6  # change of ln K that moves the resultant of the shear stress as much
+_STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean shear stress
 #: Share of the largest variance, or of the noise, below which a direction does not count.
 _UNSEEN = 1e-10
 

@@ -32,7 +32,7 @@ from soil_env.terramechanics.model import Rows
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
-_STARTS = 8
+_STARTS = 8  # of the least squares; the first is the prior mean
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
 #: Relative error of each channel by itself over that of the stresses, equally probable.
