@@ -50,11 +50,12 @@ class NativeVecEnv(VecEnv):
 
 
 class CourseVecEnv(NativeVecEnv):
-    """Base: a vector environment of many courses for SB3, a finished one reset within the same step, as SB3 expects.
+    """Base: a vector environment of many courses for SB3, a finished one reset within the same
+    step, as SB3 expects.
 
-    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
-    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
-    not be written to.
+    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time
+    limit of the scenario ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all
+    others share one empty dict, which must not be written to.
     """
 
     def __init__(
@@ -69,7 +70,8 @@ class CourseVecEnv(NativeVecEnv):
         self.model = load_model(model)
         self.observation_variant = observation
         own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
-        self.env = env = kind(num_envs, task, observation, **own, **options)
+        env = kind(num_envs, task, observation, **own, **options)
+        self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.scenario = env.scenario
         self.simulation = env.simulation
@@ -96,7 +98,10 @@ class CourseVecEnv(NativeVecEnv):
         self._actions = actions
 
     def step_wait(self):
-        """One action; (observations, rewards, dones, infos). An action that is not finite raises ValueError."""
+        """One action; (observations, rewards, dones, infos).
+
+        An action that is not finite raises ValueError.
+        """
         seen, rewards, done, _, _ = self.env.step(self._actions)
         self._returns += rewards
         self._lengths += 1

@@ -10,11 +10,12 @@ from soil_env.env import SoilWheelEnv
 
 
 class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs):
-    """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a `Box(-1, 1, (2,))`.
+    """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a
+    `Box(-1, 1, (2,))`.
 
-    The second number counts only where a line is chosen, below 0 for the line beside; else the first one counts. In the
-    plain action both are one number. SAC and TD3 learn to drive with positive actions, and then hardly ever try the
-    line beside.
+    The second number counts only where a line is chosen, below 0 for the line beside; else the
+    first one counts. In the plain action both are one number. SAC and TD3 learn to drive with
+    positive actions, and then hardly ever try the line beside.
     """
 
     def __init__(self, env: gymnasium.Env):

@@ -1,4 +1,6 @@
-"""Memory over many steps: after the first tenth, in which caches fill, the process may not grow by more than 2 MB."""
+"""Memory over many steps: after the first tenth, in which caches fill, the process may not grow by
+more than 2 MB.
+"""
 
 import gc
 import os

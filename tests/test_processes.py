@@ -1,4 +1,6 @@
-"""Processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
+"""Processes and threads: an environment is the same wherever it is stepped, and does not outlive
+its close.
+"""
 
 import multiprocessing
 import threading

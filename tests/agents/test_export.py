@@ -1,4 +1,6 @@
-"""Exported agents: one file that acts as the agent does, run without torch, Stable-Baselines3 and soil_env."""
+"""Exported agents: one file that acts as the agent does, run without torch, Stable-Baselines3 and
+soil_env.
+"""
 
 import json
 import subprocess
@@ -44,7 +46,9 @@ def scenario():
 
 
 def saved(folder, scenario, observation="identified", steps=256, **inputs):
-    """A run folder with an agent that has learnt a little, so that its normalisation is not the identity."""
+    """A run folder with an agent that has learnt a little, so that its normalisation is not the
+    identity.
+    """
     model = ppo.build(scenario, observation, replace(TINY, **inputs), 0)
     model.learn(steps)
     folder.mkdir(exist_ok=True)
@@ -54,7 +58,8 @@ def saved(folder, scenario, observation="identified", steps=256, **inputs):
 
 ALONE = textwrap.dedent("""
     import runpy, sys
-    for name in ("torch", "stable_baselines3", "soil_env", "soil_env_agents", "agents", "gymnasium", "yaml"):
+    ours = ("soil_env", "soil_env_agents", "agents")
+    for name in ("torch", "stable_baselines3", "gymnasium", "yaml", *ours):
         sys.modules[name] = None  # cannot be imported
     script, *sys.argv[1:] = sys.argv[1:]
     runpy.run_path(script, run_name="__main__")

@@ -1,4 +1,6 @@
-"""`agents.sb3`: the `VecEnv`s of Stable-Baselines3 against the vector environments that reset within a step."""
+"""`agents.sb3`: the `VecEnv`s of Stable-Baselines3 against the vector environments that reset
+within a step.
+"""
 
 import numpy as np
 import pytest
