@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
-from soil_env.env import IMMOBILISED
+from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
 
 from . import ppo, student

@@ -11,8 +11,8 @@ from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import IDLE, STEP
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import RoverScenario, Scenario, load_rover
 from soil_env.simulation.task import Cause

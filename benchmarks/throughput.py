@@ -22,8 +22,8 @@ from benchmarks.common import machine, machine_text, ready, spread, study_option
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
-from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 
 NAME = "throughput"
 HELD = 8  # steps that a random command is held

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_root
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.world.dynamics import MOST_STEPS
 from soil_env.simulation.world.terrain import ground_at

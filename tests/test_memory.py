@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import config_dir
 
 MOST = 2.0  # MB

@@ -1,7 +1,7 @@
 """Oracle: a planner on clones of the true world, as the limit of the task (model predictive control
 by sampling).
 
-Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times. Every
+Every half second each wheel is cloned (`soil_env.envs.cloning`) some dozens of times. Every
 clone drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
 ramp the rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan
 with the best score: distance, less a penalty for sinkage. Plans are the present one, variations of
@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import IDLE, STEP, Simulation
+from soil_env.envs.cloning import clone
+from soil_env.envs.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP, Simulation
-from soil_env.env import IMMOBILISED
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import IDLE, STEP, Simulation
+from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel

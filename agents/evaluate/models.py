@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError, load
-from soil_env.env import observation_space
+from soil_env.envs.wheel_env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from soil_env._numba.cache import place
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.effects import excavation_rate, sliding_speed

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.driving.rovers import RoverSimulation
+from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.parameters import Vehicle
 from soil_env.rendering import canvas, wheels as drawing

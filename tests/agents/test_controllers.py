@@ -17,7 +17,7 @@ from agents.evaluate import driving
 from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state

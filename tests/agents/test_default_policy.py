@@ -17,7 +17,7 @@ from agents.history import BAND_SHARE, History
 from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
-from soil_env.env import SoilWheelEnv
+from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 

@@ -20,7 +20,7 @@ from agents.evaluate import comparing
 from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from tests.agents.drivers import Counting, Half

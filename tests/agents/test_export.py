@@ -24,7 +24,7 @@ from agents.exported import ExportedAgent
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
-from soil_env.env import SoilWheelEnv, observation_space
+from soil_env.envs.wheel_env import SoilWheelEnv, observation_space
 from soil_env.parameters import load_scenario
 from soil_env.wrappers import LineAction
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv
+from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
 from soil_env.identification.online.identifier import SensorReading
 from soil_env.parameters import load_scenario

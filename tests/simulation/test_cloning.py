@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import STEP, Simulation
+from soil_env.envs.cloning import clone
+from soil_env.envs.wheels import STEP, Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from tests.simulation.wheels import started

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.on_board import show_estimate
 from soil_env.parameters import Belief, load_scenario, soils
 from soil_env.parameters.readings import Results
-from soil_env.rover_env import SoilRoverEnv
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.observation import write_observation

@@ -21,7 +21,7 @@ from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
-from soil_env.terramechanics.effects import acting, switched_on
+from soil_env.terramechanics.effects import acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
@@ -182,7 +182,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     if model is None:
         return BASE
     law = residual_law(model.residual) if model.residual else None
-    return acting_on(switched_on(acting(model.numbers)), law)
+    return acting_on(acting_effects(model.numbers), law)
 
 
 @njit(**FINITE)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from soil_env._numba.lanes import COUNT
-from soil_env.driving.core import Vehicles, asks_for_estimates
+from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import Shown
 from soil_env.simulation.rover.rovers import (

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.simulation.wheels import Record
 
 
