@@ -90,7 +90,7 @@ class _Doubts:
     def __init__(self, log: Aligned, log_map: LogMap) -> None:
         self.log = log
         self.map = log_map
-        self.lines = []
+        self.lines: list[str] = []
         self.rim = log.readings["wheel_speed"] * log_map.wheel.radius
         self.speed = log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius
