@@ -36,7 +36,8 @@ from . import inputs
 from .config import NAMES, PPOConfig
 from .history import History, lines_of
 
-INFO = "soil_env.json"  # members of the zip
+# Members of the zip.
+INFO = "soil_env.json"
 WEIGHTS = "policy.pth"
 OPTIMIZER = "policy.optimizer.pth"
 MOST_BYTES = 500_000_000  # of a member, unpacked
