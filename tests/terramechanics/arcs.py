@@ -20,7 +20,9 @@ def _integrals(nodes, arc, n, motion, K, strength):
 
 
 def arc_integrals(theta1, theta2, thetam, rim, travel, K, n, r, st=1.0, c=0.0):
-    """(`ArcIntegrals`, `ShearRates` at st = S tan(phi) and cohesion c) of an arc sheared from its entry on."""
+    """(`ArcIntegrals`, `ShearRates` at st = S tan(phi) and cohesion c) of an arc sheared from its
+    entry on.
+    """
     arc = Arc(*map(float, (theta1, theta2, thetam, theta1, r)))
     motion = (float(rim), float(travel))
     return _integrals(np.zeros(1, ARC_NODES), arc, float(n), motion, float(K), (st, c))

@@ -1,4 +1,6 @@
-"""The contact against quadrature, limits, symmetry and finite differences; numbers of the paper: tests/paper."""
+"""The contact against quadrature, limits, symmetry and finite differences; numbers of the paper:
+tests/paper.
+"""
 
 import math
 
@@ -27,7 +29,9 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
 
 
 def relative_error(found, judge, r):
-    """Largest difference of the three forces, relative to the sum of the sizes of all stresses under the rim."""
+    """Largest difference of the three forces, relative to the sum of the sizes of all stresses
+    under the rim.
+    """
     differences = (
         found.load - judge.load,
         found.drawbar_pull - judge.drawbar_pull,
@@ -55,7 +59,8 @@ def random_case(rng, softest_k):
     ("slips", "softest_k", "bound"), [((0.0, 1.0), 0.01, 1e-4), ((-1.0, 0.0), 0.05, 1e-3)]
 )
 def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
-    """The bound is wider where the shear reverses within the arc: de/dj has a kink that the nodes do not see.
+    """The bound is wider where the shear reverses within the arc: de/dj has a kink that the nodes
+    do not see.
 
     At K/r below 0.05 and deep entry that error grows further, to 1 % of the stresses at K/r = 0.01.
     """
@@ -70,7 +75,9 @@ def test_forces_agree_with_quadrature(seed, slips, softest_k, bound):
 
 
 def test_resting_wheel_has_no_shear():
-    """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries the load."""
+    """Neither rim nor travel: no displacement, so no torque, and the normal stress alone carries
+    the load.
+    """
     q = arc_integrals(0.8, 0.0, 0.4, 0.0, 0.0, 0.01, 1.0, 0.15)[0]
     assert q.p_cos > 0.0 and (q.pe_cos, q.pe_sin, q.pe, q.e_cos, q.e_sin, q.e) == (0.0,) * 6
 

@@ -49,7 +49,9 @@ def _at_the_axle(f, beside, v, u, rig, acting):
 
 
 def wheel_with(case):
-    """(rig [1], `Acting`) of the rover's wheel with the effects of a case; "together" has a residual law, too."""
+    """(rig [1], `Acting`) of the rover's wheel with the effects of a case; "together" has a
+    residual law, too.
+    """
     fx = {"together": TOGETHER, "none": {}}.get(case) or CASES.get(case, {})
     law = residual_law(RESIDUAL) if case == "together" else None
     acting = reaction.acting_on(acting_effects(pack_effects(fx)), law)
@@ -72,7 +74,9 @@ def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=1
 
 
 def react(ground, v, u, load, wheel):
-    """`Reaction` at the axle of a wheel on its ground, at travel speed v and rim speed u [m/s], carrying `load`."""
+    """`Reaction` at the axle of a wheel on its ground, at travel speed v and rim speed u [m/s],
+    carrying `load`.
+    """
     return _react(NODES, ground, float(v), float(u), float(load), *wheel)
 
 
@@ -109,7 +113,9 @@ def test_rates_of_the_reaction_against_central_differences(case):
 
 @pytest.mark.parametrize("name", sorted(soils()))
 def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
-    """Driving forward j keeps its sign: there the derivatives meet differences of higher order to seven digits."""
+    """Driving forward j keeps its sign: there the derivatives meet differences of higher order to
+    seven digits.
+    """
     soil = soils()[name].state(R)
     wheel = wheel_with("none")
     rng = np.random.default_rng(1)

@@ -1,4 +1,6 @@
-"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
+"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row
+by row.
+"""
 
 import math
 
@@ -54,7 +56,9 @@ def steady(soil, slip, load, site, effects, guess=0.0):
 
 
 def compare(soil, slip, load, site, effects):
-    """The model agrees with quadrature: to 3e-4 driving, to 2e-3 where shear may reverse within the arc."""
+    """The model agrees with quadrature: to 3e-4 driving, to 2e-3 where shear may reverse within the
+    arc.
+    """
     found = steady(soil, slip, load, site, effects)
     ground = reference.Ground(math.degrees(math.atan(soil.tan_phi)), *soil[1:5])
     judge = reference.steady(ground, slip, load, site, effects, (soil.dig_gain, soil.dig_recovery))
@@ -68,7 +72,9 @@ def compare(soil, slip, load, site, effects):
 
 
 def random_slip(rng):
-    """Driven in three cases of four, and not rolling freely, where the sign of a lug's thrust is smoothed."""
+    """Driven in three cases of four, and not rolling freely, where the sign of a lug's thrust is
+    smoothed.
+    """
     return rng.uniform(0.03, 0.85) if rng.random() < 0.75 else rng.uniform(-0.3, -0.06)
 
 
