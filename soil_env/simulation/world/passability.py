@@ -63,6 +63,7 @@ class CourseDistribution(NamedTuple):
 
     spec: Any  # `DISTRIBUTION`
     presets: np.ndarray  # [soils] `PRESET`
+    plain: bool | None  # None with terrain classes: what they have no use for is not compiled
 
 
 class CourseNumbers(NamedTuple):
@@ -131,21 +132,6 @@ def _factor(variation, deviation):
 
 
 @njit(**EXACT)
-def _best_pull(load, soil, at, numbers, nodes):
-    """Best steady drawbar pull over load under `Conditions`, `IMPASSABLE` where the wheel would be bogged at it."""
-    spec = numbers.drawn.spec
-    rig = numbers.rig
-    acting = numbers.acting
-    best = best_point_at(nodes, load, soil, rig, at, acting.effects, spec.stall_torque)
-    pull, torque = _residual_of(best, load, soil, at, rig, acting.residual)
-    if best.sinkage > SAFE_SINKAGE * spec.bogged_sinkage:
-        return IMPASSABLE
-    if best.torque + torque * load * rig.radius > spec.stall_torque:
-        return IMPASSABLE
-    return max(best.drawbar_pull / load + pull, IMPASSABLE)
-
-
-@njit(**EXACT)
 def _residual_of(best, load, soil, at, rig, residual):
     """(pull [of weight], torque [of weight times radius]) that a residual law adds at a working point."""
     if residual is None:
@@ -166,17 +152,26 @@ def capacity(load, soil, tangent, numbers, nodes):
     Where strength depends on speed, the lesser one of starting and of driving. Of the slope only the loss of bearing
     counts: W cos(grade) sinks less than W, so W is on the safe side.
     """
-    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
-    at_rest = Conditions(0.0, 1.0, sin_grade)
-    point = Point(0.0, load, 0.0)
-    rest = steady_at(nodes, point, soil, numbers.rig, at_rest, numbers.acting.effects)
     spec = numbers.drawn.spec
-    if rest.sinkage > SAFE_SINKAGE * spec.bogged_sinkage or not rest.supported:
+    rig = numbers.rig
+    effects = numbers.acting.effects
+    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
+    deepest = SAFE_SINKAGE * spec.bogged_sinkage
+    at_rest = Conditions(0.0, 1.0, sin_grade)
+    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rig, at_rest, effects)
+    if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
-    pull = _best_pull(load, soil, Conditions(spec.speed, 1.0, sin_grade), numbers, nodes)
-    if depends_on_speed(numbers.acting.effects):
-        pull = min(pull, _best_pull(load, soil, at_rest, numbers, nodes))
-    return pull
+    least = HUGE
+    for speed in (spec.speed, 0.0):
+        at = Conditions(speed, 1.0, sin_grade)
+        best = best_point_at(nodes, load, soil, rig, at, effects, spec.stall_torque)
+        pull, torque = _residual_of(best, load, soil, at, rig, numbers.acting.residual)
+        if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
+            return IMPASSABLE
+        least = min(least, best.drawbar_pull / load + pull)
+        if not depends_on_speed(effects):
+            break
+    return max(least, IMPASSABLE)
 
 
 @njit(**EXACT)
