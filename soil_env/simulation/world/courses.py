@@ -1,8 +1,8 @@
-"""Drawing courses: every patch passable by construction, as the wheel comes near it (docs/physics/wheel.md).
+"""Drawing courses: every patch passable by construction (docs/physics/wheel.md).
 
-A course has a random stream of its own, and its patches are drawn from it in order, each as the wheel comes near it:
-what they are like does not depend on how far or in how many pieces the course is drawn. Ground of terrain classes and
-with two lines is drawn by `lines`.
+A course has a random stream of its own, and its patches are drawn from it in order, each as the
+wheel comes near it: what they are like does not depend on how far or in how many pieces the course
+is drawn. Ground of terrain classes and with two lines is drawn by `lines`.
 
 Functions take a `Course`, `CourseNumbers` and the scratch `nodes` of an arc (`contact.ARC_NODES`).
 """
@@ -37,7 +37,9 @@ from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 REDRAWS = 30  # attempts at a soil or a patch
-ACTIONS_AHEAD = 3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
+ACTIONS_AHEAD = (
+    3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
+)
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
@@ -52,7 +54,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
 def course_distribution(
     scenario: Scenario, model: WheelSoilModel | None = None
 ) -> CourseDistribution:
-    """Pack what courses are drawn from; a `model` with a soil stands for the soils of the scenario."""
+    """Pack what courses are drawn from; the soil of a `model` replaces those of the scenario."""
     course = scenario.course
     camera = scenario.camera
     wheel = scenario.wheel
@@ -115,7 +117,7 @@ def draw_course(course, owner, numbers, nodes):
 
 @njit(**EXACT)
 def start_course(course, owner, numbers, nodes):
-    """Start a course afresh, with a seed from the stream of `owner`; the mass [kg] on the wheel or -1.
+    """Start a course with a seed from the stream of `owner`; the mass [kg] on the wheel, or -1.
 
     Only as much is drawn as a wheel at its start needs; `extend_course` draws the rest.
     """
@@ -131,7 +133,7 @@ def start_course(course, owner, numbers, nodes):
         load = mass * numbers.rig.gravity
         if not draw_classes(course, course.library, load, numbers, nodes):
             continue
-        if _next_patch(course, load, 1, numbers, nodes):
+        if _try_patch(course, load, numbers, nodes):
             extend_course(course, mass, spec.ahead, numbers, nodes)
             return mass
     return -1.0
@@ -139,14 +141,17 @@ def start_course(course, owner, numbers, nodes):
 
 @njit(**EXACT)
 def extend_course(course, mass, x, numbers, nodes):
-    """Draw patches until the ground is final up to x [m] or the course ends; `mass` [kg] on the wheel.
+    """Draw patches until the ground is final up to x [m] or the course ends; `mass` in kg.
 
     False if no passable patch was found for some place, and the patch before it was repeated there.
     """
     load = mass * numbers.rig.gravity
     found = True
     while course.head.ready < x:
-        if not _next_patch(course, load, REDRAWS, numbers, nodes):
+        tries = 0
+        while tries < REDRAWS and not _try_patch(course, load, numbers, nodes):
+            tries += 1
+        if tries == REDRAWS:
             found = False
             repeat_patch(course, course.lines)
             length = within(course.head, numbers.drawn.spec.patch_length)
@@ -155,27 +160,25 @@ def extend_course(course, mass, x, numbers, nodes):
 
 
 @njit(**EXACT)
-def _next_patch(course, load, attempts, numbers, nodes):
-    """Draw the next patch and add it; False, with the course as before, if no attempt is passable.
+def _try_patch(course, load, numbers, nodes):
+    """Draw the next patch and add it; False, with the course as before, if it is not passable.
 
     The blend at the border to the patch before is checked too, and the grades on both sides lowered
     if it falls short. So the grade of a patch is final when the next one is drawn.
     """
     drawn = numbers.drawn
-    for _ in range(attempts):
-        length = within(course.head, drawn.spec.patch_length)
-        found = draw_lines(course, course.lines, load, numbers, nodes)
-        if not found:
-            found = _draw_ground(course, drawn.plain, load, numbers, nodes)
-        if found:
-            _add_patch(course, length, drawn.spec)
-            return True
-    return False
+    length = within(course.head, drawn.spec.patch_length)
+    found = draw_lines(course, course.lines, load, numbers, nodes)
+    if not found:
+        found = _draw_ground(course, drawn.plain, load, numbers, nodes)
+    if found:
+        _add_patch(course, length, drawn.spec)
+    return found
 
 
 @njit(**EXACT)
 def _draw_ground(course, plain, load, numbers, nodes):
-    """Draw soil and grade of the next patch of a course without classes; False if it is not passable."""
+    """Draw soil and grade of the next patch without classes; False if it is not passable."""
     if plain is None:
         return False
     else:
@@ -234,7 +237,7 @@ def _joined(course, p, load, numbers, nodes):
 
 @njit(**EXACT)
 def _add_patch(course, length, spec):
-    """Count the patch just written: its place, the cells below it, and how far the ground is final now."""
+    """Count the patch just written: its place, its cells, and how far the ground is final now."""
     head = course.head
     p = head.patches
     start = 0.0 if p == 0 else course.patches[p - 1].end

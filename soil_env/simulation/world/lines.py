@@ -1,7 +1,8 @@
-"""Courses of terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
+"""Terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
 
-One of two lines over a patch is passable by construction, as every patch of a course without classes is, and so is
-every border between passable lines; the other may be steeper than any slip can climb.
+One of two lines over a patch is passable by construction, as every patch of a course without
+classes is, and so is every border between passable lines; the other may be steeper than any slip
+can climb.
 """
 
 import math
@@ -56,7 +57,7 @@ def _another(owner, classes, one):
 
 @njit(**INLINE)
 def _introduced(course, p, classes):
-    """Class of one of the first patches, p < classes: one that no patch before it is of, by chance."""
+    """Class of a patch p < classes: one that no patch before it is of, by chance."""
     left = classes - p
     pick = int(uniform(course.head) * left)
     for c in range(classes):
@@ -72,7 +73,7 @@ def _introduced(course, p, classes):
 
 @njit(**EXACT)
 def _draw_line(course, line, margin, load, numbers, nodes):
-    """Draw soil and grade of a `LINE` whose class is known; False if its grade would be out of bounds.
+    """Draw soil and grade of a `LINE` of a known class; False if its grade would be out of bounds.
 
     A negative margin is a deficit: the line is steeper by it than the steepest that it could be.
     """
@@ -94,10 +95,11 @@ def _draw_line(course, line, margin, load, numbers, nodes):
 
 @njit(**EXACT)
 def draw_lines(course, lines, load, numbers, nodes):
-    """Draw the lines of the patch after the last one; False if it is not passable, or without classes.
+    """Draw the lines of the next patch; False if it is not passable, and without classes.
 
-    Where the border between a passable line of this patch and one of the patch before falls short of the least margin,
-    the grades of both are lowered, so that the grades of a patch are final when the next one is drawn.
+    Where the border between a passable line of this patch and one of the patch before falls short
+    of the least margin, the grades of both are lowered, so that the grades of a patch are final
+    when the next one is drawn.
     """
     if lines is None:
         return False
@@ -186,9 +188,10 @@ def passable(line):
 
 @njit(**EXACT)
 def _joined(course, p, load, numbers, nodes):
-    """Lower grades until each border between passable lines of patches p - 1 and p is passable; False if that fails.
+    """Lower grades until each border between passable lines of patches p - 1 and p is passable.
 
-    Ground that slopes weaken may not have its grades changed afterwards: there a short border is a failure.
+    Ground that slopes weaken may not have its grades changed afterwards: there a short border is a
+    failure.
     """
     spec = numbers.drawn.spec
     lines = course.lines
@@ -223,7 +226,7 @@ def _joined(course, p, load, numbers, nodes):
 
 @njit(**EXACT)
 def _lower(line, short, lowest):
-    """Lower the grade of a line by what a border falls `short` of, as far as the tangent `lowest`."""
+    """Lower the grade of a line by what a border falls `short` of, down to the tangent `lowest`."""
     line.grade = math.atan(max(math.tan(line.grade) - LOWERING * short, lowest))
 
 
@@ -240,7 +243,7 @@ def take_line(course, p, line):
 
 @njit(**EXACT)
 def next_fork(wheel, course, border):
-    """The patch with two lines that a wheel comes to next and has not touched yet, or -1; `border` [m]."""
+    """The patch with two lines that a wheel comes to next and has not touched yet, or -1."""
     ahead = wheel.patch + 1
     if ahead >= course.head.patches or course.forks[ahead].lines < 2:
         return -1
@@ -249,7 +252,7 @@ def next_fork(wheel, course, border):
 
 @njit(**EXACT)
 def plan_halt(wheel, course, rig):
-    """Let a wheel halt before the next fork; a halt that would be shortly before that one waits for it."""
+    """Let a wheel halt before the next fork; a halt shortly before that one waits for it."""
     fork = next_fork(wheel, course, rig.border)
     if fork >= 0:
         place = course.patches[fork].start + course.forks[fork].halt
@@ -273,6 +276,6 @@ def choosing(wheel, course, view):
 
 @njit(**EXACT)
 def settled(wheel, course, p):
-    """True if a wheel has no choice of a line over patch p: it had none, or has come to the halt before it."""
+    """True if a wheel has no choice over patch p: one line, or it has come to the halt."""
     fork = course.forks[p]
     return fork.lines < 2 or wheel.best_x >= course.patches[p].start + fork.halt
