@@ -1,4 +1,6 @@
-"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is done."""
+"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is
+done.
+"""
 
 import shutil
 import time
@@ -11,14 +13,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
-from soil_env.env import IMMOBILISED
+from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
 
 from . import ppo, student
 from .agent import Agent, load_agent
 from .choice import Chooser
 from .config import TrainConfig, load_config
-from .environment import hidden_worlds
+from .environment import World, hidden_worlds
 from .progress import Bar, show
 
 MODEL = "model.zip"
@@ -35,8 +37,8 @@ class _Watch(BaseCallback):
         self.folder = folder
         self.every = every
         self.bar = bar
-        self.next_save = 0  # (cause, return)
-        self.ended = deque(maxlen=_RECENT)
+        self.next_save = 0
+        self.ended: deque[tuple[str, float]] = deque(maxlen=_RECENT)  # (cause, return)
 
     def _on_training_start(self) -> None:
         self.next_save = self.num_timesteps + self.every
@@ -76,14 +78,16 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     )
     if scenario.belief.method == "none":
         raise ParameterError(
-            "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which reads "
-            "the identified soil"
+            "belief.method = 'none': expected 'filter': the agent is compared with "
+            "best_slip_identified, which reads the identified soil"
         )
     return scenario
 
 
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
+    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite
+    one.
+    """
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
@@ -123,17 +127,15 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
     folder = Path(folder)
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
-    for left_over in (
-        folder / CHECKPOINT,
-        *folder.glob(".*.partial*"),
-    ):  # a kill may have left them beside the model
+    # A kill may have left them beside the model.
+    for left_over in (folder / CHECKPOINT, *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return load_agent(folder / MODEL)
 
 
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     checkpoint = folder / CHECKPOINT
-    worlds = config.world
+    worlds: World = config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
     task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds
@@ -150,7 +152,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
                 )
             except KeyboardInterrupt:
                 show(
-                    "A student keeps no checkpoint before it is done: it will start again from step 0."
+                    "A student keeps no checkpoint before it is done: it will start again from "
+                    "step 0."
                 )
                 raise
             ppo.save(model, checkpoint)

@@ -1,12 +1,13 @@
 """Arithmetic of numpy, and networks of Stable-Baselines3, recorded as an ONNX graph.
 
-A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the graph. So
-`agents.history` is run, not written again.
+A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the
+graph. So `agents.history` is run, not written again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
@@ -14,8 +15,8 @@ from torch import nn
 
 from soil_env._io.loading import ParameterError
 
-OPSET = 17  # onnxruntime 1.14 and later
-IR = 8
+OPSET = 17  # version of the operators: onnxruntime 1.14 and later
+IR = 8  # version of the file format that goes with it
 _TYPES = {
     "float32": TensorProto.FLOAT,
     "float64": TensorProto.DOUBLE,
@@ -33,6 +34,9 @@ _UFUNCS = {
     np.equal: "Equal",
     np.greater: "Greater",
 }
+
+#: A `Traced`, which numpy's functions take by its protocols, though not by their types.
+Values: TypeAlias = Any
 
 _ACTIVATIONS: dict[type, str] = {
     nn.ReLU: "Relu",
@@ -72,7 +76,9 @@ class Graph:
     def node(
         self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes
     ) -> Traced:
-        """The first output of a new node; inputs that are no `Traced` become constants of the type of the others."""
+        """The first output of a new node; inputs that are no `Traced` become constants of the type
+        of the others.
+        """
         known = next(
             (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),
             np.dtype(np.float64),
@@ -166,8 +172,10 @@ def numbers(tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().astype(np.float32)
 
 
-def action_of(graph: Graph, policy, x: Traced) -> Traced:
-    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an unknown network."""
+def action_of(graph: Graph, policy, x: Values) -> Values:
+    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an
+    unknown network.
+    """
     if hasattr(policy, "action_net") and not hasattr(policy, "lstm_actor"):  # PPO, A2C, TRPO
         own = policy.mlp_extractor
         drive = _layers(graph, policy.action_net, _layers(graph, own.policy_net, x))
@@ -175,7 +183,7 @@ def action_of(graph: Graph, policy, x: Traced) -> Traced:
             return drive
         ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
         return np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), drive)
-    actor = getattr(policy, "actor", None)
+    actor: Any = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed
         return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x)))
     if isinstance(getattr(actor, "mu", None), nn.Sequential):  # TD3, DDPG: the last layer squashes
@@ -185,7 +193,7 @@ def action_of(graph: Graph, policy, x: Traced) -> Traced:
     )
 
 
-def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:
+def _layers(graph: Graph, module: nn.Module, x: Values) -> Values:
     """Linear layers and activations, one after the other."""
     if isinstance(module, nn.Sequential):
         for layer in module:

@@ -25,8 +25,9 @@ FILES = ("identification.json", "identification.png")
 def command(data: Path, setup: Path, out: Path | None) -> None:
     """Identify a soil from a table of steady points.
 
-    Fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and cohesion, as far as
-    they are not known. Prints estimates with 95 % intervals, correlations, and what the data cannot determine.
+    Fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
+    cohesion, as far as they are not known. Prints estimates with 95 % intervals, correlations, and
+    what the data cannot determine.
     """
     known = read_setup(setup)
     table = read_table(data, known.wheel, known.ignore_columns)
@@ -40,5 +41,6 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
         )
         replace_files(out, dict(zip(FILES, contents, strict=True)))
     Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
-    for name in FILES if out is not None else ():
-        print(f"written: {out / name}")
+    if out is not None:
+        for name in FILES:
+            print(f"written: {out / name}")

@@ -1,16 +1,18 @@
-"""`soil-env warmup`: compilation of everything that environments, online identifier, commands and examples use.
+"""`soil-env warmup`: compilation of everything that environments, online identifier, commands and
+examples use.
 
 For an image, or before many processes start at once.
 """
 
 import time
+from typing import Any
 
 import click
 import gymnasium
 import numpy as np
 
 from soil_env._numba.cache import place
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.effects import excavation_rate, sliding_speed
@@ -26,7 +28,7 @@ def command() -> None:
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
 
 
-def _drive(env_id: str, action: float, **options: object) -> None:
+def _drive(env_id: str, action: float, **options: Any) -> None:
     """Reset an environment, make a step and draw a picture."""
     env = gymnasium.make(env_id, render_mode="rgb_array", **options)
     env.reset(seed=0)
@@ -36,10 +38,11 @@ def _drive(env_id: str, action: float, **options: object) -> None:
 
 
 def warm_up() -> None:
-    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the source paper."""
-    from soil_env.paper import (
-        compare,
-    )  # with its printed values; here so that importing this file reads none
+    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the
+    source paper.
+    """
+    # With its printed values; here so that importing this file reads none.
+    from soil_env.paper import compare
 
     model = WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}

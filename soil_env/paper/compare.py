@@ -1,9 +1,11 @@
-"""The printed numbers of the source paper beside ours, by its equations as printed and with Wong & Reece's stress peak.
+"""The printed numbers of the source paper beside ours, by its equations as printed and with Wong &
+Reece's stress peak.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -41,6 +43,7 @@ LABELS = {
     "k_phi": "k_phi",
     "sinkage_exponent": "n",
 }
+# Parameters of Table 3, in the order of `NAMES`: as identified there, and as they are.
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
@@ -63,10 +66,8 @@ class Row(NamedTuple):
     printed: float
     ours: tuple[float, float]
     form: str = ".2f"
-    beyond: tuple[str, str] = (
-        "",
-        "",
-    )  # "<" or ">" where ours is the end of what was scanned, and no limit was found
+    #: "<" or ">" where ours is the end of what was scanned, and no limit was found.
+    beyond: tuple[str, str] = ("", "")
 
 
 def as_shown(value: float, form: str) -> float:
@@ -83,17 +84,28 @@ def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     )
 
 
-def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.ndarray:
-    """DP [N] at the entry angle of the working point; an array for an array of slips."""
+def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
+    """DP [N] by slip, at the entry angle of the working point."""
     e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
-    found = forces(
-        sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e
-    )[:, 0]
-    return found if np.ndim(slip) else float(found[0])
+    sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
+    return forces(sand_set(sand), slip, sinkage, e)[:, 0]
+
+
+def pull(e: Equations, sand: Sand = SAND) -> float:
+    """DP [N] at the working point."""
+    return float(pulls(e, sand, POINT.slip)[0])
+
+
+def pair(values: Iterable[float]) -> tuple[float, float]:
+    """One number by each of two models."""
+    first, second = values
+    return first, second
 
 
 def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
-    """The value of one parameter of the sand at which the working point's drawbar pull is `target` [N]."""
+    """The value of one parameter of the sand at which the working point's drawbar pull is `target`
+    [N].
+    """
     value = getattr(sand, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
     return float(
@@ -104,21 +116,21 @@ def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
 def variation(e: Equations) -> float:
     """Mean change of DP by the held cohesion over `WIDE_SLIP`, relative to the mean DP [%]."""
     slip = np.linspace(*WIDE_SLIP, 200)
-    own = pull(e, slip=slip)
-    held = pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
+    own = pulls(e, SAND, slip)
+    held = pulls(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
     return 100.0 * float((held - own).mean() / own.mean())
 
 
 def working_point() -> list[Row]:
     """Sections 3.1 and 4: the drawbar pull, and what is said of cohesion."""
-    at_1150 = tuple(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
-    at_1200 = tuple(alone(e, "cohesion", 1200.0) for e in MODELS)
-    no_cohesion = tuple(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
+    at_1150 = pair(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
+    at_1200 = pair(alone(e, "cohesion", 1200.0) for e in MODELS)
+    no_cohesion = pair(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
-    error = tuple(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
+    error = pair(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
     return [
-        Row("DP [N]", POINT.drawbar_pull, tuple(pull(e) for e in MODELS)),
+        Row("DP [N]", POINT.drawbar_pull, pair(pull(e) for e in MODELS)),
         Row("c identified from 1150 N [Pa]", c, at_1150),
         Row("the same from 1200 N", c, at_1200),
         Row("its error [%]", POINT.then_error_percent, error, ".0f"),
@@ -126,7 +138,7 @@ def working_point() -> list[Row]:
         Row(
             "change of DP by c = 3000 Pa, mean [%]",
             P.variation_percent,
-            tuple(map(variation, MODELS)),
+            pair(map(variation, MODELS)),
             ".1f",
         ),
     ]
@@ -140,7 +152,7 @@ def table_1() -> list[Row]:
         line = P.table1[name]
         value = getattr(SAND, name)
         for k, factor in enumerate((0.95, 1.05)):
-            found = tuple(alone(e, name, factor * pull(e)) for e in MODELS)
+            found = pair(alone(e, name, factor * pull(e)) for e in MODELS)
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
             rows.append(
                 Row(
@@ -150,21 +162,19 @@ def table_1() -> list[Row]:
                     forms.get(name, ".4f" if value < 1.0 else ".2f"),
                 )
             )
-            errors = tuple(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
+            errors = pair(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
             rows.append(Row("error [%]", line.error_percent[k], errors))
     return rows
 
 
 def rules() -> list[tuple[str, float, float]]:
     """DP [N] of the working point by other rules of integration, and by Eq. (11)."""
-    cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {
-        "(12), exact": {"simpson": 0}
-    }
-    cases |= {
-        "(11), m = 2": {"compaction": False},
-        "(11), exact": {"simpson": 0, "compaction": False},
-    }
-    return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
+    cases = [(f"(12), m = {m}", m, True) for m in (1, 2, 5, 10, 50)]
+    cases += [("(12), exact", 0, True), ("(11), m = 2", 2, False), ("(11), exact", 0, False)]
+    return [
+        (name, *pair(pull(e._replace(simpson=m, compaction=compaction)) for e in MODELS))
+        for name, m, compaction in cases
+    ]
 
 
 @cache
@@ -174,13 +184,15 @@ def root(e: Equations) -> np.ndarray:
 
 
 def table_3() -> list[Row]:
-    """The identified set, its errors, and the measured pulls beside those that the printed set predicts."""
+    """The identified set, its errors, and the measured pulls beside those that the printed set
+    predicts.
+    """
     found = [root(e) for e in HELD]
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
-        errors = tuple(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
-        rows.append(Row(LABELS[name], line.identified, tuple(x[k] for x in found), form))
+        errors = pair(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
+        rows.append(Row(LABELS[name], line.identified, pair(x[k] for x in found), form))
         rows.append(Row("error [%]", line.error_percent, errors))
     predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in HELD]
     for p, measured in enumerate(MEASURED.pull):
@@ -192,7 +204,9 @@ def table_3() -> list[Row]:
 
 
 def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
-    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of its tangent."""
+    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period
+    of its tangent.
+    """
     found = newton_raphson(MEASURED, guesses, e)
     solution = root(e)
     turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
@@ -200,7 +214,9 @@ def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
 
 
 def table_4() -> list[Row]:
-    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson converges."""
+    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson
+    converges.
+    """
     rows = []
     scans = (
         np.linspace(0.5, 89.5, 1781),
@@ -224,7 +240,7 @@ def table_4() -> list[Row]:
                 Row(
                     f"{LABELS[name]}, {label}",
                     P.table4[name][end],
-                    tuple(map(float, own)),
+                    pair(map(float, own)),
                     form,
                     beyond,
                 )
@@ -241,7 +257,9 @@ class Noisy(NamedTuple):
 
 
 def table_5(e: Equations, seed: int, draws: int) -> Noisy:
-    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three points."""
+    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three
+    points.
+    """
     rng = np.random.default_rng([seed, 5])
     factors = 1.0 + 0.05 * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
@@ -271,7 +289,9 @@ def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
 
 
 def pull_misfits() -> list[float]:
-    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar pulls."""
+    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar
+    pulls.
+    """
     return [
         float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2)))
         for e in HELD
@@ -279,14 +299,18 @@ def pull_misfits() -> list[float]:
 
 
 def torque(soil: Soil) -> np.ndarray:
-    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry the wheel."""
+    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not
+    carry the wheel.
+    """
     state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
     steady = [steady_state(i, WONG_REECE_LOAD, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
     return np.array([s.torque if s.supported else np.nan for s in steady])
 
 
 def torque_at_37_deg(soil: Soil) -> np.ndarray:
-    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working point."""
+    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working
+    point.
+    """
     e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
     parameters = soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)
     return forces(
@@ -311,4 +335,5 @@ def compute(seed: int = 0, draws: int = 1000) -> Results:
     torques = {
         name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()
     }
-    return Results(seed, draws, rows, tuple(table_5(e, seed, draws) for e in HELD), torques)
+    first, second = (table_5(e, seed, draws) for e in HELD)
+    return Results(seed, draws, rows, (first, second), torques)

@@ -5,17 +5,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     import pygame
 
 Colour: TypeAlias = tuple[int, ...]
 Point: TypeAlias = Sequence[float] | np.ndarray
+Points: TypeAlias = Sequence[Point] | np.ndarray
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
-# Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with friction.
+# Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with
+# friction.
 WHITE = (255, 255, 255)
 PAPER = (250, 250, 248)
 INK = (34, 34, 40)
@@ -41,7 +42,9 @@ GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, 
 
 
 class Canvas:
-    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the design."""
+    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the
+    design.
+    """
 
     def __init__(self, size: tuple[int, int]) -> None:
         import pygame
@@ -53,9 +56,9 @@ class Canvas:
         self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
         self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
         self._surface = pygame.Surface(size, 0, 32)
-        self._fonts = {}
-        self._written = {}
-        self._texts = []
+        self._fonts: dict[int, pygame.font.Font] = {}  # by their height [px]
+        self._written: dict[tuple[str, int, Colour], pygame.Surface] = {}
+        self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
         return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
@@ -70,12 +73,14 @@ class Canvas:
 
     def clip(self, box: Box | None) -> None:
         """Confine shapes (not text) to a box; None lifts it."""
-        if box is not None:
-            (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
-            box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
-        self._large.set_clip(box)
+        if box is None:
+            self._large.set_clip(None)
+            return
+        (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
+        inside = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
+        self._large.set_clip(inside)
 
-    def box(self, box: Box, colour: Colour, edge: Colour | None = None) -> None:
+    def box(self, box: Box, colour: Colour | None, edge: Colour | None = None) -> None:
         """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
         x, y, w, h = box
         corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
@@ -84,11 +89,11 @@ class Canvas:
         if edge is not None:
             self.lines(corners, edge, 1)
 
-    def polygon(self, points: ArrayLike, colour: Colour) -> None:
+    def polygon(self, points: Points, colour: Colour) -> None:
         """A filled polygon."""
         self._draw.polygon(self._large, colour, self._at(points))
 
-    def lines(self, points: ArrayLike, colour: Colour, width: float = 1.5) -> None:
+    def lines(self, points: Points, colour: Colour, width: float = 1.5) -> None:
         """A polyline."""
         if len(points) > 1:
             self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
@@ -112,9 +117,11 @@ class Canvas:
             self.polygon([head, base + across, base - across], colour)
 
     def soil(
-        self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]
+        self, points: np.ndarray, bottom: float, friction: np.ndarray, bounds: tuple[float, float]
     ) -> np.ndarray:
-        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
+        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the
+        colours.
+        """
         colours = soil_colour(friction, bounds)
         (x, y) = np.transpose(points)
         start = 0
@@ -132,7 +139,9 @@ class Canvas:
     def text(
         self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0
     ) -> None:
-        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
+        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right
+        end at x.
+        """
         key = words, size, colour
         if key not in self._written:
             if len(self._written) > 400:
@@ -156,7 +165,7 @@ class Canvas:
         return self._surface
 
 
-def soil_colour(friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
+def soil_colour(friction: np.ndarray | list[float], bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
     return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,12 +12,17 @@ from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
 from soil_env.rendering.ground import draw_course, friction_range, profile_of
 from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
 
+if TYPE_CHECKING:
+    import pygame
+
 MODES = ("rgb_array", "human")
 _POINTS = 600  # of the history, at most
 
 
 class CourseView:
-    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step, `draw` a frame."""
+    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step,
+    `draw` a frame.
+    """
 
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
@@ -25,7 +30,9 @@ class CourseView:
         self.scenario: Scenario = scenario
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
-        self._canvas = self._window = self._clock = None
+        self._canvas: Canvas | None = None
+        self._window: pygame.Window | None = None
+        self._clock: pygame.time.Clock | None = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -38,7 +45,9 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any, k: int) -> None:
-        """Add the present state of number k to the history; at its reset the history starts anew."""
+        """Add the present state of number k to the history; at its reset the history starts
+        anew.
+        """
         steps = int(simulation.steps[k])
         wheels = shown_wheels(simulation, k)
         if steps == 0:
@@ -69,12 +78,15 @@ class CourseView:
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
-        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
-        self._canvas = self._canvas or Canvas(self.size)
-        self._canvas.clear()
+        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
+        the window.
+        """
+        canvas = self._canvas or Canvas(self.size)
+        self._canvas = canvas
+        canvas.clear()
         simulation.complete(k)
-        self._paint(self._canvas, simulation, k)
-        surface = self._canvas.finish()
+        self._paint(canvas, simulation, k)
+        surface = canvas.finish()
         if self.mode == "human":
             self._show(surface)
             return None
@@ -90,13 +102,17 @@ class CourseView:
         """Close the window, if there is one, and free the surfaces."""
         if self._window is not None:
             self._window.destroy()
-        self._window = self._canvas = self._clock = None
+        self._window = None
+        self._canvas = None
+        self._clock = None
 
     def _show(self, surface: Any) -> None:
-        """Put a picture into the window, which is opened at the first call, and wait until it is due."""
+        """Put a picture into the window, which is opened at the first call, and wait until it is
+        due.
+        """
         import pygame
 
-        if self._window is None:
+        if self._window is None or self._clock is None:
             pygame.display.init()
             self._window = pygame.Window(f"soil_env: {self.scenario.name}", self.size)
             self._clock = pygame.time.Clock()

@@ -54,8 +54,10 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel; without the column of the corrected model where nothing was added."""
-    rows = []
+    """Held-out error of each channel; without the column of the corrected model where nothing was
+    added.
+    """
+    rows: list[tuple[str, ...]] = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
         over = [f"{x:.2f}" for x in g.over_noise]
@@ -91,7 +93,9 @@ def next_runs(report: Report) -> Table:
 
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
-    """Predictions of the candidates, the first `most` of them, at each of these runs, with one standard deviation."""
+    """Predictions of the candidates, the first `most` of them, at each of these runs, with one
+    standard deviation.
+    """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
         for p in test.predicted[:most]:
