@@ -72,7 +72,7 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    #: False if the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound.
+    #: False if the wheel is buried before the soil carries the load; `sinkage` is then the bound.
     supported: bool
 
 
