@@ -1,6 +1,7 @@
 """Simulation of many vehicles side by side: the world and, where something asks for it, the estimator on board."""
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
@@ -71,28 +72,28 @@ class Vehicles:
         self,
         functions: tuple[Any, Any],
         worlds: Any,
-        heads: tuple[np.ndarray, np.ndarray],
+        vehicles: np.ndarray,
         courses: tuple[Any, float],
-        scratch: Any,
+        scratch: Callable[[], Any],
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `heads`: the records of the vehicles and of their courses; `courses`: the numbers that courses are drawn by and
-        the final ground [m] that a vehicle needs before it; `scratch()` makes the work arrays of a thread.
+        `vehicles`: their records; `courses`: the numbers that courses are drawn by and the final ground [m] that a
+        vehicle needs before it; `scratch` makes the work arrays of a thread.
         """
         self._lay, self._step = functions
         self._world = worlds
-        self._heads = heads[0]
-        self._x = heads[0]["x"]
-        self._ready = heads[1]["ready"]
-        self._course_numbers, self._ahead = courses
+        self._heads = vehicles
+        self._x = vehicles["x"]
+        self._ready = worlds.courses.heads["ready"]
+        self.course_numbers, self._ahead = courses
         self._scratch = [scratch() for _ in range(0, self.count, self._share)]
-        self._record = of_bytes(worlds.record)
-        self._results = Results(worlds.observation, worlds.terms, worlds.reward, worlds.cause)
 
-    def _board(self, on_board: Any) -> None:
-        """Take the estimators on board; None where nothing is identified."""
+    def _board(self, on_board: Any, record: Record, results: Results) -> None:
+        """Take the estimators on board, None where nothing is identified, with what they read and where they write."""
         self._on_board = on_board
+        self._record = record
+        self._results = results
         self.belief = None if on_board is None else on_board.numbers
         if on_board is not None:
             on_board.prepare(self._record, self._results, self._orders)
@@ -102,8 +103,8 @@ class Vehicles:
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
-            self._lay(trial, self._course_numbers, orders, self._scratch[0], 0, 1)
-            if trial.reward[0] < 0.0:
+            self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
+            if vehicles["reward"][0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
                     "soils; expected firmer soils, more stall torque, a lower course.margin or a lower course.grade_deg"
@@ -115,6 +116,7 @@ class Vehicles:
 
     def restart(self, k: int) -> None:
         """New course and fresh start for vehicle k."""
+        self._clear(k)
         self._lay_one(k, RESTART)
         self._do(k, RESTART)
 
@@ -131,13 +133,23 @@ class Vehicles:
 
     def step_all(self, actions: np.ndarray, orders: np.ndarray) -> None:
         """One step with `actions`, one a motor; `orders` [vehicles] int8: STEP, RESTART or IDLE."""
+        restarts = orders == RESTART
+        if restarts.any():
+            self._clear(restarts)
         self._actions[:] = np.reshape(actions, self._actions.shape)
         self._all(np.ascontiguousarray(orders, np.int8))
 
     def restart_where(self, which: np.ndarray) -> None:
         """Restart the vehicles with `which` True."""
         if np.any(which):
+            self._clear(which)
             self._all(np.where(which, RESTART, IDLE))
+
+    def _clear(self, which: Any) -> None:
+        """Make the records of vehicles blank but for their random streams."""
+        streams = self._heads["stream"][which].copy()
+        self._heads[which] = np.zeros((), self._heads.dtype)
+        self._heads["stream"][which] = streams
 
     @property
     def steps(self) -> np.ndarray:
@@ -149,7 +161,7 @@ class Vehicles:
         orders[k] = order
         try:
             check_laid(
-                self._lay(self._world, self._course_numbers, orders, self._scratch[0], k, k + 1)
+                self._lay(self._world, self.course_numbers, orders, self._scratch[0], k, k + 1)
             )
         finally:
             orders[k] = IDLE
@@ -173,7 +185,7 @@ class Vehicles:
             scratch = self._scratch[number]
             failed = 0
             if laid:
-                failed = self._lay(self._world, self._course_numbers, courses, scratch, first, end)
+                failed = self._lay(self._world, self.course_numbers, courses, scratch, first, end)
             self._drive(orders, scratch, first, end)
             return failed
 
@@ -186,22 +198,6 @@ class Vehicles:
         self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
         if self._on_board is not None:
             self._on_board.follow(self._record, self._results, orders, first, end)
-
-
-def of_bytes(record: Any) -> Record:
-    """The sensor record of a world as plain arrays of float64, on the same memory."""
-    return Record(
-        record.periods,
-        _numbers(record.readings),
-        record.halted,
-        record.places,
-        _numbers(record.images),
-    )
-
-
-def _numbers(records: np.ndarray) -> np.ndarray:
-    """Records of float64 fields [..., n] as numbers [..., n, fields]."""
-    return records.view(np.float64).reshape(*records.shape, len(records.dtype.names))
 
 
 def check_laid(failed: int) -> None:

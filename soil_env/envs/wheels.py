@@ -6,9 +6,10 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import Shown
+from soil_env.parameters.readings import Record, Results, SensorReading, Shown
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
+    NOTE,
     WheelNumbers,
     WheelWorlds,
     lay_wheels,
@@ -22,8 +23,22 @@ from soil_env.simulation.world.courses import course_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
 OF_ESTIMATOR = ("ids", "memory", "changed", "recent")  # `identification.online.on_board.Estimator`
-#: Arrays of many wheels, one row a wheel: those of the world, then those of the estimator, None without one.
-Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *OF_ESTIMATOR))
+#: Arrays of many wheels, one row a wheel: those of `WheelWorlds`, results of the last step, and those of the estimator,
+#: None without one.
+Worlds = namedtuple("Worlds", (*WheelWorlds._fields, "terms", "reward", "cause", *OF_ESTIMATOR))
+
+
+def record_of(notes: np.ndarray, periods: np.ndarray) -> Record:
+    """Notes `NOTE` [wheels, held] as plain numbers, on the same memory."""
+    numbers = notes.view(np.float64).reshape(*notes.shape, len(NOTE.names))
+    images = len(SensorReading._fields) + 2
+    return Record(
+        periods,
+        numbers[..., : len(SensorReading._fields)],
+        notes["halted"],
+        notes["place"],
+        numbers[..., images:],
+    )
 
 
 class Simulation(Vehicles):
@@ -49,18 +64,19 @@ class Simulation(Vehicles):
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, identifies)
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        heads = (worlds.state, worlds.courses.heads)
-        self._begin((lay_wheels, step_wheels), worlds, heads, courses, new_scratch)
+        state = worlds.state
+        self._begin((lay_wheels, step_wheels), worlds, state, courses, new_scratch)
         on_board = None
         if identifies:
             from soil_env.identification.online.on_board import wheels_on_board  # takes a while
 
             first = len(layout("blind"))
-            shown = Shown(variant == "identified", first, self.numbers.low, self.numbers.high)
+            shown = Shown(variant == "identified", first, *self.numbers.bounds)
             on_board = wheels_on_board(wheels, scenario, shown, warnings)
         known = (None,) * len(OF_ESTIMATOR) if on_board is None else on_board.memory
-        self.worlds = Worlds._make((*worlds, *known))
-        self._board(on_board)
+        results = Results(worlds.observation, state["terms"], state["reward"], state["cause"])
+        self.worlds = Worlds._make((*worlds, *results[1:], *known))
+        self._board(on_board, record_of(worlds.notes, state["periods"]), results)
         trial = new_wheel_worlds(1, scenario, self.numbers, False)
         self._check_passable(trial, trial.state)
 

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
+from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.task.layout import layout
 from soil_env.simulation.task.observation import (
     SENSORS,
@@ -24,7 +24,6 @@ from soil_env.simulation.task.observation import (
     write_truth,
 )
 from soil_env.simulation.task.rules import (
-    REWARD_TERMS,
     RUNNING,
     add_reward,
     judge,
@@ -56,17 +55,12 @@ from soil_env.terramechanics.reaction import Acting
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
 
-def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:
-    """Empty sensor record of so many vehicles with their wheels; `periods` is empty if nothing is recorded."""
-    held = scenario.control.held
-    rows = max(vehicles, 1)
-    return Record(
-        np.zeros(vehicles, dtype=np.int64),
-        np.zeros((max(wheels, 1), held), READING),
-        np.zeros((rows, held), dtype=np.bool_),
-        np.zeros((rows, held)),
-        np.zeros((rows if scenario.course.classes else 1, held), IMAGE),
-    )
+#: What a wheel hands to those on board after a control period: a `READING`, whether it was in a commanded halt (0 or 1),
+#: its odometry [m], an `IMAGE`.
+NOTE = record(*READING.names, "halted", "place", *IMAGE.names)
+
+
+NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel without a camera
 
 
 class Scratch(NamedTuple):
@@ -74,15 +68,12 @@ class Scratch(NamedTuple):
 
     nodes: np.ndarray  # [1] `ARC_NODES`
     normals: np.ndarray  # [1] `NORMALS`
-    reading: np.ndarray  # [1] `READING`
-    wheel: np.ndarray  # [1] `WHEEL`, blank
+    note: np.ndarray  # [1] `NOTE`
 
 
 def new_scratch() -> Scratch:
     """Work arrays of one thread."""
-    return Scratch(
-        np.zeros(1, ARC_NODES), np.zeros(1, NORMALS), np.zeros(1, READING), np.zeros(1, WHEEL)
-    )
+    return Scratch(np.zeros(1, ARC_NODES), np.zeros(1, NORMALS), np.zeros(1, NOTE))
 
 
 class WheelWorlds(NamedTuple):
@@ -90,11 +81,8 @@ class WheelWorlds(NamedTuple):
 
     state: np.ndarray  # [wheels] `WHEEL`
     courses: Courses
-    record: Record
+    notes: np.ndarray  # [wheels, held] `NOTE` of the last step; no rows if nothing is recorded
     observation: np.ndarray  # [wheels, D] float32
-    terms: np.ndarray  # [wheels, 4] reward terms
-    reward: np.ndarray  # [wheels]
-    cause: np.ndarray  # [wheels] `Cause`
 
 
 class WheelNumbers(NamedTuple):
@@ -103,8 +91,7 @@ class WheelNumbers(NamedTuple):
     rig: np.ndarray  # [1] `RIG`
     acting: Acting
     task: np.ndarray  # [1] `TASK`
-    low: np.ndarray  # [D] float32 bounds of the observation
-    high: np.ndarray
+    bounds: np.ndarray  # [2, D] float32 of the observation
     sd: np.ndarray  # [1] `READING` of the noise
     errors: SensorErrors | None
     camera: np.ndarray | None  # [1] `CAMERA`
@@ -119,8 +106,7 @@ def wheel_numbers(
         rig_of(scenario, model),
         acting_in(model),
         task_of(scenario, variant),
-        np.array([e.low for e in entries], dtype=np.float32),
-        np.array([e.high for e in entries], dtype=np.float32),
+        np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
         sensor_deviations(scenario),
         sensor_errors(model),
         camera_of(scenario) if scenario.course.classes else None,
@@ -130,15 +116,12 @@ def wheel_numbers(
 def new_wheel_worlds(
     wheels: int, scenario: Scenario, numbers: WheelNumbers, recorded: bool
 ) -> WheelWorlds:
-    """Worlds for so many wheels, to be restarted; `recorded`: keep the sensor record of each step."""
+    """Worlds for so many wheels, to be restarted; `recorded`: keep the notes of each step."""
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
         new_courses(wheels, scenario),
-        new_record(wheels, wheels, scenario) if recorded else new_record(0, 0, scenario),
-        np.zeros((wheels, numbers.low.size), dtype=np.float32),
-        np.zeros((wheels, len(REWARD_TERMS))),
-        np.zeros(wheels),
-        np.zeros(wheels, dtype=np.int64),
+        np.zeros((wheels if recorded else 0, scenario.control.held), NOTE),
+        np.zeros((wheels, numbers.bounds.shape[1]), dtype=np.float32),
     )
 
 
@@ -153,28 +136,8 @@ class Setting(NamedTuple):
     task: Any  # `TASK`
     sd: Any  # `READING`
     errors: SensorErrors | None
-    camera: Any  # `CAMERA`, or None
     nodes: Any  # `ARC_NODES`
     normals: Any  # `NORMALS`
-
-
-class Notes(NamedTuple):
-    """Rows of one wheel in the sensor record of a step; one reading is overwritten where nothing is recorded."""
-
-    recorded: bool
-    readings: np.ndarray  # [held] `READING`
-    halted: np.ndarray  # [held]
-    places: np.ndarray  # [held]
-    images: np.ndarray  # [held] `IMAGE`
-
-
-@njit(**EXACT)
-def _first(array):
-    """The only record of an array; None for None."""
-    if array is None:
-        return None
-    else:
-        return array[0]
 
 
 @njit(**INLINE)
@@ -186,25 +149,18 @@ def setting_of(numbers, scratch):
         numbers.task[0],
         numbers.sd[0],
         numbers.errors,
-        _first(numbers.camera),
         scratch.nodes[0],
         scratch.normals[0],
     )
 
 
-@njit(**INLINE)
-def notes_of(record, reading, k):
-    """Rows of wheel k in a sensor record; `reading` [1] of the thread where nothing is recorded."""
-    recorded = record.periods.size > 0
-    row = k if recorded else 0
-    image = row if record.images.shape[0] > 1 else 0
-    return Notes(
-        recorded,
-        record.readings[row] if recorded else reading,
-        record.halted[row],
-        record.places[row],
-        record.images[image],
-    )
+@njit(**EXACT)
+def first_of(array):
+    """The first record of an array; None for None."""
+    if array is None:
+        return None
+    else:
+        return array[0]
 
 
 @njit
@@ -218,19 +174,13 @@ def start_passable(course, owner, numbers, scratch):
     return mass
 
 
-@njit(**EXACT)
-def clear_reward(terms):
-    """Set the reward terms of a step to zero."""
-    for i in range(terms.size):
-        terms[i] = 0.0
-
-
 @kept
 def lay_wheels(worlds, numbers, orders, scratch, first, end):
     """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those not found.
 
-    RESTART starts a new course and puts the wheel at rest at its start. After TRY, `reward` is the mass on the wheel,
-    or -1 if no passable course was found. `numbers`: `CourseNumbers`.
+    RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at rest at its start.
+    After TRY, the wheel's `reward` is the mass on it, or -1 if no passable course was found. `numbers`:
+    `CourseNumbers`.
     """
     rig = numbers.rig
     nodes = scratch.nodes[0]
@@ -247,13 +197,10 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
             if mass < 0.0:
                 failed += 1
             else:
-                stream = wheel.stream
-                worlds.state[k] = scratch.wheel[0]
-                wheel.stream = stream
                 settle_at(wheel, 0.0, mass, course, world)
                 wheel.next_halt = between(wheel, rig.halt_low, rig.halt_high)
         elif order == TRY:
-            worlds.reward[k] = draw_course(course, wheel, numbers, nodes)
+            wheel.reward = draw_course(course, wheel, numbers, nodes)
         else:
             x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.spec.ahead
             extend_course(course, wheel.mass, x, numbers, nodes)
@@ -261,71 +208,68 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
 
 
 @njit(**FINITE)
-def _look(wheel, course, notes, period, camera):
-    """`Sight` of the camera after a control period, and its image among the notes of the wheel."""
+def _sense(wheel, note, course, setting, camera):
+    """Fill the `NOTE` of a wheel after a control period; the `Sight` of its camera, if there is one."""
+    task = setting.task
+    sense(wheel, note, setting.normals, setting.sd, setting.errors, task.radius)
+    if wheel.steps > 0:  # not at the start of a course
+        roll_odometer(wheel, note.speed, task.period)
+    note.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
+    note.place = wheel.odometer
     if camera is None:
-        return Sight(0, 0.0, 0.0)
+        return NOWHERE
     else:
         sight = look(wheel, course, camera)
-        if notes.recorded:
-            take_image(notes.images[period], wheel, course, sight, camera)
+        take_image(note, wheel, course, sight, camera)
         return sight
 
 
 @njit(**FINITE)
-def _sense(wheel, reading, course, notes, period, setting):
-    """Fill the readings of a wheel after a control period; its `Sight`. Both are noted if anything on board asks."""
-    task = setting.task
-    sense(wheel, reading, setting.normals, setting.sd, setting.errors, task.radius)
-    if wheel.steps > 0:  # not at the start of a course
-        roll_odometer(wheel, reading.speed, task.period)
-    sight = _look(wheel, course, notes, period, setting.camera)
-    if notes.recorded:
-        notes.halted[period] = wheel.halt_left > 0.0
-        notes.places[period] = wheel.odometer
-    return sight
-
-
-@njit(**FINITE)
-def _observe(out, wheel, reading, course, sight, setting):
+def _observe(wheel, note, course, setting, camera, sight, out):
     """Fill the observation `out` [D] of a wheel but for what is identified."""
     task = setting.task
-    write_sensors(out, wheel, reading, task)
+    write_sensors(out, wheel, note, task)
     truth = task.variant == TRUE_SOIL
     if truth:
         write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
-    write_seen(out[task.seen :], wheel, course, sight, setting.camera, truth)
+    if camera is not None:
+        write_seen(out[task.seen :], wheel, course, sight, camera, truth)
 
 
 @njit(**FINITE)
-def _restart(wheel, course, setting, notes, out):
+def _restart(wheel, note, course, setting, camera, out):
     """Observe a wheel at the start of its course."""
     start_odometry(wheel, setting.task.odometry_scale)
-    reading = notes.readings[0]
-    sight = _sense(wheel, reading, course, notes, 0, setting)
-    _observe(out, wheel, reading, course, sight, setting)
+    wheel.cause = RUNNING
+    wheel.periods = 1
+    sight = _sense(wheel, note, course, setting, camera)
+    _observe(wheel, note, course, setting, camera, sight, out)
 
 
 @njit(**FINITE)
-def _step(wheel, action, course, setting, notes, terms, out):
+def _step(wheel, action, course, setting, camera, notes, out):
     """The control periods of an action of a wheel, until its episode ends: drive, sense, judge, reward; then observe.
 
-    Returns the `Cause` and the number of periods.
+    `notes` [held], or [1] to overwrite.
     """
     task = setting.task
     world = World(setting.rig, setting.acting, setting.nodes)
-    period = 0
-    while True:
+    terms = wheel.terms
+    for i in range(4):
+        terms[i] = 0.0
+    note = notes[0]
+    sight = NOWHERE
+    wheel.periods = 0
+    wheel.cause = RUNNING
+    while wheel.periods < task.held and wheel.cause == RUNNING:
         control_period(wheel, action, course, world)
-        reading = notes.readings[period if notes.recorded else 0]
-        sight = _sense(wheel, reading, course, notes, period, setting)
-        cause = judge(wheel, task)
-        add_reward(wheel, cause, task, terms)
-        period += 1
-        if period == task.held or cause != RUNNING:
-            break
-    _observe(out, wheel, reading, course, sight, setting)
-    return cause, period
+        note = notes[min(wheel.periods, notes.size - 1)]
+        sight = _sense(wheel, note, course, setting, camera)
+        wheel.cause = judge(wheel, task)
+        add_reward(wheel, wheel.cause, task, terms)
+        wheel.periods += 1
+    wheel.reward = total_of(terms)
+    _observe(wheel, note, course, setting, camera, sight, out)
 
 
 @kept
@@ -335,33 +279,27 @@ def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
     Their courses are laid (`lay_wheels`).
     """
     setting = setting_of(numbers, scratch)
-    record = worlds.record
+    camera = first_of(numbers.camera)
+    recorded = worlds.notes.shape[0] > 0
     for k in range(first, end):
-        if orders[k] != STEP and orders[k] != RESTART:
+        order = orders[k]
+        if order != STEP and order != RESTART:
             continue
         wheel = worlds.state[k]
         course = course_of(worlds.courses, k)
-        notes = notes_of(record, scratch.reading, k)
+        notes = worlds.notes[k] if recorded else scratch.note
         out = worlds.observation[k]
-        terms = worlds.terms[k]
-        clear_reward(terms)
-        if orders[k] == STEP:
-            cause, periods = _step(wheel, actions[k], course, setting, notes, terms, out)
+        if order == STEP:
+            _step(wheel, actions[k], course, setting, camera, notes, out)
         else:
-            _restart(wheel, course, setting, notes, out)
-            cause = RUNNING
-            periods = 1
-        clip(out, numbers.low, numbers.high)
-        worlds.cause[k] = cause
-        worlds.reward[k] = total_of(terms)
-        if notes.recorded:
-            record.periods[k] = periods
+            _restart(wheel, notes[0], course, setting, camera, out)
+        clip(out, numbers.bounds)
 
 
 @kept
 def write_true_soils(worlds, numbers, out):
     """Fill `out` [wheels, D] with the entries of `layout.truth`."""
     border = numbers.rig[0].border
-    camera = _first(numbers.camera)
+    camera = first_of(numbers.camera)
     for k in range(len(out)):
         write_truth(out[k], worlds.state[k], course_of(worlds.courses, k), border, camera)

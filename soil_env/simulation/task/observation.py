@@ -17,10 +17,10 @@ ENTRIES_AHEAD = 8  # of the true soil of a line ahead: soil and margin
 
 
 @njit(**FINITE)
-def clip(out, low, high):
-    """Cut the observation `out` [D] to the bounds of its layout."""
+def clip(out, bounds):
+    """Cut the observation `out` [D] to the `bounds` [2, D] of its layout."""
     for i in range(out.size):
-        out[i] = min(max(out[i], low[i]), high[i])
+        out[i] = min(max(out[i], bounds[0, i]), bounds[1, i])
 
 
 @njit(**FINITE)
@@ -66,12 +66,9 @@ def write_soil_under(out, wheel, course, border):
 @njit(**EXACT)
 def write_seen(out, wheel, course, sight, camera, truth):
     """Fill `out` from its first entry of the camera on; with `truth`, the true soils of the lines ahead behind them."""
-    if camera is None:
-        return
-    else:
-        i = write_view(out, wheel, course, sight, camera)
-        if truth:
-            write_soils_ahead(out[i:], course, sight, camera)
+    i = write_view(out, wheel, course, sight, camera)
+    if truth:
+        write_soils_ahead(out[i:], course, sight, camera)
 
 
 @njit(**EXACT)

@@ -12,8 +12,15 @@ from soil_env._compiled.elementary import sin_cos
 from soil_env._compiled.flags import FINITE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
-from soil_env.simulation.world.terrain import COMPACTION, ground_at, patch_at, rut_factor_at
+from soil_env.simulation.world.terrain import (
+    COMPACTION,
+    ground_at,
+    in_cell,
+    patch_at,
+    rut_factor_at,
+)
 from soil_env.simulation.world.wheel import (
+    Ahead,
     Ground,
     Path,
     commanded,
@@ -79,12 +86,13 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @njit(**FINITE)
-def soil_ahead(wheel, stage, course, rig):
-    """(`SoilState` with its rut, grade [rad]) under the middle of the way of a wheel in a stage; notes its patch."""
+def ground_ahead(wheel, stage, patches, cells, border):
+    """Ground `Ahead` of a wheel in a stage; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
-    wheel.patch = patch_at(course.patches, x, wheel.patch)
-    soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)
-    return stiffened(soil, rut_factor_at(course.cells, x)), grade
+    wheel.patch = patch_at(patches, x, wheel.patch)
+    soil, grade = ground_at(patches, x, wheel.patch, border)
+    passes = 2.0 if cells[wheel.cell].depth > 0.0 else 1.0
+    return Ahead(stiffened(soil, rut_factor_at(cells, x)), grade, passes)
 
 
 @njit(**FINITE)
@@ -146,61 +154,57 @@ def move(wheel, end, stage, ground, drive, rig):
 
 
 @njit(**FINITE)
-def take_stage(wheel, stage, drive, forced, course, world):
-    """A stage of a step; False if Newton's method fails, with the wheel as before, unless it is `forced` on."""
+def take_stage(wheel, stage, ahead, drive, forced, world):
+    """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
+
+    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is `forced` on.
+    """
     rig = world.rig
-    soil, grade = soil_ahead(wheel, stage, course, rig)
-    sine, cosine = sin_cos(grade)
+    sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
-    passes = 2.0 if course.cells[wheel.cell].depth > 0.0 else 1.0
     rim = rig.radius * wheel.wheel_speed
-    standing = Standing(sinkage, wheel.speed, rim, weight, sine, passes)
-    soil, arc, beside = ground_under(standing, soil, rig, world.acting)
+    standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes)
+    soil, arc, beside = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
     end = solve_speeds(wheel, stage, footing, weight * sine, drive, world, beside)
+    digging = (soil.dig_gain, soil.dig_recovery)
     if not (end.converged or forced):
-        return False
-    move(wheel, end, stage, Ground(soil, sinkage, beside.lift, grade), drive, rig)
-    leave_ruts(wheel, course.cells, soil, COMPACTION)
-    return True
+        return False, digging
+    move(wheel, end, stage, Ground(soil, sinkage, beside.lift, ahead.grade), drive, rig)
+    return True, digging
 
 
 @njit(**FINITE)
-def take_step(wheel, h, drive, forced, course, world):
-    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
-    r = world.rig.radius
-    speed_before = wheel.speed
-    rim_before = r * wheel.wheel_speed
-    driven = 0.0
-    for number in range(2):
-        rim = r * wheel.wheel_speed
-        stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
-        if not take_stage(wheel, stage, drive, forced, course, world):
-            return driven
-        driven += stage.duration
-    return h
-
-
-@njit(**FINITE)
-def drive_period(wheel, drive, course, world):
-    """Drive a wheel for a control period by steps that are halved while Newton's method fails."""
+def drive_period(wheel, drive, patches, cells, world):
+    """Drive a wheel for a control period, by steps of two stages that are halved while Newton's method fails."""
     rig = world.rig
     wheel.motor_work = 0.0
     wheel.soil_work = 0.0
     wheel.numerical_work = 0.0
     wheel.converged = 1
-    longest = rig.period / (
-        rig.substeps * steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
-    )
+    steps = steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
+    longest = rig.period / (rig.substeps * steps)
     left = rig.period
     h = longest
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = take_step(wheel, h, drive, h <= longest / FINEST, course, world)
-        left -= driven
-        if driven == h:
+        forced = h <= longest / FINEST
+        speed_before = wheel.speed
+        rim_before = rig.radius * wheel.wheel_speed
+        done = True
+        for number in range(2):
+            rim = rig.radius * wheel.wheel_speed
+            stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
+            ahead = ground_ahead(wheel, stage, patches, cells, rig.border)
+            done, digging = take_stage(wheel, stage, ahead, drive, forced, world)
+            if not done:
+                break
+            left -= stage.duration
+            if not in_cell(wheel.cell, wheel.x):
+                leave_ruts(wheel, cells, digging, COMPACTION)
+        if done:
             h = longest
         else:
             h = (
@@ -228,7 +232,7 @@ def control_period(wheel, action, course, world):
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """
     x_start = wheel.x
-    drive_period(wheel, commanded(wheel, action, world.rig), course, world)
+    drive_period(wheel, commanded(wheel, action, world.rig), course.patches, course.cells, world)
     _at_fork(wheel, course, course.lines, action, world.rig)
     measure_slip(wheel, world.rig)
     end_period(wheel, x_start, wheel, world.rig)

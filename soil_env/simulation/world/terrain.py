@@ -192,16 +192,22 @@ def rut_factor_at(cells, x):
 
 
 @njit(**EXACT)
-def cell_after(cells, cell, x):
-    """The cell of a wheel that comes from `cell` and is at x [m]: the next one begins for it in its middle.
+def in_cell(cell, x):
+    """True if a wheel that comes from `cell` is still in it at x [m]: the next one begins in its own middle.
 
     So a cell is passed once the wheel no longer stands on any of it, and rocking over a border passes none.
     """
-    place = place_in_cells(x)
-    if cell - 1.0 < place < cell + 1.0:
+    return cell - 1.0 < place_in_cells(x) < cell + 1.0
+
+
+@njit(**EXACT)
+def cell_after(cells, cell, x):
+    """The cell of a wheel that comes from `cell` and is at x [m], of so many `cells`."""
+    if in_cell(cell, x):
         return cell
+    place = place_in_cells(x)
     after = math.floor(place) if place >= cell + 1.0 else math.ceil(place)
-    return int(min(max(after, 0.0), cells.size - 1.0))
+    return int(min(max(after, 0.0), cells - 1.0))
 
 
 @njit(**EXACT)

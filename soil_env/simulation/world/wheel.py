@@ -77,7 +77,11 @@ WHEEL = record(
     "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
+    "reward",  # of the last step
+    terms=("f8", 4),  # of the reward, `REWARD_TERMS`
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
+    cause=("i8",),  # `Cause` of the end of its episode, or that it runs
+    periods=("i8",),  # control periods of the last step
     converged=(
         "i8",
     ),  # 1 unless Newton's method failed at the finest step of the last control period
@@ -134,6 +138,14 @@ class Ground(NamedTuple):
     sinkage: float  # [m] that the arc is laid at
     lift: float  # [m] of z_w beyond the depth that bears
     grade: float  # [rad]
+
+
+class Ahead(NamedTuple):
+    """Undisturbed ground, with its rut, under the middle of the way of a wheel in a stage."""
+
+    soil: SoilState
+    grade: float  # [rad]
+    passes: float  # 1 = fresh soil
 
 
 class Path(NamedTuple):
@@ -252,17 +264,17 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
 
 
 @njit(**FINITE)
-def leave_ruts(wheel, cells, soil, compaction):
+def leave_ruts(wheel, cells, digging, compaction):
     """Mark the cells that a wheel has passed in a stage; it comes into the next one in the middle of that.
 
     How much it dug follows from the way that the rim slid in its cell: its sinkage over z_w does not say, since it lags
-    behind a change of the ground.
+    behind a change of the ground. `digging`: (gain, recovery) of the soil.
     """
-    after = cell_after(cells, wheel.cell, wheel.x)
+    after = cell_after(cells.size, wheel.cell, wheel.x)
     if after == wheel.cell:
         return
     way = max(abs(wheel.x - wheel.cell_x), LEAST_WAY)
-    dug = digging_ratio(wheel.slid, way, soil.dig_gain, soil.dig_recovery)
+    dug = digging_ratio(wheel.slid, way, digging[0], digging[1])
     while wheel.cell != after:
         leave_rut(cells[wheel.cell], wheel.rut_depth, dug, compaction)
         wheel.cell += 1 if after > wheel.cell else -1
