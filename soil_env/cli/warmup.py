@@ -10,7 +10,7 @@ import click
 import gymnasium
 import numpy as np
 
-from soil_env._numba.cache import place
+from soil_env._compiled.cache import place
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
@@ -61,10 +61,7 @@ def warm_up() -> None:
     model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
     sliding_speed(np.float64(0.3), np.float64(0.1))
     excavation_rate(0.2, 0.1, 0.0, 1.0, 0.3)
-    out = np.zeros((2, 1))
-    best_points(
-        np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1]
-    )
+    best_points(np.ones((1, 7)), np.array([100.0]), wheels()["planetary_rover"])
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)

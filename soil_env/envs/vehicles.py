@@ -52,6 +52,7 @@ class Vehicles:
     """
 
     numbers: Any  # constants of the compiled step
+    course_numbers: Any  # what courses are drawn by
     worlds: Any  # all arrays, overwritten by each step
     _actions: np.ndarray  # a row a vehicle, a column a motor
     _vehicle = "wheel"
@@ -85,7 +86,7 @@ class Vehicles:
         self._heads = heads[0]
         self._x = heads[0]["x"]
         self._ready = heads[1]["ready"]
-        self._course_numbers, self._ahead = courses
+        self.course_numbers, self._ahead = courses
         self._scratch = [scratch() for _ in range(0, self.count, self._share)]
         self._record = of_bytes(worlds.record)
         self._results = Results(worlds.observation, worlds.terms, worlds.reward, worlds.cause)
@@ -102,7 +103,7 @@ class Vehicles:
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
-            self._lay(trial, self._course_numbers, orders, self._scratch[0], 0, 1)
+            self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
             if trial.reward[0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
@@ -149,7 +150,7 @@ class Vehicles:
         orders[k] = order
         try:
             check_laid(
-                self._lay(self._world, self._course_numbers, orders, self._scratch[0], k, k + 1)
+                self._lay(self._world, self.course_numbers, orders, self._scratch[0], k, k + 1)
             )
         finally:
             orders[k] = IDLE
@@ -173,7 +174,7 @@ class Vehicles:
             scratch = self._scratch[number]
             failed = 0
             if laid:
-                failed = self._lay(self._world, self._course_numbers, courses, scratch, first, end)
+                failed = self._lay(self._world, self.course_numbers, courses, scratch, first, end)
             self._drive(orders, scratch, first, end)
             return failed
 

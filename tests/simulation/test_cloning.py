@@ -5,8 +5,9 @@ import pytest
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.cloning import clone
-from soil_env.envs.wheels import STEP, Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
+from soil_env.parameters.readings import STEP
 from soil_env.simulation.task import Cause
 from tests.simulation.wheels import started
 
