@@ -1,24 +1,35 @@
-"""Steady state of a wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load, with effects."""
+"""Steady state of a wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load, with effects.
+
+`steady_at` is the compiled function; `steady_state`, `steady_with` and `predict_rows` are for calls from Python.
+"""
 
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import asin_root
+import numpy as np
+from numba import njit
+
+from soil_env._compiled.cache import kept
+from soil_env._compiled.elementary import asin_root
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.slip import motion_from_slip
-from soil_env.terramechanics import contact
-from soil_env.terramechanics.arc_integrals import integrals_alone
 from soil_env.terramechanics.contact import (
+    ARC_NODES,
     Arc,
     Forces,
     ShearLaw,
     bearing_share,
     entry_angle,
     forces,
+    lay_nodes,
+    mobilised_sinkage_coefficient,
+    shear_integrals,
+    smooth_arc,
 )
 from soil_env.terramechanics.effects import (
-    NO_EFFECTS,
+    Effects,
+    Passage,
     arc_ends,
     drive_torque,
     soil_in_contact,
@@ -27,19 +38,26 @@ from soil_env.terramechanics.effects import (
 from soil_env.terramechanics.effects.grade import weight_on_slope
 from soil_env.terramechanics.effects.grousers import (
     at_shear_radius,
-    blade_force,
+    blade_thrust,
+    blades_at,
     contact_radius,
     shear_radius_ratio,
 )
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
-from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
+from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 
-_SECANT = (
-    1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
-)
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
+LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
+LEAST_SPEED = 1e-9  # [m/s] a wheel whose speed is not known turns all the same
+LEAST_TURNING = 1e-15  # [rad/s] wheel speed above which friction of the drivetrain is in full
+SHALLOWEST = 1e-6  # [radii] least sinkage
+MOST_STEPS = 60  # of the secant
+LEAST_SLOPE = 0.05  # [-] of the misfit over ln z, towards which a secant is held
+SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
+#: [ln m]^2 product of the last two steps at which the secant ends: the size of its error.
+SECANT_ERROR = 1e-7
 
 
 class Steady(NamedTuple):
@@ -52,11 +70,12 @@ class Steady(NamedTuple):
 
 
 class Rim(NamedTuple):
-    """The wheel as it meets the soil."""
+    """The wheel as it meets the soil, and what that weighs. Records of a simulated wheel have the same fields."""
 
     radius: float  # [m]
     width: float  # [m]
     grouser_height: float  # [m]
+    unit_weight: float  # [N/m3] of the soil, for bulldozing and blades
 
 
 class Conditions(NamedTuple):
@@ -70,42 +89,41 @@ class Conditions(NamedTuple):
 LEVEL = Conditions(0.0, 1.0, 0.0)
 
 
-@compiled_inline
+class Point(NamedTuple):
+    """Steady point to solve, as it is measured."""
+
+    slip: float
+    load: float  # [N] weight
+    guess: float  # [m] sinkage to start from, 0 where there is none
+
+
+class Rows(NamedTuple):
+    """Conditions [N] of a table."""
+
+    slip: np.ndarray
+    load: np.ndarray
+    wheels: np.ndarray  # [N, 3] radius, width, grouser height [m]
+    conditions: np.ndarray  # [N, 3] as `Conditions`
+
+
+@njit(**EXACT)
 def arc_of(sinkage, slip, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
 
     The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al. 2011).
     """
-    r = contact_radius(fx, wheel)
-    theta1 = entry_angle(sinkage, r)
-    theta2, thetam = arc_ends(theta1, slip, fx)
-    q = shear_radius_ratio(r, wheel.grouser_height, fx)
-    if q == 1.0:
-        return Arc(theta1, theta2, thetam, theta1, r)
-    rise = 0.5 * (1.0 - 1.0 / q) + (0.5 / (r * q)) * sinkage  # (1 - cos)/2 of the tips' entry
-    return Arc(theta1, theta2, thetam, 2.0 * asin_root(rise), r)
-
-
-@compiled_inline
-def sheared(rim, soil, fx, wheel):
-    """(rim, K) as the soil between the lug tips sees them: `rim` of motion and shear deformation modulus [m].
-
-    Shear at the radius q R stretches j, thrust and torque: K/q here, q tan(phi) and q c where forces are summed. Where
-    slip was taken at the rim of radius r, the tips move faster: rim q R/r instead.
-    """
-    r = contact_radius(fx, wheel)
-    q = shear_radius_ratio(r, wheel.grouser_height, fx)
-    K = soil.shear_modulus * shear_length_ratio(fx)
-    if fx.grousers_slip_at_rim > 0.0:
-        wider = r / wheel.radius
-        return rim * wider * q, K * wider
-    return rim, K / q
-
-
-@compiled_part
-def steady_state(slip, load, soil, r, b):
-    """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
-    return steady_with(slip, load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, 0.0)
+    if fx is None:
+        return smooth_arc(sinkage, wheel.radius)
+    else:
+        r = contact_radius(wheel, fx)
+        q = shear_radius_ratio(wheel, fx)
+        theta1 = entry_angle(sinkage, r)
+        theta2, thetam = arc_ends(theta1, slip, fx)
+        sheared_from = theta1
+        if q != 1.0:
+            rise = 0.5 * (1.0 - 1.0 / q) + (0.5 / (r * q)) * sinkage  # (1 - cos)/2 at that angle
+            sheared_from = 2.0 * asin_root(rise)
+        return Arc(theta1, theta2, thetam, sheared_from, r)
 
 
 class _Balance(NamedTuple):
@@ -118,53 +136,65 @@ class _Balance(NamedTuple):
     soil: SoilState  # as it is sheared
     strength: float  # ln of S over the pressure ratio of the digging
     lift: float  # [m] depth excavated whatever the load
-    law: ShearLaw
+    law: ShearLaw | None
 
 
-@compiled_inline
+@njit(**EXACT)
 def _balance(slip, load, soil, wheel, conditions, fx):
     """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
-    sine = conditions.sin_grade
-    ground = soil_in_contact(
-        soil,
-        fx,
-        slip,
-        conditions.speed,
-        sliding_speed(slip, conditions.speed),
-        conditions.passes,
-        sine,
-    )
-    normal, _ = weight_on_slope(load, sine, fx)
     rim, travel = motion_from_slip(slip)
-    rim, K = sheared(rim, ground, fx, wheel)
-    q = shear_radius_ratio(contact_radius(fx, wheel), wheel.grouser_height, fx)
-    under = at_shear_radius(ground, q, K)
-    ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), 1e-3)
-    apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
-    lift = min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius)
-    strength = math.log(ground.sinkage_coefficient) - ground.sinkage_exponent * math.log(
-        ratio / apparent
-    )
-    return (
-        _Balance(slip, rim, travel, normal, under, strength, lift, shear_law(fx)),
-        ground,
-        apparent,
-    )
+    if fx is None:
+        ratio = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
+        strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
+        return _Balance(slip, rim, travel, load, soil, strength, 0.0, None), soil, 1.0
+    else:
+        sine = conditions.sin_grade
+        slide = sliding_speed(slip, conditions.speed)
+        passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine)
+        ground = soil_in_contact(soil, passage, fx)
+        # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q. Where slip was taken
+        # at the rim of radius R, the lugs' tips move faster by r/R.
+        q = shear_radius_ratio(wheel, fx)
+        modulus = ground.shear_modulus * shear_length_ratio(fx)
+        if fx.grousers_slip_at_rim > 0.0:
+            wider = contact_radius(wheel, fx) / wheel.radius
+            rim *= wider * q
+            modulus *= wider
+        else:
+            modulus /= q
+        ratio = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
+        apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
+        strength = math.log(ground.sinkage_coefficient)
+        strength -= ground.sinkage_exponent * math.log(ratio / apparent)
+        balance = _Balance(
+            slip,
+            rim,
+            travel,
+            weight_on_slope(load, sine, fx)[0],
+            at_shear_radius(ground, q, modulus),
+            strength,
+            min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius),
+            mobilisation(fx),
+        )
+        return balance, ground, apparent
 
 
-@compiled_inline
-def _misfit(x, p, wheel, fx):
+@njit(**EXACT)
+def _misfit(nodes, x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
     z = math.exp(x)
     soil = p.soil
     b = wheel.width
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
-    q = integrals_alone(arc, p.rim, p.travel, soil.shear_modulus, n, p.law)
-    s = contact.mobilised_sinkage_coefficient(
+    p_cos, p_sin = lay_nodes(nodes, arc, n)
+    q = shear_integrals(nodes, p_cos, p_sin, (p.rim, p.travel), soil.shear_modulus, p.law)
+    s = mobilised_sinkage_coefficient(
         q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0
     )
-    available = p.strength + (n * math.log(1.0 - p.lift / z) if p.lift != 0.0 else 0.0)
+    available = p.strength
+    if p.lift != 0.0:
+        available += n * math.log(1.0 - p.lift / z)
     f = min(max(math.log(max(s, 1e-300)) - available, -2.0), 50.0)
     if (
         bearing_share(q, soil.tan_phi, 1.0) <= 1e-12 * q.p_cos
@@ -174,7 +204,7 @@ def _misfit(x, p, wheel, fx):
     return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
 
 
-@compiled_inline
+@njit(**EXACT)
 def _first_guess(p, wheel, guess):
     """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
     if guess > 0.0:
@@ -184,11 +214,11 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@compiled_part
-def _solve_balance(p, wheel, fx, guess):
+@njit(**EXACT)
+def _solve_balance(nodes, p, wheel, fx, guess):
     """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
     deepest = math.log(DEEPEST * wheel.radius)
-    low = math.log(max(1e-6 * wheel.radius, 1.0001 * p.lift))
+    low = math.log(max(SHALLOWEST * wheel.radius, 1.0001 * p.lift))
     high = deepest
     x = min(max(_first_guess(p, wheel, guess), low), high)
     slope = -(p.soil.sinkage_exponent + 0.5)
@@ -196,24 +226,26 @@ def _solve_balance(p, wheel, fx, guess):
     f_old = 0.0
     w_old = Forces(0.0, 0.0, 0.0)
     supported = False
-    for k in range(60):
-        f, w = _misfit(x, p, wheel, fx)
+    for k in range(MOST_STEPS):
+        f, w = _misfit(nodes, x, p, wheel, fx)
         if f > 0.0:
             low = max(low, x)
         else:
             high = min(high, x)
         moved = x - x_old
         if k > 0 and moved != 0.0:
-            slope = min((f - f_old) / moved, -0.05)
+            slope = min((f - f_old) / moved, -LEAST_SLOPE)
         step = -f / slope
-        if k > 0 and abs(step * moved) < _SECANT and low < x + step < high:
-            share = step / moved  # along the secant that gave the step
-            return x + step, _along(w_old, w, share), True
+        if k > 0 and abs(step * moved) < SECANT_ERROR and low < x + step < high:
+            share = step / moved  # along the secant that gave the step; the load stays
+            pull = w.drawbar_pull + share * (w.drawbar_pull - w_old.drawbar_pull)
+            torque = w.torque + share * (w.torque - w_old.torque)
+            return x + step, Forces(w.load, pull, torque), True
         x_old = x
         f_old = f
         w_old = w
         supported = x < deepest
-        if abs(step) < 1e-6 or low >= high:
+        if abs(step) < SMALLEST_STEP or low >= high:
             break
         x = x + step
         if x >= deepest and high == deepest:
@@ -223,77 +255,37 @@ def _solve_balance(p, wheel, fx, guess):
     return x_old, w_old, supported
 
 
-@compiled_inline
-def _along(before, now, share):
-    """`Forces` extrapolated beyond `now` by a share of the last change; the load stays."""
-    pull = now.drawbar_pull + share * (now.drawbar_pull - before.drawbar_pull)
-    return Forces(now.load, pull, now.torque + share * (now.torque - before.torque))
+@njit(**EXACT)
+def steady_at(nodes, point, soil, wheel, conditions, fx):
+    """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
-
-@compiled_part
-def steady_with(slip, load, soil, wheel, conditions, unit_weight, fx, guess):
-    """`Steady` sinkage, drawbar pull and torque as they are measured at a measured slip and weight `load` [N].
-
+    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim` or a record with its fields; `fx` `Effects` or None.
     Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
     pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the coefficient s(z) that the load
     mobilises is S ((z - l)/(k z))^n. The root of the difference of their logarithms is found by a bracketed secant in
-    ln z, in which it is nearly straight, from `guess` [m] where one is given. `unit_weight` [N/m3] of the soil is
-    needed by bulldozing and blades only.
+    ln z, in which it is nearly straight.
     """
-    i = true_slip(slip, fx)
-    r = wheel.radius
-    b = wheel.width
-    p, ground, apparent = _balance(i, load, soil, wheel, conditions, fx)
-    x, w, supported = _solve_balance(p, wheel, fx, guess)
+    slip = true_slip(point.slip, fx)
+    p, ground, apparent = _balance(slip, point.load, soil, wheel, conditions, fx)
+    x, w, supported = _solve_balance(nodes, p, wheel, fx, point.guess)
     z = math.exp(x)
-    outer = contact_radius(fx, wheel)
-    blade = 0.0
-    if fx.grousers_blades != 0.0:
-        theta1 = entry_angle(z, outer)
-        blade = blade_force(theta1, z, i, ground, unit_weight, b, wheel.grouser_height, fx)
-    pull = w.drawbar_pull + blade - soil_resistance(z, ground, unit_weight, b, fx)
-    pull -= weight_on_slope(load, conditions.sin_grade, fx)[1]
-    q = shear_radius_ratio(outer, wheel.grouser_height, fx)
-    torque = q * w.torque + blade * (r + 0.5 * wheel.grouser_height)
-    speed = max(conditions.speed, 1e-9)  # a wheel whose speed is not known turns all the same
-    wheel_speed = (speed + sliding_speed(i, speed) * (1.0 if i > 0.0 else -1.0)) / r
-    torque = drive_torque(torque, wheel_speed, 1e-15, fx)
-    return Steady(
-        min(apparent * z, DEEPEST * r) + fx.sinkage_offset_offset, pull, torque, supported
-    )
+    sinkage = min(apparent * z, DEEPEST * wheel.radius)
+    beside = _beside(z, slip, ground, wheel, fx)
+    return _as_measured(Steady(sinkage, w.drawbar_pull, w.torque, supported), beside, slip, point.load, wheel, conditions, fx)
 
 
-@compiled_part
-def predict_rows(slip, load, wheels, conditions, soil, unit_weight, fx, guess, out):
-    """`steady_with` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
-
-    `wheels` [N, 3] as `Rim`, `conditions` [N, 3] as `Conditions`. Returns the number of rows that the soil carries.
-    """
-    carried = 0
-    for k in range(slip.size):
-        w = wheels[k]
-        c = conditions[k]
-        s = steady_with(
-            slip[k],
-            load[k],
-            soil,
-            Rim(w[0], w[1], w[2]),
-            Conditions(c[0], c[1], c[2]),
-            unit_weight,
-            fx,
-            guess[k],
-        )
-        out[k, 0] = s.sinkage
-        out[k, 1] = s.drawbar_pull
-        out[k, 2] = s.torque
-        carried += s.supported
-        guess[k] = s.sinkage - fx.sinkage_offset_offset if s.supported else 0.0
-    return carried
+@kept
+def _steady(nodes, point, soil, wheel, conditions, fx):
+    return steady_at(nodes[0], point, soil, wheel, conditions, fx)
 
 
-def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
-    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another exponent n'.
-
-    S has a unit that depends on n, so two values compare only at the same exponent.
-    """
-    return soil.sinkage_coefficient * max(depth, 1e-4) ** (soil.sinkage_exponent - exponent)
+def steady_with(
+    slip: float,
+    load: float,
+    soil: SoilState,
+    wheel: Rim,
+    conditions: Conditions = LEVEL,
+    fx: Effects | None = None,
+    guess: float = 0.0,
+) -> Steady:
+    """`steady_at` of a measured slip and weight `load` [N], starting from the sinkage `guess` [m] if there is one."""

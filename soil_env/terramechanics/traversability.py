@@ -7,15 +7,28 @@ what the motor has. So it is where no slip gives a positive drawbar pull in exce
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_part, compiled_root
-from soil_env.terramechanics.effects import NO_EFFECTS, digging, slip_sinkage_ratio
-from soil_env.terramechanics.ground import row_soil
-from soil_env.terramechanics.steady import DEEPEST, LEVEL, Rim, steady_with
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT
+from soil_env.parameters import SoilState, Wheel
+from soil_env.terramechanics.contact import ARC_NODES
+from soil_env.terramechanics.effects import Effects
+from soil_env.terramechanics.effects.slip_sinkage import digging, slip_sinkage_ratio
+from soil_env.terramechanics.steady import (
+    DEEPEST,
+    LEVEL,
+    Conditions,
+    Point,
+    Rim,
+    as_floats,
+    steady_at,
+)
 
-#: Slips at which the drawbar pull is compared.
+#: [-] Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
-_MIDDLE = 4
+MIDDLE = 4  # index of the slip that the search starts from
+CLEARLY_LESS = 0.03  # [of load] drop of the pull from its maximum after which a search ends
 
 
 class Best(NamedTuple):
@@ -27,20 +40,12 @@ class Best(NamedTuple):
     sinkage: float  # [m]
 
 
-@compiled_part
-def best_working_point(load, soil, r, b, torque_available):
-    """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
-    return best_working_point_with(
-        load, soil, Rim(r, b, 0.0), LEVEL, 0.0, NO_EFFECTS, torque_available
-    )
+@njit(**EXACT)
+def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
+    """`Best` of `steady.steady_at` over the slips of `SLIPS`: up from the middle of them, then down from there.
 
-
-@compiled_part
-def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torque_available):
-    """`Best` of `steady.steady_with` over the slips of `SLIPS`: up from the middle of them, then down from there.
-
-    The curve has one maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque
-    than there is.
+    `nodes`, `soil`, `wheel`, `conditions` and `fx` as there; load [N], torque_available [N m]. The curve has one
+    maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque than there is.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
@@ -48,35 +53,25 @@ def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torq
     power = n / (n + 0.5)
     middle = 0.0
     for direction in (1, -1):
-        i = _MIDDLE if direction > 0 else _MIDDLE - 1
+        i = MIDDLE if direction > 0 else MIDDLE - 1
         guess = middle
-        last = SLIPS[_MIDDLE]
+        last = SLIPS[MIDDLE]
         while 0 <= i < SLIPS.size:
             slip = SLIPS[i]
-            if (
-                guess > 0.0
-            ):  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
+            if guess > 0.0:
+                # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
                 deeper = slip_sinkage_ratio(slip, gain, recovery)
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
-                guess *= deeper**power
-            s = steady_with(
-                slip,
-                load,
-                soil,
-                wheel,
-                conditions,
-                unit_weight,
-                fx,
-                min(guess, DEEPEST * wheel.radius),
-            )
+                guess = min(guess * deeper**power, DEEPEST * wheel.radius)
+            s = steady_at(nodes, Point(slip, load, guess), soil, wheel, conditions, fx)
             guess = s.sinkage if s.supported else 0.0
             last = slip
-            if i == _MIDDLE:
+            if i == MIDDLE:
                 middle = guess
             if s.torque <= torque_available and s.supported:
                 if s.drawbar_pull > best.drawbar_pull:
                     best = Best(slip, s.drawbar_pull, s.torque, s.sinkage)
-                elif s.drawbar_pull < best.drawbar_pull - 0.03 * load:
+                elif s.drawbar_pull < best.drawbar_pull - CLEARLY_LESS * load:
                     break
             elif direction > 0:
                 break
@@ -84,13 +79,51 @@ def best_working_point_with(load, soil, wheel, conditions, unit_weight, fx, torq
     return best
 
 
-@compiled_root(nogil=True)
-def best_points(rows, soils, load, r, b, torque, slip, pull):
-    """Write slip [-] and drawbar pull [N] of the best working point of the wheels `rows` into `slip` and `pull` [n].
+@kept
+def _best_point(nodes, load, soil, wheel, conditions, fx, torque_available):
+    return best_point_at(nodes[0], load, soil, wheel, conditions, fx, torque_available)
 
-    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; r, b [m] and the motor's torque [N m] are of all wheels.
-    """
-    for k in rows:
-        best = best_working_point(load[k], row_soil(soils[k]), r, b, torque)
+
+def best_working_point_with(
+    load: float,
+    soil: SoilState,
+    wheel: Rim,
+    conditions: Conditions,
+    fx: Effects | None,
+    torque_available: float,
+) -> Best:
+    """`Best` of a wheel with effects under a load [N], within the motor's torque [N m]."""
+    soil, wheel, conditions = as_floats(soil, wheel, conditions)
+    nodes = np.zeros(1, ARC_NODES)
+    return _best_point(nodes, float(load), soil, wheel, conditions, fx, float(torque_available))
+
+
+def best_working_point(
+    load: float, soil: SoilState, r: float, b: float, torque_available: float
+) -> Best:
+    """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    return best_working_point_with(load, soil, Rim(r, b, 0.0, 0.0), LEVEL, None, torque_available)
+
+
+@kept
+def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
+    for k in range(load.size):
+        row = soils[k]
+        soil = SoilState(row[0], row[1], row[2], row[3], row[4], row[5], row[6])
+        best = best_point_at(nodes[0], load[k], soil, wheel, LEVEL, None, torque_available)
         slip[k] = best.slip
         pull[k] = best.drawbar_pull
+
+
+def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.ndarray, np.ndarray]:
+    """(slip [-], drawbar pull [N]) of `best_working_point` of many wheels, [n] each.
+
+    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of all wheels.
+    """
+    count = len(load)
+    slip = np.empty(count)
+    pull = np.empty(count)
+    rim = Rim(wheel.radius, wheel.width, 0.0, 0.0)
+    nodes = np.zeros(1, ARC_NODES)
+    _best_points(nodes, np.ascontiguousarray(soils), load, rim, wheel.stall_torque, slip, pull)
+    return slip, pull

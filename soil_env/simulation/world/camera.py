@@ -6,20 +6,37 @@ out. The distance of a border has an error of that kind and one that is new in e
 
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.random_streams import normal_pair
+import numpy as np
+from numba import njit
+
+from soil_env._compiled.flags import EXACT, record
+from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
 from soil_env.simulation.world.lines import choosing, settled
 
-
-class CameraNumbers(NamedTuple):
-    """Numbers of the camera from a `Scenario`."""
-
-    classes: int  # 0: no camera
-    lines: int
-    sight: float  # [m]
-    border: float  # [m] over which one patch passes into the next
-    border_noise: float  # [m]
+#: The camera of a `Scenario` with terrain classes.
+CAMERA = record(
+    "sight",  # [m] before a patch from which its lines are seen
+    "border",  # [m] over which one patch passes into the next
+    "border_noise",  # [m] 1-sigma of the place of a border, new in every image
+    classes=("i8",),
+    lines=("i8",),  # over a patch, at most
+)
+#: An image. Its last six numbers mean something only if `seen`.
+IMAGE = record(
+    "patch",  # as in `Sight`
+    "since",  # [m]
+    "left",  # [m]
+    "here",  # label of the ground under the wheel
+    "seen",  # 1 if the patch ahead is in sight
+    "chosen",  # 1 if there is no choice of a line any more
+    "count",  # lines over the patch ahead
+    "taken",  # line that the wheel is on the way to
+    "label_0",
+    "label_1",
+    "grade_0",  # [rad]
+    "grade_1",  # [rad]
+)
 
 
 class Sight(NamedTuple):
@@ -30,104 +47,94 @@ class Sight(NamedTuple):
     left: float  # [m] to its end
 
 
-class Image(NamedTuple):
-    """Numbers of an image, in this order in a record; those of the lines mean something only if `seen`."""
-
-    patch: float  # as in `Sight`
-    since: float
-    left: float
-    here: float  # label of the ground under the wheel
-    seen: float  # 1 if the patch ahead is in sight
-    chosen: float  # 1 if there is no choice of a line any more
-    count: float  # lines over the patch ahead
-    taken: float  # line that the wheel is on the way to
-    label_0: float
-    label_1: float
-    grade_0: float  # [rad]
-    grade_1: float
+def new_camera(scenario: Scenario) -> np.ndarray | None:
+    """One `CAMERA`; None without terrain classes."""
+    if not scenario.course.classes:
+        return None
+    camera = np.zeros(1, CAMERA)
+    camera["sight"] = scenario.camera.range
+    camera["border"] = scenario.course.border
+    camera["border_noise"] = scenario.camera.border_noise
+    camera["classes"] = scenario.course.classes
+    camera["lines"] = scenario.course.lines
+    return camera
 
 
-def camera_numbers(scenario: Scenario) -> CameraNumbers:
-    """Pack what the functions below need."""
-    c = scenario.course
-    return CameraNumbers(
-        c.classes, c.lines, scenario.camera.range, c.border, scenario.camera.border_noise
-    )
+@njit(**EXACT)
+def look(wheel, course, camera):
+    """`Sight` of a new image, with a number of the wheel's stream."""
+    patches = course.patches
+    forks = course.forks
+    last = course.head.patches - 1
+    x = wheel.x + camera.border_noise * normal_pair(wheel)[0]
+    p = wheel.patch
+    while p < last and x >= patches[p + 1].start + forks[p + 1].border_error:
+        p += 1
+    while p > 0 and x < patches[p].start + forks[p].border_error:
+        p -= 1
+    end = patches[p].end
+    if p < last:
+        end += forks[p + 1].border_error
+    return Sight(p, x - patches[p].start - forks[p].border_error, end - x)
 
 
-@compiled_inline
-def look(state, counts, k, courses, streams, camera):
-    """`Sight` of a new image of wheel k."""
-    errors = courses.lines.border_errors
-    edges = courses.edges
-    last = courses.patches[k] - 1
-    x = state.x[k] + camera.border_noise * normal_pair(streams, k)[0]
-    patch = counts.patch[k]
-    while patch < last and x >= edges[k, patch + 1] + errors[k, patch + 1]:
-        patch += 1
-    while patch > 0 and x < edges[k, patch] + errors[k, patch]:
-        patch -= 1
-    end = edges[k, patch + 1] + (errors[k, patch + 1] if patch < last else 0.0)
-    return Sight(patch, x - edges[k, patch] - errors[k, patch], end - x)
+@njit(**EXACT)
+def label_here(course, sight):
+    """The class of the ground under the wheel as the camera sees it."""
+    return course.lines[sight.patch, course.forks[sight.patch].taken].label
 
 
-@compiled_inline
-def label_here(courses, k, sight):
-    """The class of the ground under wheel k as the camera sees it."""
-    return courses.lines.labels[k, sight.patch, courses.lines.taken[k, sight.patch]]
-
-
-@compiled_inline
-def patch_ahead(courses, k, sight, camera):
+@njit(**EXACT)
+def patch_ahead(course, sight, camera):
     """The patch whose lines are in sight, or -1."""
     ahead = sight.patch + 1
-    return ahead if ahead < courses.patches[k] and sight.left <= camera.sight else -1
+    return ahead if ahead < course.head.patches and sight.left <= camera.sight else -1
 
 
-@compiled_inline
-def seen_grade(courses, k, patch, line):
+@njit(**EXACT)
+def seen_grade(line):
     """Grade [rad] of a line as the camera sees it."""
-    return courses.lines.grades[k, patch, line] + courses.lines.grade_errors[k, patch, line]
+    return line.grade + line.grade_error
 
 
-@compiled_inline
-def image_of(state, k, courses, sight, camera):
-    """`Image` of wheel k, for what identifies the ground on board."""
-    lines = courses.lines
-    ahead = patch_ahead(courses, k, sight, camera)
-    patch = max(ahead, 0)
-    return Image(
-        sight.patch,
-        sight.since,
-        sight.left,
-        label_here(courses, k, sight),
-        1.0 if ahead >= 0 else 0.0,
-        1.0 if settled(state, k, courses, patch) else 0.0,
-        lines.count[k, patch],
-        lines.taken[k, patch],
-        lines.labels[k, patch, 0],
-        lines.labels[k, patch, 1],
-        seen_grade(courses, k, patch, 0),
-        seen_grade(courses, k, patch, 1),
-    )
+@njit(**EXACT)
+def keep_image(image, wheel, course, sight, camera):
+    """Fill the `IMAGE` of a wheel, for what identifies the ground on board."""
+    ahead = patch_ahead(course, sight, camera)
+    p = max(ahead, 0)
+    straight = course.lines[p, 0]
+    beside = course.lines[p, 1]
+    image.patch = sight.patch
+    image.since = sight.since
+    image.left = sight.left
+    image.here = label_here(course, sight)
+    image.seen = 1.0 if ahead >= 0 else 0.0
+    image.chosen = 1.0 if settled(wheel, course, p) else 0.0
+    image.count = course.forks[p].lines
+    image.taken = course.forks[p].taken
+    image.label_0 = straight.label
+    image.label_1 = beside.label
+    image.grade_0 = seen_grade(straight)
+    image.grade_1 = seen_grade(beside)
 
 
-@compiled_inline
-def write_view(out, state, counts, k, courses, sight, camera):
+@njit(**EXACT)
+def write_view(out, wheel, course, sight, camera):
     """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
-    n = camera.classes
-    ahead = patch_ahead(courses, k, sight, camera)
+    classes = camera.classes
+    ahead = patch_ahead(course, sight, camera)
     out[0] = max(sight.left, 0.0) if ahead >= 0 else camera.sight
-    for c in range(n):
-        out[1 + c] = 1.0 if label_here(courses, k, sight) == c else 0.0
-    i = 1 + n
-    for line in range(camera.lines):
-        there = ahead >= 0 and line < courses.lines.count[k, ahead]
-        out[i] = seen_grade(courses, k, ahead, line) if there else 0.0
-        for c in range(n):
-            out[i + 1 + c] = 1.0 if there and courses.lines.labels[k, ahead, line] == c else 0.0
-        i += 1 + n
+    for c in range(classes):
+        out[1 + c] = 1.0 if label_here(course, sight) == c else 0.0
+    i = 1 + classes
+    for k in range(camera.lines):
+        there = ahead >= 0 and k < course.forks[ahead].lines
+        line = course.lines[max(ahead, 0), k]
+        out[i] = seen_grade(line) if there else 0.0
+        for c in range(classes):
+            out[i + 1 + c] = 1.0 if there and line.label == c else 0.0
+        i += 1 + classes
     if camera.lines > 1:
-        out[i] = 1.0 if choosing(state, counts, k, courses, camera) >= 0 else 0.0
+        out[i] = 1.0 if choosing(wheel, course, camera) >= 0 else 0.0
         i += 1
     return i

@@ -1,179 +1,224 @@
 """Soils that a course is drawn from, and the steepest slope of them that this wheel can climb."""
 
 import math
-from collections import namedtuple
-from dataclasses import fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_part
-from soil_env._numba.lanes import scratch
-from soil_env._numba.random_streams import normal_pair, uniform
-from soil_env.parameters import Camera, CourseSpec, SoilState
+from soil_env._compiled.flags import EXACT, HUGE, INLINE, record
+from soil_env._compiled.random_streams import between, normal_pair, uniform
+from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
-from soil_env.terramechanics.ground import blend, row_soil
-from soil_env.terramechanics.reaction import Interaction
+from soil_env.terramechanics.ground import blend, soil_of
+from soil_env.terramechanics.reaction import Acting
 from soil_env.terramechanics.residual import dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import Conditions, Rim, steady_with
-from soil_env.terramechanics.traversability import best_working_point_with
+from soil_env.terramechanics.steady import Conditions, steady_state
+from soil_env.terramechanics.traversability import best_working_point
 
-_BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
-_six = scratch(6)
+BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
+CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
+STEEPEST_FRICTION = math.radians(60.0)  # [rad] largest friction angle that is drawn
+SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a passable course asks for
+IMPASSABLE = -HUGE  # [of weight] pull of a wheel that would be bogged
 
-
-#: `CourseSpec` and `Camera` as the kernels take them.
-CourseValues = namedtuple("CourseValues", [f.name for f in fields(CourseSpec)])
-CameraValues = namedtuple("CameraValues", [f.name for f in fields(Camera)])
+_PAIR = ("f8", 2)  # (low, high) of a uniform distribution
+#: Distribution of courses, as compiled code takes `CourseSpec`, `Camera` and `SoilSpread`.
+DISTRIBUTION = record(
+    "length",  # [m] of a course
+    "border",  # [m] over which one patch passes into the next
+    "class_scatter",  # [of `variation`] of the patches of a class about its soil
+    "dead_ends",  # [-] share of patches with an impassable line
+    "label_error",  # [-] share of the labels that a camera has wrong
+    "grade_noise",  # [rad] 1-sigma, of a camera
+    "border_noise",  # [m] 1-sigma, of a camera
+    "ahead",  # [m] final ground before a wheel: more than it travels in an action
+    "body_mass",  # [kg]
+    "stall_torque",  # [N m]
+    "bogged_sinkage",  # [m] at which an episode ends
+    "reference_sinkage",  # [m] at which stiffness scatters
+    "speed",  # [m/s] travel at which passability is judged, half the top rim speed
+    patch_length=_PAIR,  # [m]
+    grade=_PAIR,  # [-] tangents
+    margin=_PAIR,  # [of weight]
+    payload=_PAIR,  # [kg]
+    deficit=_PAIR,  # [of weight] of an impassable line
+    halt_before=_PAIR,  # [m] a patch with two lines
+    variation=("f8", 6),  # [-] of friction angle, cohesion, K, stiffness, dig gain, exponent
+    factor=("f8", (5, 5)),  # Cholesky factor of the correlations of the first five
+    classes=("i8",),
+    lines=("i8",),
+)
+#: A soil of the mixture.
+PRESET = record(
+    *SoilState._fields,
+    "cumulative",  # [-] share of the mixture up to and with this soil
+)
 
 
 class CourseDistribution(NamedTuple):
-    """Course, camera, `SoilSpread` and the soil mixture as the kernels take them."""
+    """What courses are drawn from."""
 
-    course: CourseValues
-    camera: CameraValues
-    ahead: float  # [m] final ground before a wheel: more than it travels in an action
-    grade_low: float  # tangent
-    grade_high: float  # tangent
-    body_mass: float
-    stall_torque: float
-    bogged_sinkage: float  # [m]
-    reference_sinkage: float
-    spread: (
-        np.ndarray
-    )  # [6] coefficients of variation: friction, cohesion, K, stiffness, dig gain, exponent
-    factor: np.ndarray  # [5, 5] Cholesky factor of the correlations of the first five
-    library: np.ndarray  # [soils, 7] `SoilState` of the presets
-    cumulative: np.ndarray  # [soils] cumulative share of the presets
-    speed: float  # [m/s] travel at which passability is judged, half the top rim speed
+    spec: Any  # `DISTRIBUTION`
+    presets: np.ndarray  # [soils] `PRESET`
 
 
 class CourseNumbers(NamedTuple):
     """Distribution of the courses, and the wheel that has to pass them."""
 
     drawn: CourseDistribution
-    wheel: Interaction
+    rig: Any  # `RIG`
+    acting: Acting
 
 
-@compiled_part
-def draw_soil(streams, k, numbers):
-    """One soil: a preset by weight, scattered by `SoilSpread` (deviations cut at 2.5 sigma)."""
-    pick = uniform(streams, k)
+@njit(**EXACT)
+def within(owner, bounds):
+    """Next number of a stream, uniform in `bounds` [low, high)."""
+    return between(owner, bounds[0], bounds[1])
+
+
+@njit(**EXACT)
+def draw_soil(owner, drawn):
+    """One soil: a preset by weight, scattered by `SoilSpread`; from the stream of `owner`."""
+    pick = uniform(owner)
     i = 0
-    while i < numbers.drawn.cumulative.size - 1 and pick > numbers.drawn.cumulative[i]:
+    while i < drawn.presets.size - 1 and pick > drawn.presets[i].cumulative:
         i += 1
-    return scattered(row_soil(numbers.drawn.library[i]), 1.0, streams, k, numbers)
+    return scattered(soil_of(drawn.presets[i]), 1.0, owner, drawn.spec)
 
 
-@compiled_part
-def scattered(mean, share, streams, k, numbers):
+@njit(**EXACT)
+def scattered(mean, share, owner, spec):
     """A soil that scatters about `mean` by a share of `SoilSpread` (deviations cut at 2.5 sigma)."""
-    spread = numbers.drawn.spread
-    factor = numbers.drawn.factor
-    z = _six()
-    d = _six()
-    scale = _six()
-    for j in range(3):
-        z[2 * j], z[2 * j + 1] = normal_pair(streams, k)
-    for row in range(5):
-        d[row] = 0.0
-        for column in range(row + 1):
-            d[row] += factor[row, column] * z[column]
-        d[row] = min(max(d[row], -2.5), 2.5)
-    phi = min(math.atan(mean[0]) * (1.0 + share * spread[0] * d[0]), math.radians(60.0))
-    for j in range(1, 5):
-        s = math.sqrt(math.log(1.0 + share * spread[j] * share * spread[j]))
-        scale[j] = math.exp(s * d[j] - 0.5 * s * s)
-    n = mean[4] * (1.0 + share * spread[5] * min(max(z[5], -2.5), 2.5))
-    depth = numbers.drawn.reference_sinkage
-    stiffness = mean[3] * depth ** mean[4] * scale[3]  # pressure at that depth [Pa]
+    z0, z1 = normal_pair(owner)
+    z2, z3 = normal_pair(owner)
+    z4, z5 = normal_pair(owner)
+    normal = (z0, z1, z2, z3, z4)
+    variation = spec.variation
+    friction = share * variation[0] * _correlated(spec.factor, 0, normal)
+    phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
+    n = mean.sinkage_exponent * (1.0 + share * variation[5] * min(max(z5, -CUT), CUT))
+    depth = spec.reference_sinkage
+    pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent  # [Pa] at that depth
+    stiffness = pressure * _factor(share * variation[3], _correlated(spec.factor, 3, normal))
     return SoilState(
         math.tan(phi),
-        mean[1] * scale[1],
-        mean[2] * scale[2],
+        mean.cohesion * _factor(share * variation[1], _correlated(spec.factor, 1, normal)),
+        mean.shear_modulus * _factor(share * variation[2], _correlated(spec.factor, 2, normal)),
         stiffness / depth**n,
         n,
-        mean[5] * scale[4],
-        mean[6],
+        mean.dig_gain * _factor(share * variation[4], _correlated(spec.factor, 4, normal)),
+        mean.dig_recovery,
     )
 
 
-@compiled_part
-def _best_pull(load, soil, speed, sin_grade, numbers):
-    """Best steady drawbar pull over load at this travel speed [m/s], -inf where the wheel would be bogged at it."""
-    wheel = numbers.wheel
-    drawn = numbers.drawn
-    at = Conditions(speed, 1.0, sin_grade)
-    r = wheel.radius
-    b = wheel.width
-    best = best_working_point_with(
-        load,
-        soil,
-        Rim(r, b, wheel.grouser_height),
-        at,
-        wheel.unit_weight,
-        wheel.effects,
-        drawn.stall_torque,
-    )
-    groups = dimensionless_groups(
-        best.slip, best.sinkage, load, speed, 1.0, sin_grade, soil, r, b, wheel.gravity
-    )
-    _, pull, torque = residual_at(wheel.residual, groups)
-    if (
-        best.sinkage > 0.9 * drawn.bogged_sinkage
-        or best.torque + torque * load * r > drawn.stall_torque
-    ):
-        return -np.inf
+@njit(**EXACT)
+def _correlated(factor, row, normal):
+    """Deviation [sigma] of property `row` by the Cholesky factor of the correlations."""
+    deviation = 0.0
+    for column in range(row + 1):
+        deviation += factor[row, column] * normal[column]
+    return min(max(deviation, -CUT), CUT)
+
+
+@njit(**EXACT)
+def _factor(variation, deviation):
+    """Log-normal factor of mean 1 with this coefficient of variation, at a deviation [sigma]."""
+    s = math.sqrt(math.log(1.0 + variation * variation))
+    return math.exp(s * deviation - 0.5 * s * s)
+
+
+@njit(**EXACT)
+def _best_pull(load, soil, at, numbers, nodes):
+    """Best steady drawbar pull over load under `Conditions`, `IMPASSABLE` where the wheel would be bogged at it."""
+    spec = numbers.drawn.spec
+    best = best_working_point(nodes, load, soil, at, spec.stall_torque, numbers.rig, numbers.acting)
+    pull, torque = _residual_of(best, load, soil, at, numbers.rig, numbers.acting.residual)
+    if best.sinkage > SAFE_SINKAGE * spec.bogged_sinkage:
+        return IMPASSABLE
+    if best.torque + torque * load * numbers.rig.radius > spec.stall_torque:
+        return IMPASSABLE
     return best.drawbar_pull / load + pull
 
 
-@compiled_part
-def capacity(load, soil, tangent, numbers):
-    """Best steady drawbar pull over load on a slope, -inf where the wheel would be bogged at rest or at its best.
+@njit(**EXACT)
+def _residual_of(best, load, soil, at, rig, residual):
+    """(pull [of weight], torque [of weight times radius]) that a residual law adds at a working point."""
+    if residual is None:
+        return 0.0, 0.0
+    else:
+        groups = dimensionless_groups(best.slip, best.sinkage, load, at, soil, rig)
+        _, pull, torque = residual_at(residual, groups)
+        return pull, torque
+
+
+@njit(**EXACT)
+def capacity(load, soil, tangent, numbers, nodes):
+    """Best steady drawbar pull over load [N] on a slope, `IMPASSABLE` where the wheel would be bogged, driving or not.
 
     Where strength depends on speed, the lesser one of starting and of driving. Of the slope only the loss of bearing
     counts: W cos(grade) sinks less than W, so W is on the safe side.
     """
-    wheel = numbers.wheel
     sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
-    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
     at_rest = Conditions(0.0, 1.0, sin_grade)
-    rest = steady_with(0.0, load, soil, rim, at_rest, wheel.unit_weight, wheel.effects, 0.0)
-    if rest.sinkage > 0.9 * numbers.drawn.bogged_sinkage or not rest.supported:
-        return -np.inf
-    pull = _best_pull(load, soil, numbers.drawn.speed, sin_grade, numbers)
-    if depends_on_speed(wheel.effects):
-        pull = min(pull, _best_pull(load, soil, 0.0, sin_grade, numbers))
+    rest = steady_state(nodes, 0.0, load, soil, at_rest, numbers.rig, numbers.acting)
+    spec = numbers.drawn.spec
+    if rest.sinkage > SAFE_SINKAGE * spec.bogged_sinkage or not rest.supported:
+        return IMPASSABLE
+    pull = _best_pull(load, soil, Conditions(spec.speed, 1.0, sin_grade), numbers, nodes)
+    if _speed_matters(numbers.acting.effects):
+        pull = min(pull, _best_pull(load, soil, at_rest, numbers, nodes))
     return pull
 
 
-@compiled_part
-def margin_between(a, b, grade_a, grade_b, load, numbers):
-    """Margin in the middle of the passage from soil a to soil b, with their grades [rad]."""
-    tangent = math.tan(0.5 * (grade_a + grade_b))
-    return capacity(load, blend(a, b, 0.5), tangent, numbers) - tangent
+@njit(**EXACT)
+def _speed_matters(effects):
+    """True if the strength of the soil goes with the speed."""
+    if effects is None:
+        return False
+    else:
+        return depends_on_speed(effects)
 
 
-@compiled_part
-def steepest(load, soil, margin, numbers):
-    """(tangent of the steepest grade of the course that leaves `margin`, `capacity` there); -inf twice if none does.
+@njit(**EXACT)
+def slopes_weaken(effects):
+    """True if soil carries less on a slope."""
+    if effects is None:
+        return False
+    else:
+        return effects.grade_weakening != 0.0
+
+
+@njit(**EXACT)
+def margin_between(a, b, load, numbers, nodes):
+    """Margin [of weight] in the middle of the passage from a to b, two patches or lines."""
+    tangent = math.tan(0.5 * (a.grade + b.grade))
+    return capacity(load, blend(a, b, 0.5), tangent, numbers, nodes) - tangent
+
+
+@njit(**EXACT)
+def steepest(load, soil, margin, numbers, nodes):
+    """(tangent of the steepest grade that leaves `margin`, `capacity` there); `IMPASSABLE` twice if none does.
 
     On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it is sought for.
     """
-    low = numbers.drawn.grade_low
-    high = numbers.drawn.grade_high
+    low = numbers.drawn.spec.grade[0]
+    high = numbers.drawn.spec.grade[1]
     flat = min(max(0.0, low), high)
-    pull = capacity(load, soil, flat, numbers)
-    if numbers.wheel.effects.grade_weakening == 0.0:
-        return (min(pull - margin, high), pull) if pull - margin >= low else (-np.inf, -np.inf)
+    pull = capacity(load, soil, flat, numbers, nodes)
+    if not slopes_weaken(numbers.acting.effects):
+        if pull - margin < low:
+            return IMPASSABLE, IMPASSABLE
+        return min(pull - margin, high), pull
     if pull - margin < flat:
-        flat, high = low, flat
-        pull = capacity(load, soil, flat, numbers)
+        high = flat
+        flat = low
+        pull = capacity(load, soil, flat, numbers, nodes)
         if pull - margin < flat:
-            return -np.inf, -np.inf
-    for _ in range(_BISECTIONS):
+            return IMPASSABLE, IMPASSABLE
+    for _ in range(BISECTIONS):
         middle = 0.5 * (flat + high)
-        there = capacity(load, soil, middle, numbers)
+        there = capacity(load, soil, middle, numbers, nodes)
         if there - margin >= middle:
             flat = middle
             pull = there
