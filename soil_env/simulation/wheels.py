@@ -176,7 +176,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
     RESTART starts a new course and puts the wheel at rest at its start. After TRY, `reward` is the mass on the wheel,
     or -1 if no passable course was found. `numbers`: `CourseNumbers`.
     """
-    rig = numbers.rig[0]
+    rig = numbers.rig
     nodes = scratch.nodes[0]
     world = World(rig, numbers.acting, nodes)
     failed = 0

@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
+from soil_env._compiled.cache import kept
 from soil_env._io.files import replace_file
 from soil_env._io.loading import (
     Checked,
@@ -22,16 +23,17 @@ from soil_env._io.loading import (
     to_dict,
     unknown_key,
 )
-from soil_env._numba.compiling import compiled_part
-from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs
+from soil_env.parameters import LARGEST_WHEEL, Soil, SoilState, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
+    ResidualLaw,
     ResidualTerm,
+    WorkingPoint,
     dimensionless_groups,
     residual_at,
     residual_law,
 )
-from soil_env.terramechanics.steady import predict_rows
+from soil_env.terramechanics.steady import Rim, Rows, floats, predict_rows
 from soil_env.terramechanics.validity import OutsideValidity, checked, outside
 
 FORMAT = "soil_env model 1"
@@ -137,11 +139,10 @@ class WheelSoilModel(Checked):
             values = np.empty((np.count_nonzero(here), 3))
             soil = self.soil.state(float(width))
             weight = self.soil.density * self.gravity
-            carried += predict_rows(
-                *rows, soil, weight, self.numbers, np.zeros(len(values)), values
-            )
+            guess = np.zeros(len(values))
+            carried += predict_rows(rows, soil, weight, self.numbers, guess, values)
             if self.residual:
-                add_residual(residual_law(self.residual), *rows, soil, self.gravity, values)
+                add_residual(residual_law(self.residual), rows, soil, self.gravity, values)
             out[here] = values
         return Prediction(out[:, 0], out[:, 1], out[:, 2], carried == c.slip.size)
 
@@ -198,15 +199,6 @@ def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | No
             f"model = {model!r}: expected the path of a model.yaml, a WheelSoilModel or None"
         )
     return WheelSoilModel.load(model)
-
-
-class Rows(NamedTuple):
-    """Conditions [N] as `predict_rows` takes them."""
-
-    slip: np.ndarray
-    load: np.ndarray
-    wheels: np.ndarray  # [N, 3] as `Rim`
-    conditions: np.ndarray  # [N, 3] as `Conditions`
 
 
 _OPTIONAL = {"speed": 0.0, "pass": 1.0, "grade_deg": 0.0}
@@ -289,26 +281,22 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     )
 
 
-@compiled_part
-def add_residual(law, slip, load, wheels, conditions, soil, gravity, out):
+@kept
+def _add_residual(law, rows, soil, gravity, out):
+    for k in range(rows.slip.size):
+        w = rows.wheels[k]
+        c = rows.conditions[k]
+        load = rows.load[k]
+        wheel = Rim(w[0], w[1], w[2], 0.0)
+        at = WorkingPoint(rows.slip[k], out[k, 0], load, c[0], c[1], c[2])
+        z, pull, torque = residual_at(law, dimensionless_groups(at, soil, wheel, gravity))
+        out[k, 0] += z * wheel.radius
+        out[k, 1] += pull * load
+        out[k, 2] += torque * load * wheel.radius
+
+
+def add_residual(
+    law: ResidualLaw, rows: Rows, soil: SoilState, gravity: float, out: np.ndarray
+) -> None:
     """Add a `ResidualLaw` to predictions `out` [N, 3]."""
-    for k in range(slip.size):
-        r = wheels[k, 0]
-        b = wheels[k, 1]
-        w = load[k]
-        groups = dimensionless_groups(
-            slip[k],
-            out[k, 0],
-            w,
-            conditions[k, 0],
-            conditions[k, 1],
-            conditions[k, 2],
-            soil,
-            r,
-            b,
-            gravity,
-        )
-        z, pull, torque = residual_at(law, groups)
-        out[k, 0] += z * r
-        out[k, 1] += pull * w
-        out[k, 2] += torque * w * r
+    _add_residual(law, rows, floats(soil), float(gravity), out)

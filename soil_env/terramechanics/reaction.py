@@ -34,11 +34,17 @@ from soil_env.terramechanics.effects import (
 )
 from soil_env.terramechanics.effects.shear_softening import shear_law, shear_length_ratio
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
-from soil_env.terramechanics.residual import ResidualLaw, dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import arc_of
+from soil_env.terramechanics.residual import (
+    ResidualLaw,
+    WorkingPoint,
+    dimensionless_groups,
+    residual_at,
+)
+from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
 
-REST_SPEED = 0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
-LEAST_DIGGING = 1e-3  # [-] least slip-sinkage ratio that anything is divided by
+REST_SPEED = (
+    0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
+)
 
 
 class Acting(NamedTuple):
@@ -114,9 +120,7 @@ def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
 def lay_footing(nodes, arc, soil, load):
     """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
-    return Footing(
-        arc.theta1, p_cos, p_sin, soil.tan_phi, soil.cohesion, soil.shear_modulus, load
-    )
+    return Footing(arc.theta1, p_cos, p_sin, soil.tan_phi, soil.cohesion, soil.shear_modulus, load)
 
 
 @njit(**EXACT)
@@ -178,7 +182,11 @@ def ground_under(at, soil, wheel, acting):
 @njit(**EXACT)
 def _ground_under(at, soil, wheel, fx, residual):
     if fx is None:
-        return soil, smooth_arc(at.sinkage, wheel.radius), _residual_alone(at, soil, wheel, residual)
+        return (
+            soil,
+            smooth_arc(at.sinkage, wheel.radius),
+            _residual_alone(at, soil, wheel, residual),
+        )
     else:
         slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
         pull, torque = _residual_forces(at, slip, soil, wheel, residual)
@@ -190,7 +198,7 @@ def _ground_under(at, soil, wheel, fx, residual):
         dug = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
         beside = Beside(
             excavated_depth(slip, fx) / dug,
-            soil_resistance(at.sinkage, soil, wheel.unit_weight, wheel.width, fx),
+            soil_resistance(at.sinkage, soil, wheel, fx),
             grousers.blade_thrust(arc.theta1, at.sinkage, soil, wheel, fx),
             pull,
             torque,
@@ -216,9 +224,8 @@ def _residual_forces(at, slip, soil, wheel, residual):
     if residual is None:
         return 0.0, 0.0
     else:
-        groups = dimensionless_groups(
-            slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade, soil, wheel
-        )
+        point = WorkingPoint(slip, at.sinkage, at.weight, abs(at.speed), at.passes, at.sin_grade)
+        groups = dimensionless_groups(point, soil, wheel, wheel.gravity)
         moving = smoothed_sign(at.speed, REST_SPEED)[0] * at.weight
         _, pull, torque = residual_at(residual, groups)
         return moving * pull, moving * torque * wheel.radius
@@ -276,7 +283,9 @@ def _at_the_axle(f, beside, speed, rim_speed, wheel, fx):
 @njit(**EXACT)
 def moved(f, dv, du):
     """`Reaction` f to first order after a change of V and of u; its derivatives stay."""
-    coefficient = f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du
+    coefficient = (
+        f.sinkage_coefficient + f.sinkage_coefficient_v * dv + f.sinkage_coefficient_u * du
+    )
     return Reaction(
         f.load,
         f.drawbar_pull + f.pull_v * dv + f.pull_u * du,

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
+from soil_env._compiled.elementary import power
+from soil_env._compiled.flags import EXACT
 from soil_env._io.loading import Checked, ParameterError, quantity, unknown_key
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, power, smaller, where_less
-from soil_env._numba.lanes import alike
 from soil_env.terramechanics.effects.entry import CHANNELS, Channel
 from soil_env.terramechanics.effects.text import plain
 
@@ -121,51 +121,60 @@ def formulas(terms: Sequence[ResidualTerm], digits: int = 3) -> dict[str, str]:
     return out
 
 
-@compiled_part
-def dimensionless_groups(slip, sinkage, load, speed, passes, sin_grade, soil, r, b, gravity):
-    """The seven `GROUPS` at one working point."""
-    i = smaller(abs(slip), 1.0)
-    bearing = (
-        soil.sinkage_coefficient
-        * b
-        * power(alike(r, soil.sinkage_exponent), soil.sinkage_exponent + 1.0)
-    )
-    pattern = 0.0 * i  # floats or lanes alike
+class WorkingPoint(NamedTuple):
+    """What a residual law depends on, beside soil and wheel."""
+
+    slip: float
+    sinkage: float  # [m]
+    load: float  # [N]
+    speed: float  # [m/s] travel
+    passes: float  # 1 = fresh soil
+    sin_grade: float  # uphill positive
+
+
+@njit(**EXACT)
+def dimensionless_groups(at, soil, wheel, gravity):
+    """The seven `GROUPS` at one `WorkingPoint`."""
+    slip = min(abs(at.slip), 1.0)
+    r = wheel.radius
+    bearing = soil.sinkage_coefficient * wheel.width * power(r, soil.sinkage_exponent + 1.0)
     return (
-        i,
-        1.0 - i,
-        sinkage / r + pattern,
-        load / bearing + pattern,
-        abs(speed) / math.sqrt(gravity * r) + pattern,
-        passes + pattern,
-        sin_grade + pattern,
+        slip,
+        1.0 - slip,
+        at.sinkage / r,
+        at.load / bearing,
+        abs(at.speed) / math.sqrt(gravity * r),
+        at.passes,
+        at.sin_grade,
     )
 
 
-@compiled_part
+@njit(**EXACT)
 def residual_at(law, groups):
     """Sum of the terms for (sinkage / r, drawbar pull / W, torque / (W r)) at `groups`."""
-    z = pull = torque = 0.0 * groups[0]
+    sinkage = 0.0
+    pull = 0.0
+    torque = 0.0
     for k in range(law.coefficient.size):
-        value = alike(law.coefficient[k], groups[0])
+        value = law.coefficient[k]
         for g in range(len(groups)):
             p = law.powers[k, g]
             if p != 0.0:
-                x = smaller(larger(groups[g], law.low[k, g]), law.high[k, g])
-                value = value * _raised(x, p)
+                value *= _raised(min(max(groups[g], law.low[k, g]), law.high[k, g]), p)
         if law.channel[k] == 0:
-            z = z + value
+            sinkage += value
         elif law.channel[k] == 1:
-            pull = pull + value
+            pull += value
         else:
-            torque = torque + value
-    return z, pull, torque
+            torque += value
+    return sinkage, pull, torque
 
 
-@compiled_inline
+@njit(**EXACT)
 def _raised(x, p):
     """x^p; 0 where it is not a real number."""
-    size = power(larger(abs(x), 1e-300), p)
-    odd = p == math.floor(p) and 0.5 * p != math.floor(0.5 * p)
-    below = (-size if odd else size) if p == math.floor(p) else 0.0 * size
-    return where_less(0.0, x, size, where_less(x, 0.0, below, 0.0))
+    if x == 0.0 or (x < 0.0 and p != math.floor(p)):
+        return 0.0
+    size = power(abs(x), p)
+    odd = 0.5 * p != math.floor(0.5 * p)
+    return -size if x < 0.0 and odd else size

@@ -4,7 +4,7 @@
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numba import njit
@@ -34,6 +34,7 @@ from soil_env.terramechanics.effects import (
     drive_torque,
     soil_in_contact,
     soil_resistance,
+    switched_on,
 )
 from soil_env.terramechanics.effects.grade import weight_on_slope
 from soil_env.terramechanics.effects.grousers import (
@@ -45,6 +46,7 @@ from soil_env.terramechanics.effects.grousers import (
 )
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
 from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
+from soil_env.terramechanics.effects.sinkage_offset import sinkage_zero
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
 
@@ -58,6 +60,9 @@ LEAST_SLOPE = 0.05  # [-] of the misfit over ln z, towards which a secant is hel
 SMALLEST_STEP = 1e-6  # [ln m] step after which the secant ends
 #: [ln m]^2 product of the last two steps at which the secant ends: the size of its error.
 SECANT_ERROR = 1e-7
+
+
+_Numbers = TypeVar("_Numbers", bound=tuple)
 
 
 class Steady(NamedTuple):
@@ -127,33 +132,36 @@ def arc_of(sinkage, slip, fx, wheel):
 
 
 class _Balance(NamedTuple):
-    """Constants of Eq. (1) at one point."""
+    """Constants of Eq. (1) at one point, and what follows from them beside it."""
 
     slip: float
     rim: float  # of motion, as the sheared soil sees it
     travel: float
     load: float  # [N] normal to the ground
+    along: float  # [N] weight along the slope
+    ground: SoilState  # in contact
     soil: SoilState  # as it is sheared
     strength: float  # ln of S over the pressure ratio of the digging
     lift: float  # [m] depth excavated whatever the load
+    apparent: float  # sinkage that is seen over that which is felt
     law: ShearLaw | None
 
 
 @njit(**EXACT)
 def _balance(slip, load, soil, wheel, conditions, fx):
-    """(`_Balance`, soil in contact, sinkage that is seen over that which is felt)."""
+    """`_Balance` of a wheel at a true slip under a weight [N]."""
     rim, travel = motion_from_slip(slip)
     if fx is None:
         ratio = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
         strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
-        return _Balance(slip, rim, travel, load, soil, strength, 0.0, None), soil, 1.0
+        return _Balance(slip, rim, travel, load, 0.0, soil, soil, strength, 0.0, 1.0, None)
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
         passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine)
         ground = soil_in_contact(soil, passage, fx)
         # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q. Where slip was taken
-        # at the rim of radius R, the lugs' tips move faster by r/R.
+        # at the rim of radius R, the tips of the lugs move faster by r/R.
         q = shear_radius_ratio(wheel, fx)
         modulus = ground.shear_modulus * shear_length_ratio(fx)
         if fx.grousers_slip_at_rim > 0.0:
@@ -166,17 +174,20 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         apparent = ratio if fx.slip_sinkage_apparent > 0.0 else 1.0
         strength = math.log(ground.sinkage_coefficient)
         strength -= ground.sinkage_exponent * math.log(ratio / apparent)
-        balance = _Balance(
+        normal, along = weight_on_slope(load, sine, fx)
+        return _Balance(
             slip,
             rim,
             travel,
-            weight_on_slope(load, sine, fx)[0],
+            normal,
+            along,
+            ground,
             at_shear_radius(ground, q, modulus),
             strength,
             min(excavated_depth(slip, fx), 0.9 * DEEPEST * wheel.radius),
+            apparent,
             mobilisation(fx),
         )
-        return balance, ground, apparent
 
 
 @njit(**EXACT)
@@ -189,9 +200,7 @@ def _misfit(nodes, x, p, wheel, fx):
     arc = arc_of(z, p.slip, fx, wheel)
     p_cos, p_sin = lay_nodes(nodes, arc, n)
     q = shear_integrals(nodes, p_cos, p_sin, (p.rim, p.travel), soil.shear_modulus, p.law)
-    s = mobilised_sinkage_coefficient(
-        q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0
-    )
+    s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength
     if p.lift != 0.0:
         available += n * math.log(1.0 - p.lift / z)
@@ -256,6 +265,25 @@ def _solve_balance(nodes, p, wheel, fx, guess):
 
 
 @njit(**EXACT)
+def _as_measured(w, z, p, speed, wheel, fx):
+    """(sinkage, drawbar pull, torque) that instruments read at `Forces` w and a sinkage z [m] in the ground."""
+    sinkage = min(p.apparent * z, DEEPEST * wheel.radius)
+    if fx is None:
+        return sinkage, w.drawbar_pull, w.torque
+    else:
+        theta1 = entry_angle(z, contact_radius(wheel, fx))
+        blade = blades_at(blade_thrust(theta1, z, p.ground, wheel, fx), p.slip)[0]
+        pull = w.drawbar_pull + blade - soil_resistance(z, p.ground, wheel, fx) - p.along
+        torque = shear_radius_ratio(wheel, fx) * w.torque
+        torque += blade * (wheel.radius + 0.5 * wheel.grouser_height)
+        speed = max(speed, LEAST_SPEED)
+        slide = sliding_speed(p.slip, speed)
+        wheel_speed = (speed + (slide if p.slip > 0.0 else -slide)) / wheel.radius
+        torque = drive_torque(torque, wheel_speed, LEAST_TURNING, fx)
+        return sinkage + sinkage_zero(fx), pull, torque
+
+
+@njit(**EXACT)
 def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
@@ -266,17 +294,20 @@ def steady_at(nodes, point, soil, wheel, conditions, fx):
     ln z, in which it is nearly straight.
     """
     slip = true_slip(point.slip, fx)
-    p, ground, apparent = _balance(slip, point.load, soil, wheel, conditions, fx)
+    p = _balance(slip, point.load, soil, wheel, conditions, fx)
     x, w, supported = _solve_balance(nodes, p, wheel, fx, point.guess)
-    z = math.exp(x)
-    sinkage = min(apparent * z, DEEPEST * wheel.radius)
-    beside = _beside(z, slip, ground, wheel, fx)
-    return _as_measured(Steady(sinkage, w.drawbar_pull, w.torque, supported), beside, slip, point.load, wheel, conditions, fx)
+    sinkage, pull, torque = _as_measured(w, math.exp(x), p, conditions.speed, wheel, fx)
+    return Steady(sinkage, pull, torque, supported)
 
 
 @kept
 def _steady(nodes, point, soil, wheel, conditions, fx):
     return steady_at(nodes[0], point, soil, wheel, conditions, fx)
+
+
+def floats(numbers: _Numbers) -> _Numbers:
+    """A named tuple of numbers with floats in it: compiled functions exist for floats only."""
+    return type(numbers)(*map(float, numbers))
 
 
 def steady_with(
@@ -289,3 +320,48 @@ def steady_with(
     guess: float = 0.0,
 ) -> Steady:
     """`steady_at` of a measured slip and weight `load` [N], starting from the sinkage `guess` [m] if there is one."""
+    point = floats(Point(slip, load, guess))
+    nodes = np.zeros(1, ARC_NODES)
+    return _steady(nodes, point, floats(soil), floats(wheel), floats(conditions), fx)
+
+
+def steady_state(slip: float, load: float, soil: SoilState, r: float, b: float) -> Steady:
+    """`steady_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    return steady_with(slip, load, soil, Rim(r, b, 0.0, 0.0))
+
+
+@kept
+def _predict_rows(nodes, rows, soil, unit_weight, fx, guess, out):
+    carried = 0
+    for k in range(rows.slip.size):
+        w = rows.wheels[k]
+        c = rows.conditions[k]
+        point = Point(rows.slip[k], rows.load[k], guess[k])
+        wheel = Rim(w[0], w[1], w[2], unit_weight)
+        s = steady_at(nodes[0], point, soil, wheel, Conditions(c[0], c[1], c[2]), fx)
+        out[k, 0] = s.sinkage
+        out[k, 1] = s.drawbar_pull
+        out[k, 2] = s.torque
+        guess[k] = s.sinkage - sinkage_zero(fx) if s.supported else 0.0
+        carried += s.supported
+    return carried
+
+
+def predict_rows(
+    rows: Rows, soil: SoilState, unit_weight: float, fx: Effects, guess: np.ndarray, out: np.ndarray
+) -> int:
+    """`steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
+
+    Columns of `rows` are contiguous. Returns the number of rows that the soil carries.
+    """
+    fx = switched_on(fx)
+    nodes = np.zeros(1, ARC_NODES)
+    return _predict_rows(nodes, rows, floats(soil), float(unit_weight), fx, guess, out)
+
+
+def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
+    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another exponent n'.
+
+    S has a unit that depends on n, so two values compare only at the same exponent.
+    """
+    return soil.sinkage_coefficient * max(depth, 1e-4) ** (soil.sinkage_exponent - exponent)

@@ -21,7 +21,7 @@ from soil_env.terramechanics.steady import (
     Conditions,
     Point,
     Rim,
-    as_floats,
+    floats,
     steady_at,
 )
 
@@ -93,9 +93,15 @@ def best_working_point_with(
     torque_available: float,
 ) -> Best:
     """`Best` of a wheel with effects under a load [N], within the motor's torque [N m]."""
-    soil, wheel, conditions = as_floats(soil, wheel, conditions)
-    nodes = np.zeros(1, ARC_NODES)
-    return _best_point(nodes, float(load), soil, wheel, conditions, fx, float(torque_available))
+    return _best_point(
+        np.zeros(1, ARC_NODES),
+        float(load),
+        floats(soil),
+        floats(wheel),
+        floats(conditions),
+        fx,
+        float(torque_available),
+    )
 
 
 def best_working_point(

@@ -21,8 +21,9 @@ from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
-from soil_env.terramechanics.effects import acting_effects, excavation_rate, grousers, onto_fresh
-from soil_env.terramechanics.effects.slip_sinkage import digging_ratio
+from soil_env.terramechanics.effects import acting, switched_on
+from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
+from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import BASE, REST_SPEED, Acting, acting_on
 from soil_env.terramechanics.residual import residual_law
@@ -151,8 +152,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         rig["grouser_height"] = model.wheel.grouser_height
         rig["unit_weight"] = model.density * scenario.gravity
     effects = acting_in(model).effects
-    r = grousers.contact_radius(rig[0], effects)
-    ratio = grousers.shear_radius_ratio(rig[0], effects)
+    r = contact_radius(rig[0], effects)
+    ratio = shear_radius_ratio(rig[0], effects)
     rig["contact_radius"] = r
     rig["shear_ratio"] = ratio
     rig["rim_ratio"] = ratio * r / w.radius
@@ -177,7 +178,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     if model is None:
         return BASE
     law = residual_law(model.residual) if model.residual else None
-    return acting_on(acting_effects(model.numbers), law)
+    return acting_on(switched_on(acting(model.numbers)), law)
 
 
 @njit(**FINITE)

@@ -1,40 +1,35 @@
 """Bulldozing: soil pushed ahead of the wheel."""
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, sqrt
-from soil_env._numba.lanes import alike
+import math
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.effects.entry import PULL, Effect, EffectParameter as P, Form
 
 
-@compiled_part
+@njit(**EXACT)
 def passive_coefficient(tan_phi):
     """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
-    secant = sqrt(1.0 + tan_phi * tan_phi)
+    secant = math.sqrt(1.0 + tan_phi * tan_phi)
     return (secant + tan_phi) / (secant - tan_phi)
 
 
-@compiled_part
-def bulldozing_resistance(sinkage, soil, unit_weight, b, fx):
+@njit(**EXACT)
+def bulldozing_resistance(sinkage, soil, wheel, fx):
     """Resistance [N] of the soil pushed ahead of the wheel to the depth of its sinkage.
 
     By Rankine, or by Hegedus (1960) as in Ishigami et al. (2007): `Form`s below.
     """
     if fx.bulldozing_rankine == 0.0 and fx.bulldozing_hegedus == 0.0:
-        return alike(0.0, sinkage)
+        return 0.0
     kp = passive_coefficient(soil.tan_phi)
-    z = larger(sinkage, 0.0)
-    cot = sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
-    rankine = b * (0.5 * unit_weight * z * z * kp + 2.0 * soil.cohesion * z * cot)
-    hegedus = (
-        2.0 * cot * (soil.cohesion * z + 0.5 * unit_weight * z * z * (cot + kp * soil.tan_phi))
-    )
-    return fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * b * hegedus
-
-
-@compiled_inline
-def _resistance(force, at, fx):
-    """Force with the `bulldozing_resistance` [N]."""
-    return force + bulldozing_resistance(at.sinkage, at.soil, at.unit_weight, at.width, fx)
+    cot = math.sqrt(kp)  # cot X = tan(X + phi) = tan(45 deg + phi/2)
+    z = max(sinkage, 0.0)
+    pushed = 0.5 * wheel.unit_weight * z * z
+    rankine = pushed * kp + 2.0 * soil.cohesion * z * cot
+    hegedus = 2.0 * cot * (soil.cohesion * z + pushed * (cot + kp * soil.tan_phi))
+    return wheel.width * (fx.bulldozing_rankine * rankine + fx.bulldozing_hegedus * hegedus)
 
 
 EFFECT = Effect(
@@ -61,5 +56,4 @@ EFFECT = Effect(
         ),
     ),
     symbols={"X": "45 deg - phi/2"},
-    resistance=_resistance,
 )

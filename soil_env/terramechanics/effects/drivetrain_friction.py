@@ -1,28 +1,39 @@
 """Friction of the drivetrain between motor and axle."""
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.elementary import where_less
-from soil_env.terramechanics.contact import smoothed_sign
+from typing import NamedTuple
+
+from numba import njit
+
+from soil_env._compiled.elementary import smoothed_sign
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.effects.entry import (
     TORQUE,
     Bench,
     Effect,
     EffectParameter as P,
     Form,
-    Friction,
 )
 
 
-@compiled_inline
-def _drive(friction, at, fx):
-    """`Friction` with Coulomb and viscous friction and a share of the torque; the floor smooths the sign."""
-    turning, turn = smoothed_sign(at.wheel_speed, at.floor)
-    size = fx.drivetrain_friction_constant + fx.drivetrain_friction_share * abs(at.torque)
+class Friction(NamedTuple):
+    """Torque lost between motor and axle [N m], with its derivatives."""
+
+    torque: float
+    by_torque: float
+    by_wheel_speed: float
+
+
+@njit(**EXACT)
+def friction_at(torque, wheel_speed, floor, fx):
+    """`Friction`: Coulomb, viscous and a share of the torque; the sign is smoothed below `floor` [rad/s]."""
+    turning, turn = smoothed_sign(wheel_speed, floor)
+    share = fx.drivetrain_friction_share
+    viscous = fx.drivetrain_friction_viscous
+    size = fx.drivetrain_friction_constant + share * abs(torque)
     return Friction(
-        friction.torque + turning * size + fx.drivetrain_friction_viscous * at.wheel_speed,
-        friction.by_torque
-        + turning * fx.drivetrain_friction_share * where_less(at.torque, 0.0, -1.0, 1.0),
-        friction.by_wheel_speed + turn * size + fx.drivetrain_friction_viscous,
+        turning * size + viscous * wheel_speed,
+        turning * (-share if torque < 0.0 else share),
+        turn * size + viscous,
     )
 
 
@@ -64,5 +75,4 @@ EFFECT = Effect(
     beside="speed",  # friction of lubricated bearings falls and rises again with the speed (Stribeck)
     symbols={"T_measured": "measured torque", "w": "wheel speed, rad/s"},
     priors=_priors,
-    drive=_drive,
 )

@@ -4,8 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from soil_env._numba.compiling import Compiled
-
 Channel = Literal["sinkage", "drawbar_pull", "torque"]
 SINKAGE: Channel = "sinkage"
 PULL: Channel = "drawbar_pull"
@@ -62,7 +60,7 @@ class Bench(NamedTuple):
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of the catalogue: parameters, forms, and the compiled laws that it adds to the model."""
+    """Effect of the catalogue: its parameters and its published forms."""
 
     name: str
     title: str
@@ -85,14 +83,6 @@ class Effect:
     neutral: Callable[[Bench], Mapping[str, float]] = lambda bench: {}
     #: Reason why a rig cannot show the effect; "" if it can.
     hidden: Callable[[Bench], str] = lambda bench: ""
-    # Compiled laws, each `law(x, at, fx)`: x as the effects before it left it, what it depends on, all `Effects`.
-    soil: Compiled | None = None  # x: `SoilState` under the wheel, at: `Passage`
-    arc: Compiled | None = None  # x: (exit angle, angle of the stress peak) [rad], at: `Entry`
-    resistance: Compiled | None = None  # x: force against the travel [N], at: `Furrow`
-    drive: Compiled | None = None  # x: `Friction` between motor and axle, at: `Axle`
-    speed_dependent: Compiled | None = (
-        None  # `speed_dependent(fx)`: True where the soil's strength goes with speed
-    )
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -109,7 +99,7 @@ class Effect:
 
 
 class Passage(NamedTuple):
-    """Motion of the wheel over the soil, and that soil before any effect."""
+    """Motion of the wheel over the soil, and that soil before any effect: what laws of the soil depend on."""
 
     undisturbed: NamedTuple  # `SoilState`
     slip: float
@@ -117,38 +107,6 @@ class Passage(NamedTuple):
     slide: float  # [m/s] |r w - V|
     passes: float  # 1 = fresh soil
     sin_grade: float
-
-
-class Entry(NamedTuple):
-    """Start of the contact arc."""
-
-    theta1: float  # [rad] entry angle
-    slip: float
-
-
-class Furrow(NamedTuple):
-    """Soil ahead of the wheel."""
-
-    sinkage: float  # [m]
-    soil: NamedTuple  # `SoilState`
-    unit_weight: float  # [N/m3]
-    width: float  # [m]
-
-
-class Axle(NamedTuple):
-    """Motion and torque at the axle."""
-
-    torque: float  # [N m]
-    wheel_speed: float  # [rad/s]
-    floor: float  # [rad/s] wheel speed below which friction fades out
-
-
-class Friction(NamedTuple):
-    """Torque lost between motor and axle [N m], with its derivatives."""
-
-    torque: float
-    by_torque: float
-    by_wheel_speed: float
 
 
 #: Symbols that the equations of several effects share, in the order of a legend.

@@ -2,9 +2,10 @@
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import asin_root, larger, power
-from soil_env._numba.lanes import alike
+from numba import njit
+
+from soil_env._compiled.elementary import asin_root, power
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -16,31 +17,31 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_inline
+@njit(**EXACT)
 def weight_on_slope(load, sin_grade, fx):
     """(load normal to the ground, pull along the slope) [N] of a weight `load` [N]."""
     normal = load * (1.0 - fx.grade_share * (1.0 - math.sqrt(1.0 - sin_grade * sin_grade)))
     return normal, fx.grade_share * load * sin_grade
 
 
-@compiled_part
+@njit(**EXACT)
 def slope_factor(soil, sin_grade, fx):
     """Bearing on a slope over that on the level: Meyerhof's (1 - |b|/phi)^2 to the power w."""
     if fx.grade_weakening == 0.0:
-        return alike(1.0, soil.tan_phi)
+        return 1.0
     phi = asin_root(soil.tan_phi * soil.tan_phi / (1.0 + soil.tan_phi * soil.tan_phi))
-    left = 1.0 - asin_root(sin_grade * sin_grade) / larger(phi, 1e-3)
-    return power(larger(left, 0.02), 2.0 * fx.grade_weakening)
+    left = 1.0 - asin_root(sin_grade * sin_grade) / max(phi, 1e-3)
+    return power(max(left, 0.02), 2.0 * fx.grade_weakening)
 
 
-@compiled_inline
-def _soil(soil, at, fx):
+@njit(**EXACT)
+def weakened_on_slope(soil, passage, fx):
     """Soil with S by the `slope_factor`."""
     return SoilState(
         soil.tan_phi,
         soil.cohesion,
         soil.shear_modulus,
-        soil.sinkage_coefficient * slope_factor(at.undisturbed, at.sin_grade, fx),
+        soil.sinkage_coefficient * slope_factor(passage.undisturbed, passage.sin_grade, fx),
         soil.sinkage_exponent,
         soil.dig_gain,
         soil.dig_recovery,
@@ -86,5 +87,4 @@ EFFECT = Effect(
         "S_b": "sinkage coefficient on the slope",
     },
     sensed=("share",),
-    soil=_soil,
 )

@@ -2,9 +2,9 @@
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, sqrt, tanh
-from soil_env._numba.lanes import alike
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.bulldozing import passive_coefficient
 from soil_env.terramechanics.effects.entry import (
@@ -20,19 +20,25 @@ from soil_env.terramechanics.effects.entry import (
 BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 
-@compiled_inline
-def contact_radius(fx, wheel):
+@njit(**EXACT)
+def contact_radius(wheel, fx):
     """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
-    return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
+    if fx is None:
+        return wheel.radius
+    else:
+        return wheel.radius + fx.grousers_radius_share * wheel.grouser_height
 
 
-@compiled_part
-def shear_radius_ratio(r, height, fx):
-    """Radius at which the soil between lugs of `height` [m] is sheared, over the rim radius."""
-    return 1.0 + fx.grousers_shear_share * height / r
+@njit(**EXACT)
+def shear_radius_ratio(wheel, fx):
+    """Radius at which the soil between the lugs is sheared, over the `contact_radius`."""
+    if fx is None:
+        return 1.0
+    else:
+        return 1.0 + fx.grousers_shear_share * wheel.grouser_height / contact_radius(wheel, fx)
 
 
-@compiled_inline
+@njit(**EXACT)
 def at_shear_radius(soil, q, shear_modulus):
     """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
     return SoilState(
@@ -46,31 +52,27 @@ def at_shear_radius(soil, q, shear_modulus):
     )
 
 
-@compiled_part
-def blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx):
+@njit(**EXACT)
+def blade_thrust(theta1, sinkage, soil, wheel, fx):
     """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
 
     One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Bekker 1969).
     q = gamma z/2 is the soil above it on average.
     """
+    height = wheel.grouser_height
     if fx.grousers_blades == 0.0 or height <= 0.0:
-        return alike(0.0, theta1)
+        return 0.0
     kp = passive_coefficient(soil.tan_phi)
-    weight = 0.5 * unit_weight * height * (height + larger(sinkage, 0.0)) * kp
-    return fx.grousers_blades * theta1 * b * (weight + 2.0 * soil.cohesion * height * sqrt(kp))
+    weight = 0.5 * wheel.unit_weight * height * (height + max(sinkage, 0.0)) * kp
+    one = wheel.width * (weight + 2.0 * soil.cohesion * height * math.sqrt(kp))
+    return fx.grousers_blades * theta1 * one
 
 
-@compiled_inline
+@njit(**EXACT)
 def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel rolls freely."""
-    share = tanh(slip / BLADE_SLIP)
+    share = math.tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
-
-
-@compiled_part
-def blade_force(theta1, sinkage, slip, soil, unit_weight, b, height, fx):
-    """`blade_thrust` [N] at this slip."""
-    return blades_at(blade_thrust(theta1, sinkage, soil, unit_weight, b, height, fx), slip)[0]
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:

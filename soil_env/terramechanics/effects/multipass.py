@@ -1,7 +1,9 @@
 """Multipass: soil in the track of earlier passes."""
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, power, where_less
+from numba import njit
+
+from soil_env._compiled.elementary import exp, power
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -13,49 +15,55 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_inline
+@njit(**EXACT)
 def depends_on_passes(fx):
     """True if earlier passes change the soil."""
-    bearing = (
-        fx.multipass_gain != 0.0 or fx.multipass_per_pass != 0.0 or fx.multipass_slip_gain != 0.0
-    )
-    strength = (
-        fx.multipass_stiffening != 0.0
-        or fx.multipass_strength != 0.0
-        or fx.multipass_cohesion != 0.0
-    )
-    return bearing or strength or fx.multipass_hardening != 0.0
+    if fx is None:
+        return False
+    else:
+        bearing = (
+            fx.multipass_gain != 0.0
+            or fx.multipass_per_pass != 0.0
+            or fx.multipass_slip_gain != 0.0
+        )
+        strength = (
+            fx.multipass_stiffening != 0.0
+            or fx.multipass_strength != 0.0
+            or fx.multipass_cohesion != 0.0
+        )
+        return bearing or strength or fx.multipass_hardening != 0.0
 
 
-@compiled_part
+@njit(**EXACT)
 def pass_factor(passes, slip, fx):
     """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
 
     N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)].
     """
+    if passes <= 1.0:
+        return 1.0
     more = passes - 1.0
-    gain = (
-        fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes)) + fx.multipass_per_pass * more
-    )
-    gain = gain + fx.multipass_slip_gain * (1.0 - exp(-abs(slip) / fx.multipass_slip_scale))
-    factor = power(passes, fx.multipass_hardening) * larger(1.0 + gain, 0.05)
-    return where_less(1.0, passes, factor, 1.0)
+    gain = fx.multipass_gain * (1.0 - exp(-more / fx.multipass_passes))
+    gain += fx.multipass_per_pass * more
+    gain += fx.multipass_slip_gain * (1.0 - exp(-abs(slip) / fx.multipass_slip_scale))
+    return power(passes, fx.multipass_hardening) * max(1.0 + gain, 0.05)
 
 
-@compiled_inline
-def _soil(soil, at, fx):
+@njit(**EXACT)
+def passed_over(soil, passage, fx):
     """Soil in the track: bearing by `pass_factor`, strength and K by powers of the pass number."""
-    s = soil.sinkage_coefficient
-    tan_phi = soil.tan_phi
-    c = soil.cohesion
-    K = soil.shear_modulus
-    if depends_on_passes(fx):
-        again = larger(at.passes, 1.0)
-        s = s * pass_factor(at.passes, at.slip, fx)
-        K = K * power(again, -fx.multipass_stiffening)
-        tan_phi = tan_phi * power(again, fx.multipass_strength)
-        c = c * power(again, fx.multipass_cohesion)
-    return SoilState(tan_phi, c, K, s, soil.sinkage_exponent, soil.dig_gain, soil.dig_recovery)
+    if not depends_on_passes(fx):
+        return soil
+    passes = max(passage.passes, 1.0)
+    return SoilState(
+        soil.tan_phi * power(passes, fx.multipass_strength),
+        soil.cohesion * power(passes, fx.multipass_cohesion),
+        soil.shear_modulus * power(passes, -fx.multipass_stiffening),
+        soil.sinkage_coefficient * pass_factor(passes, passage.slip, fx),
+        soil.sinkage_exponent,
+        soil.dig_gain,
+        soil.dig_recovery,
+    )
 
 
 _SENATORE = "Senatore & Sandu (2011), J. Terramechanics 48:265-276"
@@ -121,5 +129,4 @@ EFFECT = Effect(
         "c_N": "cohesion on pass N",
         "phi_N": "friction angle on pass N",
     },
-    soil=_soil,
 )

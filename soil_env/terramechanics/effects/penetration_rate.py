@@ -1,8 +1,9 @@
 """Rate of penetration: bearing that goes with the travel speed."""
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, log
-from soil_env._numba.lanes import alike
+from numba import njit
+
+from soil_env._compiled.elementary import exp, log
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -15,29 +16,29 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_part
+@njit(**EXACT)
 def rate_factor(speed, reference, exponent, slope):
     """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
 
     Below v0/50 soil counts as loaded at rest. Never less than 0.1.
     """
     if exponent == 0.0 and slope == 0.0:
-        return alike(1.0, speed)
-    x = log(larger(speed / reference, 0.02))
-    return larger(exp(exponent * x) + slope * x, 0.1)
+        return 1.0
+    x = log(max(speed / reference, 0.02))
+    return max(exp(exponent * x) + slope * x, 0.1)
 
 
-@compiled_inline
-def _speed_dependent(fx):
+@njit(**EXACT)
+def bearing_goes_with_speed(fx):
     """True if the law is on."""
     return fx.penetration_rate_exponent != 0.0 or fx.penetration_rate_slope != 0.0
 
 
-@compiled_inline
-def _soil(soil, at, fx):
+@njit(**EXACT)
+def loaded_fast(soil, passage, fx):
     """Soil with S by the `rate_factor` of the travel speed."""
     factor = rate_factor(
-        at.speed,
+        passage.speed,
         fx.penetration_rate_reference_speed,
         fx.penetration_rate_exponent,
         fx.penetration_rate_slope,
@@ -83,6 +84,4 @@ EFFECT = Effect(
     varies="speed",
     symbols={"S_V": "sinkage coefficient at the speed V"},
     neutral=_neutral,
-    soil=_soil,
-    speed_dependent=_speed_dependent,
 )

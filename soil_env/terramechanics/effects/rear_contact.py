@@ -1,6 +1,8 @@
 """Contact behind the lowest point of the rim."""
 
-from soil_env._numba.compiling import compiled_inline
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -11,11 +13,11 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_inline
-def _arc(ends, at, fx):
+@njit(**EXACT)
+def exit_and_peak(theta1, fx):
     """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept, at theta1/2."""
-    theta2 = -fx.rear_contact_ratio * at.theta1
-    return theta2, 0.5 * (at.theta1 + fx.rear_contact_peak_follows * theta2)
+    theta2 = -fx.rear_contact_ratio * theta1
+    return theta2, 0.5 * (theta1 + fx.rear_contact_peak_follows * theta2)
 
 
 EFFECT = Effect(
@@ -50,5 +52,4 @@ EFFECT = Effect(
             (("peak_follows", 0.0),),
         ),
     ),
-    arc=_arc,
 )

@@ -1,7 +1,9 @@
 """Rate of shear: strength that goes with the sliding speed."""
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, log, where_less
+from numba import njit
+
+from soil_env._compiled.elementary import log
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -15,34 +17,37 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.effects.penetration_rate import rate_factor
 
 
-@compiled_part
+@njit(**EXACT)
 def sliding_speed(slip, travel_speed):
     """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
-    return travel_speed * abs(slip) / where_less(slip, 0.0, 1.0, larger(1.0 - slip, 0.02))
+    slide = travel_speed * abs(slip)
+    return slide if slip < 0.0 else slide / max(1.0 - slip, 0.02)
 
 
-@compiled_inline
-def _speed_dependent(fx):
+@njit(**EXACT)
+def strength_goes_with_speed(fx):
     """True if the law is on."""
     return (
         fx.shear_rate_exponent != 0.0 or fx.shear_rate_slope != 0.0 or fx.shear_rate_cohesion != 0.0
     )
 
 
-@compiled_inline
-def _soil(soil, at, fx):
+@njit(**EXACT)
+def sheared_fast(soil, passage, fx):
     """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its own law."""
-    c = soil.cohesion
+    cohesion = soil.cohesion
     if fx.shear_rate_cohesion != 0.0:
-        c = c * larger(
-            1.0 + fx.shear_rate_cohesion * log(1.0 + at.slide / fx.shear_rate_onset_speed), 0.1
-        )
+        faster = log(1.0 + passage.slide / fx.shear_rate_onset_speed)
+        cohesion *= max(1.0 + fx.shear_rate_cohesion * faster, 0.1)
     strength = rate_factor(
-        at.slide, fx.shear_rate_reference_speed, fx.shear_rate_exponent, fx.shear_rate_slope
+        passage.slide,
+        fx.shear_rate_reference_speed,
+        fx.shear_rate_exponent,
+        fx.shear_rate_slope,
     )
     return SoilState(
         soil.tan_phi * strength,
-        c * strength,
+        cohesion * strength,
         soil.shear_modulus,
         soil.sinkage_coefficient,
         soil.sinkage_exponent,
@@ -116,6 +121,4 @@ EFFECT = Effect(
     },
     neutral=_neutral,
     hidden=_hidden,
-    soil=_soil,
-    speed_dependent=_speed_dependent,
 )

@@ -1,6 +1,10 @@
 """Shear softening: strength with a peak and a residual."""
 
-from soil_env._numba.compiling import compiled_part
+from typing import Any
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -13,31 +17,45 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_part
-def shear_law(fx):
-    """`ShearLaw` with a peak and a residual strength.
+@njit(**EXACT)
+def mobilisation(fx):
+    """`ShearLaw` with a peak and a residual strength, or without where neither is on; None without effects.
 
     (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1 (family of
     Wong 1983). It is divided by its peak, so that phi and c stay those of the peak. `shear_softening_drop` lets the
     strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
     """
-    s = fx.shear_softening_sharpness
-    drop = fx.shear_softening_drop
-    if s < 1.0:
-        s = 0.0  # no peak: off
-    peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
-    return ShearLaw(
-        (1.0 - drop) / peak, s / peak, drop, fx.shear_softening_length, fx.shear_softening_onset
-    )
+    if fx is None:
+        return None
+    else:
+        s = fx.shear_softening_sharpness
+        drop = fx.shear_softening_drop
+        if s < 1.0:
+            s = 0.0  # no peak: off
+        peak = (1.0 + s) * (1.0 + s) / (4.0 * s) if s > 1.0 else 1.0
+        return ShearLaw(
+            (1.0 - drop) / peak,
+            s / peak,
+            drop,
+            fx.shear_softening_length,
+            fx.shear_softening_onset,
+        )
 
 
-@compiled_part
+@njit(**EXACT)
 def shear_length_ratio(fx):
     """Length of the shear law over K: 4 s/(1 + s) where K is that of the first slope, else 1."""
     s = fx.shear_softening_sharpness
     if s >= 1.0 and fx.shear_softening_slope_kept > 0.0:
         return 4.0 * s / (1.0 + s)
     return 1.0
+
+
+def shear_law(fx: Any) -> ShearLaw | None:
+    """`mobilisation` for a world: None unless the strength has a peak or falls, so that its code is left out."""
+    if fx is None or (fx.shear_softening_sharpness < 1.0 and fx.shear_softening_drop == 0.0):
+        return None
+    return mobilisation(fx)
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:

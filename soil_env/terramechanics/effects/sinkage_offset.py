@@ -1,6 +1,18 @@
-"""Offset of the measured sinkage; `steady` adds it to what is read."""
+"""Offset of the measured sinkage."""
 
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.effects.entry import SINKAGE, Bench, Effect, EffectParameter as P, Form
+
+
+@njit(**EXACT)
+def sinkage_zero(fx):
+    """What a sinkage sensor reads too much [m]."""
+    if fx is None:
+        return 0.0
+    else:
+        return fx.sinkage_offset_offset
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:

@@ -1,6 +1,8 @@
 """Bias of the measured slip."""
 
-from soil_env._numba.compiling import compiled_part
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.slip import slip_of_radius
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -12,20 +14,26 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_part
+@njit(**EXACT)
 def true_slip(measured, fx):
     """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
 
     Driving, the latter is i = m + e (1 - m).
     """
-    i = slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
-    return min(max(i, -1.0), 1.0)
+    if fx is None:
+        return measured
+    else:
+        slip = slip_of_radius(measured, 1.0 - fx.slip_bias_radius_error) + fx.slip_bias_offset
+        return min(max(slip, -1.0), 1.0)
 
 
-@compiled_part
+@njit(**EXACT)
 def measured_slip(slip, fx):
     """Inverse of `true_slip`."""
-    return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
+    if fx is None:
+        return slip
+    else:
+        return slip_of_radius(slip - fx.slip_bias_offset, 1.0 / (1.0 - fx.slip_bias_radius_error))
 
 
 _WONG = "Wong (2010), Terramechanics and Off-Road Vehicle Engineering"

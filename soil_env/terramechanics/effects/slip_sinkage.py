@@ -1,8 +1,8 @@
 """Slip-sinkage: a slipping wheel digs."""
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, smaller, where_less
-from soil_env._numba.lanes import alike
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -15,7 +15,7 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_part
+@njit(**EXACT)
 def slip_sinkage_ratio(slip, gain, recovery):
     """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
 
@@ -25,22 +25,22 @@ def slip_sinkage_ratio(slip, gain, recovery):
 
     Both are the steady states of `excavation_rate`.
     """
-    return digging_ratio(abs(slip), where_less(slip, 0.0, 1.0, 1.0 - slip), gain, recovery)
+    return digging_ratio(abs(slip), 1.0 if slip < 0.0 else 1.0 - slip, gain, recovery)
 
 
-@compiled_inline
+@njit(**EXACT)
 def digging_ratio(slid, way, gain, recovery):
     """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
-    return 1.0 + gain * slid / larger(way + recovery * slid, 1e-6)
+    return 1.0 + gain * slid / max(way + recovery * slid, 1e-6)
 
 
-@compiled_inline
+@njit(**EXACT)
 def onto_fresh(x, low, high):
     """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had touched before."""
-    return larger(x - high, 0.0) + larger(low - x, 0.0)
+    return max(x - high, 0.0) + max(low - x, 0.0)
 
 
-@compiled_inline
+@njit(**EXACT)
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that undisturbed soil has:
 
@@ -51,27 +51,31 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
     return a, b
 
 
-@compiled_part
+@njit(**EXACT)
 def digging(soil, fx):
     """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
-    if fx.slip_sinkage_gain != 0.0:
-        return alike(fx.slip_sinkage_gain, soil.dig_gain), alike(
-            fx.slip_sinkage_recovery, soil.dig_gain
-        )
-    return soil.dig_gain, soil.dig_recovery
+    if fx is None:
+        return soil.dig_gain, soil.dig_recovery
+    else:
+        if fx.slip_sinkage_gain != 0.0:
+            return fx.slip_sinkage_gain, fx.slip_sinkage_recovery
+        return soil.dig_gain, soil.dig_recovery
 
 
-@compiled_part
+@njit(**EXACT)
 def excavated_depth(slip, fx):
     """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
-    i = smaller(abs(slip), 0.95)
-    return fx.slip_sinkage_length * i / (1.0 - i)
+    if fx is None:
+        return 0.0
+    else:
+        i = min(abs(slip), 0.95)
+        return fx.slip_sinkage_length * i / (1.0 - i)
 
 
-@compiled_inline
-def _soil(soil, at, fx):
+@njit(**EXACT)
+def dug(soil, passage, fx):
     """Soil with the exponent n + n1 |i| and the digging of the effect."""
-    n = larger(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(at.slip), 0.0)
+    n = max(soil.sinkage_exponent + fx.slip_sinkage_exponent_slope * abs(passage.slip), 0.0)
     gain, recovery = digging(soil, fx)
     return SoilState(
         soil.tan_phi, soil.cohesion, soil.shear_modulus, soil.sinkage_coefficient, n, gain, recovery
@@ -138,5 +142,4 @@ EFFECT = Effect(
         "z_measured": "measured sinkage",
     },
     priors=_priors,
-    soil=_soil,
 )

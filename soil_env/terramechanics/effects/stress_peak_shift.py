@@ -1,6 +1,8 @@
 """Stress peak that moves with slip."""
 
-from soil_env._numba.compiling import compiled_inline
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
 from soil_env.terramechanics.effects.entry import (
     PULL,
     SINKAGE,
@@ -12,12 +14,11 @@ from soil_env.terramechanics.effects.entry import (
 )
 
 
-@compiled_inline
-def _arc(ends, at, fx):
-    """Stress peak moved by (a + c |i|) theta1."""
-    return ends[0], ends[1] + (
-        fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(at.slip)
-    ) * at.theta1
+@njit(**EXACT)
+def peak_shift(theta1, slip, fx):
+    """Shift [rad] of the stress peak: (a + c |i|) theta1."""
+    share = fx.stress_peak_shift_offset + fx.stress_peak_shift_slope * abs(slip)
+    return share * theta1
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:
@@ -42,5 +43,4 @@ EFFECT = Effect(
         ),
     ),
     priors=_priors,
-    arc=_arc,
 )
