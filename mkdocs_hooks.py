@@ -1,10 +1,13 @@
-"""Hooks of `mkdocs build`: API pages, links to code, and formulas that need neither a server nor the network.
+"""Hooks of `mkdocs build`: API pages, links to code, and formulas that need neither a server nor
+the network.
 
 * `docs/api/` is generated: one page a package, one section a module.
-* A line of a page that begins with "Code:" names functions and classes; each name becomes a link to its API entry.
+* A line of a page that begins with "Code:" names functions and classes; each name becomes a link to
+  its API entry.
 * Formulas become MathML. The worker that searches the index is in docs/vendor.
 
-The pages are made from the sources, none of which is imported. The build fails if a heavy module was imported.
+The pages are made from the sources, none of which is imported. The build fails if a heavy module
+was imported.
 """
 
 import ast
@@ -80,7 +83,9 @@ def modules() -> dict[str, Path]:
 
 @cache
 def api_pages() -> dict[str, tuple[str, str]]:
-    """(title, Markdown) of each API page by its path: one page a package of soil_env, one for agents."""
+    """(title, Markdown) of each API page by its path: one page a package of soil_env, one for
+    agents.
+    """
     sections = defaultdict(list)
     for module, path in modules().items():
         parts = module.split(".")
@@ -94,7 +99,10 @@ def api_pages() -> dict[str, tuple[str, str]]:
     ):
         title = page if page in PACKAGES else f"soil_env.{page}"
         blocks = [
-            f"## {name}\n\n::: {name}\n    options: {{show_root_heading: false, show_root_toc_entry: false}}\n"
+            f"## {name}\n"
+            "\n"
+            f"::: {name}\n"
+            "    options: {show_root_heading: false, show_root_toc_entry: false}\n"
             for name in names
         ]
         pages[f"api/{page}.md"] = title, f"# {title}\n\n" + "\n".join(blocks)
@@ -113,7 +121,9 @@ def definitions() -> dict[str, list[str]]:
 
 
 def resolve(name: str) -> str:
-    """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one module defines it."""
+    """Return the full dotted name of "forces" or "contact.forces"; LookupError unless exactly one
+    module defines it.
+    """
     *tail, last = name.split(".")
     homes = [
         h

@@ -1,4 +1,7 @@
-"""Names of what is installed: agents/ as soil_env_agents, configs/ as soil_env/configs. All else: pyproject.toml."""
+"""Names of what is installed: agents/ as soil_env_agents, configs/ as soil_env/configs.
+
+All else: pyproject.toml.
+"""
 
 import re
 

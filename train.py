@@ -1,4 +1,6 @@
-"""Train an agent and compare it with slip controllers: `python train.py --help`, the same as `soil-env train`."""
+"""Train an agent and compare it with slip controllers: `python train.py --help`, the same as
+`soil-env train`.
+"""
 
 from collections.abc import Sequence
 

@@ -1,8 +1,9 @@
 """A trained agent: its file, and its actions on observations in their units.
 
-The file is a zip of Stable-Baselines3 with one more member, soil_env.json: settings of the network, normalisation and
-names of the observations, and the resolved scenario. Loading reads this member and the weights (torch, weights only).
-The pickles that SB3 keeps beside them are never opened, so loading a file runs no code of it.
+The file is a zip of Stable-Baselines3 with one more member, soil_env.json: settings of the network,
+normalisation and names of the observations, and the resolved scenario. Loading reads this member
+and the weights (torch, weights only). The pickles that SB3 keeps beside them are never opened, so
+loading a file runs no code of it.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
-from soil_env.env import action_space
+from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.rover_env import rover_action_space
+from soil_env.envs.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
@@ -57,9 +58,8 @@ class Info(Checked):
     return_count: float
     clip: float = quantity("", 0.0)  # of a normalised input
     scenario: dict = field(default_factory=dict)  # resolved
-    model: dict = field(
-        default_factory=dict
-    )  # model.yaml of the world of the training; empty: no effects
+    #: model.yaml of the world of the training; empty: no effects.
+    model: dict = field(default_factory=dict)
 
     @cached_property
     def task(self) -> Scenario | RoverScenario:
@@ -81,7 +81,9 @@ def entries_of(scenario: Scenario | RoverScenario, variant: str) -> tuple[Observ
 
 
 class ChoosingExtractor(MlpExtractor):
-    """Hidden layers of the value network and of the drive, and one network that gives each line a score."""
+    """Hidden layers of the value network and of the drive, and one network that gives each line a
+    score.
+    """
 
     def __init__(
         self,
@@ -99,7 +101,8 @@ class ChoosingExtractor(MlpExtractor):
         self.line_net = nn.Sequential(*hidden, nn.Linear(net_arch[-1], 1, device=device))
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n, D].
+        """Last hidden layer of the drive, difference of the scores, and the entry `choice`, for [n,
+        D].
 
         The scores are learned apart (`agents.choice`), so no gradient goes to them.
         """
@@ -112,8 +115,8 @@ class ChoosingExtractor(MlpExtractor):
 class ChoosingPolicy(ActorCriticPolicy):
     """`MlpPolicy` with a head of its own for the choice of a line (`ChoosingExtractor`).
 
-    Where the entry `choice` of an observation is 1, the mean action is the difference of the scores of the two lines:
-    exchanged lines give the opposite choice (Bromley et al. 1993, NIPS 6).
+    Where the entry `choice` of an observation is 1, the mean action is the difference of the scores
+    of the two lines: exchanged lines give the opposite choice (Bromley et al. 1993, NIPS 6).
     """
 
     def __init__(self, *args, choice: int = 0, lines: Sequence[list[int]] = (), **kwargs):
@@ -128,9 +131,8 @@ class ChoosingPolicy(ActorCriticPolicy):
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
         hidden, difference, choosing = latent_pi.split([latent_pi.shape[1] - 2, 1, 1], dim=1)
-        mean = torch.where(
-            choosing > 0.0, difference, self.action_net(hidden)
-        )  # normalised: above its mean
+        # Normalised: above its mean.
+        mean = torch.where(choosing > 0.0, difference, self.action_net(hidden))
         return self.action_dist.proba_distribution(mean, self.log_std)
 
     def _get_constructor_parameters(self) -> dict:
@@ -152,7 +154,9 @@ def network(config: PPOConfig, names: Sequence[str]) -> tuple[type, dict]:
 
 
 def read_member(path: Path, name: str, most: int = MOST_BYTES) -> bytes | None:
-    """A member of a model's zip, None where the zip has no such member; ParameterError in one line."""
+    """A member of a model's zip, None where the zip has no such member; ParameterError in one
+    line.
+    """
     try:
         with zipfile.ZipFile(path) as archive:
             if name not in archive.namelist():
@@ -190,7 +194,9 @@ def one_line(error: BaseException) -> str:
 
 
 def read_info(path: Path) -> Info:
-    """The checked soil_env.json of a model; ParameterError if the file is missing, broken or of another program."""
+    """The checked soil_env.json of a model; ParameterError if the file is missing, broken or of
+    another program.
+    """
     path = Path(path)
     mapping = read_mapping(path, INFO)
     if mapping is None:
@@ -219,7 +225,9 @@ def read_info(path: Path) -> Info:
 
 
 def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = None) -> None:
-    """ParameterError if a model was trained on another observation than this version's of `scenario` (or its own)."""
+    """ParameterError if a model was trained on another observation than this version's of
+    `scenario` (or its own).
+    """
     scenario = info.task if scenario is None else scenario
     if isinstance(info.task, RoverScenario) != isinstance(scenario, RoverScenario):
         own, other = (
@@ -234,8 +242,9 @@ def check_layout(info: Info, where, scenario: Scenario | RoverScenario | None = 
         differing = sorted(set(found) ^ set(expected)) or ["their order"]
         more = len(differing) - 4
         raise ParameterError(
-            f"{where}: trained on another observation layout: {len(found)} numbers, here {info.observation!r} has "
-            f"{len(expected)}; differing: {', '.join(differing[:4])}{f' and {more} more' if more > 0 else ''}"
+            f"{where}: trained on another observation layout: {len(found)} numbers, here "
+            f"{info.observation!r} has {len(expected)}; differing: "
+            f"{', '.join(differing[:4])}{f' and {more} more' if more > 0 else ''}"
         )
 
 
@@ -253,7 +262,9 @@ def load_weights(path: Path, name: str, into) -> None:
 
 
 def load_agent(path: str | Path) -> Agent:
-    """Load an agent from its zip or its run folder; ParameterError in one line if it cannot be used."""
+    """Load an agent from its zip or its run folder; ParameterError in one line if it cannot be
+    used.
+    """
     if not isinstance(path, (str, Path)):
         raise ParameterError(
             f"path = {path!r:.60}: expected that of a run folder or of its model.zip"
@@ -279,8 +290,8 @@ def load_agent(path: str | Path) -> Agent:
 class Agent:
     """A trained agent. It takes observations in their units, whatever it was trained on.
 
-    The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled observations use
-    `env.unwrapped.physical(observation)`.
+    The units are those of `SoilWheel-v0` and `SoilRover-v0` with `scaled=False`; for scaled
+    observations use `env.unwrapped.physical(observation)`.
     """
 
     policy: ActorCriticPolicy
@@ -299,14 +310,16 @@ class Agent:
         self._layout = inputs.Layout(entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions for observations [n, D] or [D] in their units, and the memory for the next call; as SB3's predict.
+        """Actions for observations [n, D] or [D] in their units, and the memory for the next call;
+        as SB3's predict.
 
-        `state`: result of the last call for these n courses, None at first. `episode_start` [n] bool: courses that
-        begin, where nothing is remembered.
+        `state`: result of the last call for these n courses, None at first. `episode_start` [n]
+        bool: courses that begin, where nothing is remembered.
 
-        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout, and for a `state` or
-        `episode_start` of another size. Most scaled observations have an entry out of these bounds; one that has none
-        cannot be distinguished from values in units and gives a wrong action.
+        Raises ParameterError for another D, for NaN, for an entry out of the bounds of the layout,
+        and for a `state` or `episode_start` of another size. Most scaled observations have an entry
+        out of these bounds; one that has none cannot be distinguished from values in units and
+        gives a wrong action.
         """
         seen = self._layout.observed(observation)
         batch = self.scaling(np.atleast_2d(seen))

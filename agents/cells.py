@@ -1,10 +1,12 @@
-"""Resumable work: the folder of a study, one file for each finished cell, and the engines that do the cells.
+"""Resumable work: the folder of a study, one file for each finished cell, and the engines that do
+the cells.
 
-A study is a list of hashable cells whose results follow from the cell alone. A study that was interrupted or killed
-does the cells whose files are missing, and every engine gives the same results.
+A study is a list of hashable cells whose results follow from the cell alone. A study that was
+interrupted or killed does the cells whose files are missing, and every engine gives the same
+results.
 
-An engine takes a picklable function and cells, and yields (cell, result) in the order in which they are done, each cell
-once. A worker that dies loses its cell, which is done again.
+An engine takes a picklable function and cells, and yields (cell, result) in the order in which they
+are done, each cell once. A worker that dies loses its cell, which is done again.
 """
 
 import contextlib
@@ -49,11 +51,14 @@ def code_version() -> str:
     there = Path(__file__).parent
     weights = [*sorted(here.rglob("immobilisation.json")), *sorted(there.glob("*.npz"))]
     files = [*sorted(here.rglob("*.py")), *weights, *sorted(there.rglob("*.py"))]
-    return f"{soil_env.__version__}+{hashlib.sha256(b''.join(f.read_bytes() for f in files)).hexdigest()[:12]}"
+    digest = hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+    return f"{soil_env.__version__}+{digest[:12]}"
 
 
 def is_begun(study, folder: Path, ignored: Collection[str] = ()) -> bool:
-    """True if `folder` holds this study (a dataclass) already; `ignored` fields may differ. Makes the folder.
+    """True if `folder` holds this study (a dataclass) already; `ignored` fields may differ.
+
+    Makes the folder.
 
     ParameterError where it holds another study or other files.
     """
@@ -79,7 +84,9 @@ def save_study(study, folder: Path) -> None:
 
 
 def load_study(cls, folder: Path):
-    """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of other code."""
+    """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of
+    other code.
+    """
     path = Path(folder) / STUDY
     if not Path(folder).is_dir():
         raise ParameterError(
@@ -117,7 +124,9 @@ def fill(
     engine: Engine,
     progress: Callable[[Hashable], None],
 ) -> None:
-    """Do the cells without a file; `progress` receives every finished cell, also those that were there already."""
+    """Do the cells without a file; `progress` receives every finished cell, also those that were
+    there already.
+    """
     missing = []
     for cell in cells:
         if cell_file(folder, cell).is_file():
@@ -132,7 +141,8 @@ def fill(
 
 
 def choose(engine: str, workers: int | None = None, address: str | None = None) -> Engine:
-    """The engine of the options of `cli.engine_options`; without `workers`, "local" is this process.
+    """The engine of the options of `cli.engine_options`; without `workers`, "local" is this
+    process.
 
     ParameterError where the options do not fit together, or where there is no Ray or no cluster.
     """
@@ -164,7 +174,9 @@ class _Worker:
 
 
 def _begin(work: Callable) -> None:
-    """Begin a worker process: only its parent interrupts it, by SIGTERM, so that a training writes its checkpoint."""
+    """Begin a worker process: only its parent interrupts it, by SIGTERM, so that a training writes
+    its checkpoint.
+    """
 
     def interrupt(*_) -> None:
         if _Worker.busy:
@@ -220,7 +232,9 @@ def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tupl
 
 
 def _check_ray(address: str | None) -> None:
-    """ParameterError if Ray is not installed or nothing listens at `address` or RAY_ADDRESS; Ray tries for minutes."""
+    """ParameterError if Ray is not installed or nothing listens at `address` or RAY_ADDRESS; Ray
+    tries for minutes.
+    """
     try:
         import ray  # noqa: F401
     except ImportError:
@@ -242,10 +256,11 @@ def _check_ray(address: str | None) -> None:
 def on_ray(
     work: Callable, cells: Iterable, *, address: str | None = None, workers: int | None = None
 ) -> Iterator[tuple]:
-    """Tasks of Ray Core on the cluster at `address`, else on that of RAY_ADDRESS, else on one started here.
+    """Tasks of Ray Core on the cluster at `address`, else on that of RAY_ADDRESS, else on one
+    started here.
 
-    Every node needs this version of soil_env, and the modules of controllers given as module:Class. Each cell takes one
-    CPU. `workers` limits the CPUs of a cluster started here.
+    Every node needs this version of soil_env, and the modules of controllers given as module:Class.
+    Each cell takes one CPU. `workers` limits the CPUs of a cluster started here.
     """
     import ray
 
@@ -253,9 +268,8 @@ def on_ray(
     if ours:
         options = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is not None or not os.environ.get("RAY_ADDRESS"):
-            options["address"] = (
-                address or "local"
-            )  # "auto" tries a cluster that died here for minutes
+            # "auto" tries a cluster that died here for minutes.
+            options["address"] = address or "local"
         if workers is not None:
             options["num_cpus"] = workers
         try:

@@ -1,9 +1,10 @@
 """Choice of a line ahead, learned from what became of the lines that were taken.
 
-The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end of the course. It is
-a logistic regression by the network `ChoosingExtractor.line_net` on the entries of the line. Neither a rule nor PPO
-tells it which line is better. The reserve of pull, by which the rules choose, leaves out that a wheel may dig in on a
-line that it could climb (docs/results.md).
+The score of a line is the log odds that the wheel comes over it: to the next choice, or to the end
+of the course. It is a logistic regression by the network `ChoosingExtractor.line_net` on the
+entries of the line. Neither a rule nor PPO tells it which line is better. The reserve of pull, by
+which the rules choose, leaves out that a wheel may dig in on a line that it could climb
+(docs/results.md).
 """
 
 import numpy as np
@@ -14,8 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from torch.nn import functional
 
 KEPT = 400_000  # newest choices that are learned from
-BATCH = 2048
-RATE = 2e-3
+BATCH = 2048  # choices of an update
+RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
 PASSES = 20  # over the choices that are new, drawn from all that are kept
 
 
@@ -30,9 +31,8 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.passed = np.zeros(KEPT, dtype=np.float32)
         self.count = 0  # of the choices whose end is known
         self.seen = np.zeros((self.num_envs, *venv.observation_space.shape), dtype=np.float32)
-        self.on = np.zeros(
-            (self.num_envs, len(lines[0])), dtype=np.float32
-        )  # the line that each wheel took last
+        # The line that each wheel took last.
+        self.on = np.zeros((self.num_envs, len(lines[0])), dtype=np.float32)
         self.under_way, self.chose = np.zeros((2, self.num_envs), dtype=bool)
 
     @property
@@ -42,16 +42,16 @@ class ChoiceVecEnv(VecEnvWrapper):
 
     def reset(self) -> np.ndarray:
         self.seen = self.venv.reset()
-        self.under_way[:] = self.chose[:] = False
+        self.under_way[:] = False
+        self.chose[:] = False
         return self.seen
 
     def step_async(self, actions: np.ndarray) -> None:
         choosing = self.choosing
         self._keep(np.flatnonzero(choosing & ~self.chose & self.under_way), 1.0)
         ahead, beside = (self.seen[:, columns] for columns in self.lines)
-        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[
-            choosing
-        ]  # in a halt the last action decides
+        # In a halt the last action decides.
+        self.on[choosing] = np.where(actions < 0.0, beside, ahead)[choosing]
         self.under_way |= choosing
         self.chose = choosing
         self.venv.step_async(actions)
@@ -60,7 +60,8 @@ class ChoiceVecEnv(VecEnvWrapper):
         self.seen, rewards, dones, infos = self.venv.step_wait()
         ended = np.flatnonzero(dones & self.under_way)
         self._keep(ended, [float(infos[k]["cause"] == "FINISHED") for k in ended])
-        self.under_way[dones] = self.chose[dones] = False
+        self.under_way[dones] = False
+        self.chose[dones] = False
         return self.seen, rewards, dones, infos
 
     def _keep(self, wheels: np.ndarray, passed) -> None:
@@ -71,7 +72,9 @@ class ChoiceVecEnv(VecEnvWrapper):
 
 
 class Chooser(BaseCallback):
-    """The regression, continued after each rollout of PPO; as a student learns, `learn` is called."""
+    """The regression, continued after each rollout of PPO; as a student learns, `learn` is
+    called.
+    """
 
     def __init__(self, model: PPO, rng: np.random.Generator):
         super().__init__()
@@ -99,7 +102,9 @@ class Chooser(BaseCallback):
         self.learn(self.model._current_progress_remaining)
 
     def learn(self, left: float, passes: float = PASSES) -> None:
-        """Go on for `passes` over the choices since the last call; `left`: share of the training that is left."""
+        """Go on for `passes` over the choices since the last call; `left`: share of the training
+        that is left.
+        """
         if self.env is None or min(self.env.count, KEPT) < BATCH:
             return
         env = self.env

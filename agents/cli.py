@@ -1,4 +1,6 @@
-"""Options that several commands share: config keys as --KEY VALUE, YAML files, engines, optional packages."""
+"""Options that several commands share: config keys as --KEY VALUE, YAML files, engines, optional
+packages.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -57,9 +59,11 @@ def engine_options(command: Callable) -> Callable:
 
 
 def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> dict:
-    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as YAML.
+    """['--ppo.gamma', '0.9'] or ['--ppo.gamma=0.9'] -> {'ppo': {'gamma': 0.9}}; values are read as
+    YAML.
 
-    ParameterError for a key given twice and for anything else; `file_option`, if any, is the option of a YAML file.
+    ParameterError for a key given twice and for anything else; `file_option`, if any, is the option
+    of a YAML file.
     """
     out: dict = {}
     rest = list(arguments)
@@ -137,7 +141,9 @@ def lacks_training(error: ImportError) -> bool:
 
 @contextmanager
 def needing_training() -> Iterator[None]:
-    """Around imports of the training: ParameterError with the installation line if its packages are missing."""
+    """Around imports of the training: ParameterError with the installation line if its packages are
+    missing.
+    """
     try:
         yield
     except ModuleNotFoundError as error:
@@ -147,18 +153,23 @@ def needing_training() -> Iterator[None]:
 
 
 def config_mapping(name: str | Path) -> dict:
-    """The keys in the file of --config; ParameterError if it has none, because the defaults are a long run."""
+    """The keys in the file of --config; ParameterError if it has none, because the defaults are a
+    long run.
+    """
     path = config_file(name)
     mapping = read_yaml(path)
     if not mapping:
         raise ParameterError(
-            f"{path}: is empty: expected keys with their values; for the defaults leave out --config"
+            f"{path}: is empty: expected keys with their values; for the defaults leave out "
+            "--config"
         )
     return mapping
 
 
 def config_file(name: str | Path) -> Path:
-    """The file of --config; a bare name of no local file is a config that comes with the package."""
+    """The file of --config; a bare name of no local file is a config that comes with the
+    package.
+    """
     path = Path(name)
     shipped = config_dir() / path.name
     return shipped if not path.exists() and path.name == str(path) and shipped.is_file() else path

@@ -1,9 +1,10 @@
 """One observation layout for every wheel scenario, so that one agent can drive all of them.
 
-It is the layout `identified` of a course with three terrain classes and two lines, a flag that is 1 where a camera sees
-them, and three constants of the drive. Without a camera its entries are 0. Then come the misfit of the identified soil,
-which is the measured pull less the best one that this soil should give, and the shares of bands of slip, in which
-`history` keeps the misfit of the course so far.
+It is the layout `identified` of a course with three terrain classes and two lines, a flag that is 1
+where a camera sees them, and three constants of the drive. Without a camera its entries are 0. Then
+come the misfit of the identified soil, which is the measured pull less the best one that this soil
+should give, and the shares of bands of slip, in which `history` keeps the misfit of the course so
+far.
 """
 
 import numpy as np
@@ -14,13 +15,14 @@ from soil_env.parameters import CourseSpec, RoverScenario, Scenario
 from soil_env.simulation.task import layout
 from soil_env.simulation.task.scaling import Scaling
 
-ACTION = "rim_acceleration"  # of the action; [s] between two actions
-PERIOD = 0.5
+ACTION = "rim_acceleration"  # action of the scenarios that this policy drives
+PERIOD = 0.5  # [s] between two actions
 COMMON = layout("identified", CourseSpec(classes=3, lines=2))
-#: Entries after those: change of the rim command by an action of 1, stall torque [of weight x radius], radius [m].
+#: Entries after those: change of the rim command by an action of 1, stall torque [of weight x
+#: radius], radius [m].
 ADDED = ("camera", "command_change", "stall_torque", "radius")
-EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts, and over which it begins
-WIDTH = 0.05
+EDGES = (0.1, 0.25, 0.5, 0.8)  # slip from which each band counts
+WIDTH = 0.05  # slip over which a band begins
 NAMES = (
     *(e.name for e in COMMON),
     *ADDED,
@@ -30,7 +32,9 @@ NAMES = (
 
 
 class CommonScaling(Scaling):
-    """Scaled observations in the common layout from the values of a scenario's own layout `identified`."""
+    """Scaled observations in the common layout from the values of a scenario's own layout
+    `identified`.
+    """
 
     def __init__(self, scenario: Scenario):
         if isinstance(scenario, RoverScenario):
@@ -39,14 +43,14 @@ class CommonScaling(Scaling):
         wheel = scenario.wheel
         if control.action != ACTION or abs(control.duration - PERIOD) > 1e-9:
             raise ParameterError(
-                f"scenario {scenario.name!r}: action {control.action!r} of {control.duration:g} s: expected {ACTION!r} "
-                f"of {PERIOD:g} s"
+                f"scenario {scenario.name!r}: action {control.action!r} of {control.duration:g} s: "
+                f"expected {ACTION!r} of {PERIOD:g} s"
             )
         own = layout("identified", scenario.course)
         if own != COMMON[: len(own)] or scenario.course.classes not in (0, 3):
             raise ParameterError(
-                f"scenario {scenario.name!r}: {scenario.course.classes} terrain classes, {scenario.course.lines} "
-                "lines: expected no classes, or 3 with 2 lines"
+                f"scenario {scenario.name!r}: {scenario.course.classes} terrain classes, "
+                f"{scenario.course.lines} lines: expected no classes, or 3 with 2 lines"
             )
         super().__init__(own)
         change = control.rim_acceleration * control.duration / (wheel.radius * wheel.no_load_speed)
@@ -70,7 +74,9 @@ class CommonScaling(Scaling):
         return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
     def __call__(self, values):
-        """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX graph."""
+        """Observations [n, D] from values [n, d] in their units; arrays, or values of an ONNX
+        graph.
+        """
         seen = super().__call__(values)
         slip, pull, load, best = (0.0 * seen[:, [0]] + values[:, column] for column in self.columns)
         begun = [np.clip((slip - edge) / WIDTH, 0.0, 1.0) for edge in EDGES]

@@ -1,4 +1,6 @@
-"""Comparison at the end of a training: the agent and the classical controllers on the same held-out courses."""
+"""Comparison at the end of a training: the agent and the classical controllers on the same held-out
+courses.
+"""
 
 import shutil
 from contextlib import suppress
@@ -27,7 +29,9 @@ _WITH_TRUE_SOIL = ("best_slip_true", "agent_true")
 def compare(
     run: Path, config: TrainConfig, scenario: Scenario | RoverScenario, agent: Agent
 ) -> None:
-    """Evaluate every controller and the agent on the held-out courses, in a folder of the run folder."""
+    """Evaluate every controller and the agent on the held-out courses, in a folder of the run
+    folder.
+    """
     folder = Path(run) / FOLDER
     model = str(Path(run) / "model.zip")
     controllers = [Contestant(name, 0, "classical", name) for name in controllers_of(scenario)[0]]
@@ -58,7 +62,9 @@ def compare(
 
 
 def verdict(result: dict, name: str) -> str:
-    """Courses finished by the agent `name`, against the best controller that does not know the true soil."""
+    """Courses finished by the agent `name`, against the best controller that does not know the true
+    soil.
+    """
     rows = result["controllers"]
     best = max(
         (n for n in rows if n not in (name, *_WITH_TRUE_SOIL)),
@@ -66,6 +72,7 @@ def verdict(result: dict, name: str) -> str:
     )
     difference = points(result["paired"][name][best]["finished"])
     return (
-        f"{name} against {best}, the best of the others without the true soil: {difference} percentage points of "
-        "courses finished, on the same courses. One training seed; the interval is over courses."
+        f"{name} against {best}, the best of the others without the true soil: {difference} "
+        "percentage points of courses finished, on the same courses. One training seed; the "
+        "interval is over courses."
     )

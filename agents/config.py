@@ -1,4 +1,7 @@
-"""Configuration of a training: the keys of train.py's YAML file and command line. Needs no torch."""
+"""Configuration of a training: the keys of train.py's YAML file and command line.
+
+Needs no torch.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ def _text(default: str, doc: str):
 
 @dataclass(frozen=True)
 class PPOConfig(Checked):
-    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms. The learning rate falls linearly to 5 %.
+    """Hyperparameters of PPO (Schulman et al. 2017), in SB3's terms.
+
+    The learning rate falls linearly to 5 %.
 
     docs/guide/training.md says how these defaults were chosen.
     """
@@ -79,7 +84,9 @@ def check_oracle(config: TrainConfig) -> None:
 
 
 class OfWorld(Checked):
-    """Base of a configuration with `model`, the content of the model.yaml of its world's effects; empty = none."""
+    """Base of a configuration with `model`, the content of the model.yaml of its world's effects;
+    empty = none.
+    """
 
     model: dict
 
@@ -174,7 +181,9 @@ class TrainConfig(OfWorld):
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:
-    """A `TrainConfig` from a mapping, strictly; `model` may name a file, whose content it then keeps."""
+    """A `TrainConfig` from a mapping, strictly; `model` may name a file, whose content it then
+    keeps.
+    """
     model = mapping.get("model")
     if isinstance(model, str):
         mapping = {**mapping, "model": WheelSoilModel.load(model).content()}

@@ -1,6 +1,7 @@
 """The agent that comes with the package: one student for every ground of a wheel. Needs numpy only.
 
-`python -m soil_env_agents.generalist` trains it. The file of weights holds arrays without pickles, and how it was made.
+`python -m soil_env_agents.generalist` trains it. The file of weights holds arrays without pickles,
+and how it was made.
 """
 
 import json
@@ -19,11 +20,16 @@ NAME = "default_policy"
 CLIP = 10.0  # of a normalised input
 #: Of the drive, and of the score of a line; each with a weight [out, in] and a bias [out].
 LAYERS = ("policy_0", "policy_1", "action", "line_0", "line_1", "score")
-_EXPECTED = f"expected an .npz of {__package__}.generalist; the shipped one comes again with an installation"
+_EXPECTED = (
+    f"expected an .npz of {__package__}.generalist; the shipped one comes again with an "
+    "installation"
+)
 
 
 class DefaultPolicy:
-    """A trained student with `predict` on observations `identified` of the `scenario`, in their units."""
+    """A trained student with `predict` on observations `identified` of the `scenario`, in their
+    units.
+    """
 
     name = NAME
     variant = "identified"
@@ -58,7 +64,8 @@ class DefaultPolicy:
             ) from None
         if names != common_layout.NAMES:
             raise ParameterError(
-                f"{path}: trained on another observation layout; expected that of {common_layout.__name__}"
+                f"{path}: trained on another observation layout; expected that of "
+                f"{common_layout.__name__}"
             )
         self.choice = names.index("choice")
         self.lines = lines_of(names, self.history.steps)
@@ -73,7 +80,9 @@ class DefaultPolicy:
         self._layout = inputs.Layout(self.scaling.entries, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as `agents.agent.Agent.predict`."""
+        """Actions [n, 1] for observations [n, D], or [1] for [D], and the memory; as
+        `agents.agent.Agent.predict`.
+        """
         inputs.switch(deterministic)  # there is no other
         seen = self._layout.observed(observation)
         batch = np.atleast_2d(seen)

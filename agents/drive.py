@@ -96,7 +96,8 @@ def command(
     task = load_scenario(scenario) if rover is None else load_rover(rover)
     if policy is not None and controller is not None:
         raise ParameterError(
-            f"--policy {policy}: expected none beside --controller {controller}; several are one list"
+            f"--policy {policy}: expected none beside --controller {controller}; several are one "
+            "list"
         )
     with controllers_as("--controller" if policy is None else "--policy"):
         named = controller or policy or "best_slip_identified"
@@ -119,7 +120,8 @@ def command(
         env.close()
         early = f", before --frame {frame}" if frame is not None and steps < frame else ""
         print(
-            f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control periods{early}"
+            f"{name}: {info['cause']} at {info['state']['x']:.2f} m after {steps} control "
+            f"periods{early}"
         )
     if out is not None:
         _save(out, next(iter(films.values())) if len(films) == 1 else _beside(films))
@@ -127,7 +129,8 @@ def command(
 
 
 def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
-    """Frames with the side views of several drives next to each other, without charts, the name of each above it.
+    """Frames with the side views of several drives next to each other, without charts, the name of
+    each above it.
 
     The last frame of a drive stays until all have ended.
     """
@@ -149,7 +152,8 @@ def _beside(films: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
 def _drive(
     env: gymnasium.Env, name: str, driver: Any, held: int, seed: int, last: int | None, every: int
 ) -> tuple[list, dict, int]:
-    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most `last`.
+    """Frames (one in `every` periods; none if 0), the last info and the number of periods, at most
+    `last`.
 
     An action of the driver is held for so many control periods, as in the scenario.
     """
@@ -187,8 +191,7 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
 
     images = [Image.fromarray(frame) for frame in frames]
     if len(images) > 1:
-        images = [
-            image.quantize(64, Image.Quantize.FASTOCTREE) for image in images
-        ]  # keeps colours of small areas
+        # Keeps colours of small areas.
+        images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
     images[0].save(path, **(more if path.suffix == ".gif" else {}))

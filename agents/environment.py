@@ -1,4 +1,5 @@
-"""Environment of a training: wheels or rovers in one or several worlds, with a history and running normalisation.
+"""Environment of a training: wheels or rovers in one or several worlds, with a history and running
+normalisation.
 
 Some worlds may have effects that the model of the identifier does not have (`hidden_worlds`).
 """
@@ -21,9 +22,11 @@ from .history import History, lines_of
 from .sb3 import CourseVecEnv, NativeVecEnv, SoilRoverVecEnv, SoilWheelVecEnv
 from .teachers import Teachers
 
-#: Effects that are on in the worlds of a training: none, those of a model, or of several on equal shares of the wheels.
+#: Effects that are on in the worlds of a training: none, those of a model, or of several on equal
+#: shares of the wheels.
 World = WheelSoilModel | None | Sequence[WheelSoilModel | None]
-#: Effects that act in the simulated world on a course driven once; the others need a measuring rig or a second pass.
+#: Effects that act in the simulated world on a course driven once; the others need a measuring rig
+#: or a second pass.
 HIDDEN = (
     "rear_contact",
     "stress_peak_shift",
@@ -43,7 +46,9 @@ def normalised(
     seed: int,
     world: World = None,
 ) -> VecNormalize:
-    """The vector environment of `config.num_envs` wheels with running normalisation of observations and rewards."""
+    """The vector environment of `config.num_envs` wheels with running normalisation of observations
+    and rewards.
+    """
     worlds = list(world) if isinstance(world, Sequence) else [world]
     shares = np.diff(np.linspace(0, config.num_envs, len(worlds) + 1).astype(int))
     kind = SoilRoverVecEnv if isinstance(scenario, RoverScenario) else SoilWheelVecEnv
@@ -70,7 +75,9 @@ def side_by_side(parts: Sequence[CourseVecEnv], config: PPOConfig, seed: int) ->
 
 
 class CommonVecEnv(SoilWheelVecEnv):
-    """Wheels whose observation `identified` has the common layout; `teacher`: settings of theirs (`teachers`)."""
+    """Wheels whose observation `identified` has the common layout; `teacher`: settings of theirs
+    (`teachers`).
+    """
 
     def __init__(self, num_envs: int, scenario: Scenario, teacher: dict[str, float], **options):
         super().__init__(num_envs, scenario, "identified", **options)
@@ -91,13 +98,15 @@ class Moments(RunningMeanStd):
         """Take in the moments of a batch."""
         super().update_from_moments(batch_mean, batch_var, batch_count)
         for values in (self.mean, self.var):
-            values[self.lines[0]] = values[self.lines[1]] = 0.5 * (
-                values[self.lines[0]] + values[self.lines[1]]
-            )
+            mean = 0.5 * (values[self.lines[0]] + values[self.lines[1]])
+            values[self.lines[0]] = mean
+            values[self.lines[1]] = mean
 
 
 class SeveralWorlds(NativeVecEnv):
-    """Vector environments of one observation and action space as one; their wheels follow each other."""
+    """Vector environments of one observation and action space as one; their wheels follow each
+    other.
+    """
 
     def __init__(self, parts: Sequence[VecEnv]):
         self.parts = list(parts)
@@ -132,7 +141,9 @@ class SeveralWorlds(NativeVecEnv):
 
 
 class TeacherPenalty(VecEnvWrapper):
-    """Rewards less a penalty for leaving the teacher: a weight times the squared difference of the actions."""
+    """Rewards less a penalty for leaving the teacher: a weight times the squared difference of the
+    actions.
+    """
 
     def __init__(self, venv: VecEnv):
         super().__init__(venv)
@@ -191,10 +202,11 @@ class HistoryVecEnv(VecEnvWrapper):
 def hidden_worlds(
     scenario: Scenario, count: int, seed: int, names: Sequence[str] = HIDDEN
 ) -> list[WheelSoilModel]:
-    """`count` worlds with one effect of the catalogue each, its published form and its size drawn by `seed`.
+    """`count` worlds with one effect of the catalogue each, its published form and its size drawn
+    by `seed`.
 
-    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one standard deviation,
-    so that most are of the size of the disagreement between published laws.
+    Their effects are `names` in turn. Sizes are drawn from the prior of the catalogue, cut at one
+    standard deviation, so that most are of the size of the disagreement between published laws.
     """
     rng = np.random.default_rng([seed, count, 7])
     return [_drawn(scenario, CATALOGUE[names[k % len(names)]], rng) for k in range(count)]

@@ -16,7 +16,9 @@ FORMAT = "soil_env policy 1"
 
 
 class ExportedAgent:
-    """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on observations in their units."""
+    """The agent of an ONNX file, with the `predict` of Stable-Baselines3 on observations in their
+    units.
+    """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -35,7 +37,8 @@ class ExportedAgent:
             raise ParameterError(f"{path}: cannot be loaded as an ONNX policy ({said})") from None
         if self.content.get("format") != FORMAT:
             raise ParameterError(
-                f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} inside"
+                f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} "
+                "inside"
             )
         self.variant = self.content["observation"]
         self.control = load(
@@ -44,7 +47,9 @@ class ExportedAgent:
         self._layout = self._checked_layout()
 
     def _checked_layout(self) -> inputs.Layout:
-        """The observation that the file reads; ParameterError if this version's of the same name is another one."""
+        """The observation that the file reads; ParameterError if this version's of the same name is
+        another one.
+        """
         course = load(
             CourseSpec, self.content["scenario"]["course"], f"{self.path}: scenario.course"
         )
@@ -53,14 +58,15 @@ class ExportedAgent:
         known = [(e.name, e.low, e.high) for e in own]
         if entries != known:
             raise ParameterError(
-                f"{self.path}: reads another observation layout: {len(entries)} numbers, here {self.variant!r} has "
-                f"{len(known)}; expected the names, order and bounds of this version"
+                f"{self.path}: reads another observation layout: {len(entries)} numbers, here "
+                f"{self.variant!r} has {len(known)}; expected the names, order and bounds of this "
+                "version"
             )
         return inputs.Layout(own, self.variant)
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for [D], and the memory
-        for the next call; ParameterError as `agents.agent.Agent.predict`."""
+        """Actions [n, 1] for observations [n, D] in the units of `content["inputs"]`, or [1] for
+        [D], and the memory for the next call; ParameterError as `agents.agent.Agent.predict`."""
         inputs.switch(deterministic)  # an exported agent has no other
         batch = np.atleast_2d(self._layout.observed(observation))
         if not self.policy.kept:

@@ -1,8 +1,10 @@
-"""Training of the default policy: one student of the true-soil rule on several grounds, then PPO from there.
+"""Training of the default policy: one student of the true-soil rule on several grounds, then PPO
+from there.
 
     python -m soil_env_agents.generalist --out agents/default_policy.npz
 
-The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds with hidden effects.
+The grounds of configs/default_policy.yaml stand side by side, half of the wheels of each in worlds
+with hidden effects.
 """
 
 import io
@@ -41,14 +43,14 @@ from .progress import Bar, show
 from .teachers import Teacher, settings_of
 
 CONFIG = "default_policy.yaml"
-#: Settings that `chosen` tries: factors of acceleration and share of the best slip, and a soft start without a limit.
-ACCELERATIONS = (1.0, 0.55, 0.3)
-SHARES = (1.0, 0.6, 1.6)
-SOFT_START = {"start": 1.0, "acceleration": 0.07}
-#: Rounds of it: courses in each world, and settings that are left after it; for one world, and for all of a ground.
+# Settings that `chosen` tries.
+ACCELERATIONS = (1.0, 0.55, 0.3)  # factors of the teacher's acceleration
+SHARES = (1.0, 0.6, 1.6)  # factors of its share of the best slip
+SOFT_START = {"start": 1.0, "acceleration": 0.07}  # beside them, without a limit of the slip
+#: Rounds of it in one world: courses of each setting, and settings that are left.
 ROUNDS = ((50, 3), (200, 2), (300, 1))
-OF_GROUND = ((40, 3), (60, 1))
-TEACHING_SET = 5_000_011
+OF_GROUND = ((40, 3), (60, 1))  # the same for all worlds of a ground
+TEACHING_SET = 5_000_011  # course set of these rounds
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,9 @@ class Generalist(Checked):
     def build(self, progress: Callable[[int], None] = lambda _: None) -> PPO:
         """The untrained agent in the vector environment of all grounds.
 
-        Each hidden world has the teacher that does best in it, and the world without an effect the one that does best
-        in all worlds of the ground: at the start of a course the student cannot distinguish them.
+        Each hidden world has the teacher that does best in it, and the world without an effect the
+        one that does best in all worlds of the ground: at the start of a course the student cannot
+        distinguish them.
         """
         parts = []
         for k, (name, own) in enumerate(self.grounds.items()):
@@ -110,10 +113,11 @@ class Generalist(Checked):
 
 
 def chosen(scenario: Scenario, worlds: Sequence[WheelSoilModel | None], rounds) -> dict[str, float]:
-    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses, settings left).
+    """Settings of the teacher with the highest mean return in `worlds`, after `rounds` of (courses,
+    settings left).
 
-    The better ones of each round drive more courses in the next (successive halving: Jamieson & Talwalkar 2016,
-    AISTATS). All settings drive the same courses.
+    The better ones of each round drive more courses in the next (successive halving: Jamieson &
+    Talwalkar 2016, AISTATS). All settings drive the same courses.
     """
     own = settings_of(scenario)
     first = 0

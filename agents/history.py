@@ -1,9 +1,10 @@
 """Past sensor readings beside the observation: a memory of fixed length for a feed-forward network.
 
-The readings of the last `steps` steps follow the present observation, as with stacked frames (Mnih et al. 2015, Nature
-518:529). Where a camera distinguishes terrain classes, moving averages of the readings on each class are kept too, and
-those of the classes seen ahead follow. Where an observation has bands of slip, moving averages of its misfit in each
-band follow: over a course they show what the pull does at slips at which the wheel is not now.
+The readings of the last `steps` steps follow the present observation, as with stacked frames (Mnih
+et al. 2015, Nature 518:529). Where a camera distinguishes terrain classes, moving averages of the
+readings on each class are kept too, and those of the classes seen ahead follow. Where an
+observation has bands of slip, moving averages of its misfit in each band follow: over a course they
+show what the pull does at slips at which the wheel is not now.
 """
 
 from collections.abc import Sequence
@@ -21,10 +22,12 @@ BAND_SHARE = 0.05  # weight of a step in the averages in a band of slip
 
 
 class History:
-    """Layout of the history, for `steps` steps of an observation with the entries `names`; holds no readings itself.
+    """Layout of the history, for `steps` steps of an observation with the entries `names`; holds no
+    readings itself.
 
-    With terrain classes (`here_class_1`, ...) the history has two more parts for the class of each line ahead: the
-    moving average of the readings on it, and the weight of this average, from 0 (class not met) towards 1.
+    With terrain classes (`here_class_1`, ...) the history has two more parts for the class of each
+    line ahead: the moving average of the readings on it, and the weight of this average, from 0
+    (class not met) towards 1.
     """
 
     def __init__(self, names: Sequence[str], steps: int):
@@ -46,7 +49,8 @@ class History:
         ]
         self.bands = [k for k, name in enumerate(names) if name.startswith("slip_band_")]
         misfit = [names.index("misfit")] if self.bands else []
-        #: (entry that says how much a step counts, entries averaged, weight of a step) of each average.
+        #: (entry that says how much a step counts, entries averaged, weight of a step) of each
+        #: average.
         self.averages = [(k, self.columns, SHARE) for k in self.classes] + [
             (k, misfit, BAND_SHARE) for k in self.bands
         ]
@@ -63,7 +67,9 @@ class History:
 
     @property
     def kept(self) -> int:
-        """Numbers that are kept from one step to the next for each wheel: present and past readings, averages."""
+        """Numbers that are kept from one step to the next for each wheel: present and past
+        readings, averages.
+        """
         return (
             len(self.columns) + self.past + sum(len(columns) + 1 for _, columns, _ in self.averages)
         )
@@ -72,8 +78,8 @@ class History:
         """(observation with its history, readings kept for the next step) for observations [n, D].
 
         The history comes after the D entries of the layout, newest step first. On a new course,
-        `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept] holds. All are
-        arrays, or values of an ONNX graph (`agents.export`).
+        `fresh` [n] bool, the present readings stand in for the past, whatever `kept` [n, self.kept]
+        holds. All are arrays, or values of an ONNX graph (`agents.export`).
         """
         m = len(self.columns)
         moved = np.concatenate([seen[:, self.columns], kept[:, [*range(0, self.past)]]], axis=1)
@@ -114,7 +120,9 @@ class History:
 
 
 def lines_of(names: Sequence[str], history: int) -> list[list[int]]:
-    """Columns of each of two lines in the input of a network; empty lists where there is no choice of a line."""
+    """Columns of each of two lines in the input of a network; empty lists where there is no choice
+    of a line.
+    """
     if "choice" not in names:
         return [[], []]
     own = [

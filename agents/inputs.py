@@ -1,4 +1,6 @@
-"""Checks of the arguments of a trained agent's `predict`; each error is one line with place and expectation."""
+"""Checks of the arguments of a trained agent's `predict`; each error is one line with place and
+expectation.
+"""
 
 from collections.abc import Sequence
 
@@ -11,7 +13,9 @@ _ROUNDING = 1e-5  # of the range of an entry: added by scaling and back
 
 
 class Layout:
-    """The entries of an observation with their bounds, to which every environment clips its observations."""
+    """The entries of an observation with their bounds, to which every environment clips its
+    observations.
+    """
 
     def __init__(self, entries: Sequence[ObservedNumber], variant: str):
         self.entries = tuple(entries)
@@ -24,7 +28,9 @@ class Layout:
         self._most = high + _ROUNDING * (high - low)
 
     def observed(self, observation) -> np.ndarray:
-        """Observations [n, D] or [D] as float32; ParameterError for another D, and for an entry out of its bounds."""
+        """Observations [n, D] or [D] as float32; ParameterError for another D, and for an entry out
+        of its bounds.
+        """
         try:
             seen = np.asarray(observation, dtype=np.float32)
         except (TypeError, ValueError):
@@ -32,22 +38,25 @@ class Layout:
         count = len(self.entries)
         if seen.ndim not in (1, 2) or seen.shape[-1] != count:
             raise ParameterError(
-                f"observation of shape {seen.shape}: expected {count} numbers, those of observation {self.variant!r}, "
-                "or rows of them"
+                f"observation of shape {seen.shape}: expected {count} numbers, those of "
+                f"observation {self.variant!r}, or rows of them"
             )
         inside = (seen >= self._least) & (seen <= self._most)  # False for NaN
         if not inside.all():
             *row, k = np.argwhere(~inside)[0].tolist()
             e = self.entries[k]
             raise ParameterError(
-                f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to {e.high:g} ({e.unit}): "
-                "values in their units, as scaled=False observes them and physical() of the environment gives them back"
+                f"observation{row or ''}: {e.name} = {seen[*row, k]:g}: expected {e.low:g} to "
+                f"{e.high:g} ({e.unit}): values in their units, as scaled=False observes them and "
+                "physical() of the environment gives them back"
             )
         return seen
 
 
 def starts(episode_start, count: int, default: bool) -> np.ndarray:
-    """Mask of the courses that begin, [count] bool; ParameterError for another number of them, and for text."""
+    """Mask of the courses that begin, [count] bool; ParameterError for another number of them, and
+    for text.
+    """
     flags = np.full(count, default) if episode_start is None else np.asarray(episode_start)
     if flags.dtype.kind not in "biuf":
         raise ParameterError(
@@ -70,7 +79,10 @@ def switch(deterministic) -> bool:
 
 def memory(state, shape: tuple[int, ...]) -> np.ndarray:
     """A memory of this `shape`, float32; ParameterError for anything else."""
-    expected = f"expected what the last predict of as many observations returned, an array of shape {shape}"
+    expected = (
+        "expected what the last predict of as many observations returned, an array of shape "
+        f"{shape}"
+    )
     try:
         kept = np.asarray(state, dtype=np.float32)
     except (TypeError, ValueError):

@@ -1,4 +1,6 @@
-"""PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in training."""
+"""PPO of Stable-Baselines3 on the native environments: build, save and resume an agent in
+training.
+"""
 
 import io
 import json
@@ -19,15 +21,8 @@ from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_i
 from .config import PPOConfig
 from .environment import World, normalised
 
-_SAME = (
-    "n_steps",
-    "batch_size",
-    "n_epochs",
-    "gamma",
-    "gae_lambda",
-    "clip_range",
-    "ent_coef",
-)  # named as in SB3
+#: Named as in SB3.
+_SAME = ("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "ent_coef")
 
 
 def build(
@@ -55,9 +50,8 @@ def learner(
     model = PPO(
         policy,
         env,
-        learning_rate=lambda left: (
-            config.learning_rate * max(left, 0.05)
-        ),  # of the share that is left
+        # Of the share that is left.
+        learning_rate=lambda left: config.learning_rate * max(left, 0.05),
         **{name: getattr(config, name) for name in _SAME},
         policy_kwargs=arguments,
         tensorboard_log=None if tensorboard is None else str(tensorboard),
@@ -72,10 +66,12 @@ def learner(
 
 
 class Schedules(BaseCallback):
-    """Schedules that fall linearly over a training: the exploration noise and the penalty for leaving the teacher.
+    """Schedules that fall linearly over a training: the exploration noise and the penalty for
+    leaving the teacher.
 
-    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the penalty from `penalty` to
-    0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let a loss fade in the same way.
+    The logarithm of the noise falls from `log_std_init` to `log_std_final`, the weight of the
+    penalty from `penalty` to 0 at half of the training. Schmitt et al. 2018 (arXiv:1803.03835) let
+    a loss fade in the same way.
     """
 
     def __init__(self, config: PPOConfig, penalty: float = 0.0):
@@ -129,7 +125,9 @@ def resume(
     tensorboard: Path | None,
     world: World = None,
 ) -> PPO:
-    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of `build`."""
+    """The agent of a checkpoint, ready to go on learning on new courses; arguments as of
+    `build`.
+    """
     info = read_info(path)
     for key, stored, asked in (
         ("observation", info.observation, observation),
@@ -140,9 +138,8 @@ def resume(
     ):
         if stored != asked:
             raise ParameterError(f"{path}: trained with {key} {stored!r}, not {asked!r}")
-    seed = (
-        seed + info.timesteps
-    ) % 2**31  # other courses and other noise than at the start of the run
+    # Other courses and other noise than at the start of the run.
+    seed = (seed + info.timesteps) % 2**31
     model = build(scenario, observation, config, seed, tensorboard, world)
     load_weights(path, WEIGHTS, model.policy)
     load_weights(path, OPTIMIZER, model.policy.optimizer)

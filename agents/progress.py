@@ -1,4 +1,6 @@
-"""Output of the commands: tables and lines, a progress bar on a terminal, progress lines elsewhere."""
+"""Output of the commands: tables and lines, a progress bar on a terminal, progress lines
+elsewhere.
+"""
 
 from rich.console import Console
 from rich.markup import escape
@@ -17,7 +19,10 @@ console = Console()  # output of all commands of this package
 
 
 class Bar:
-    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere. Use with `with`."""
+    """Progress of one job: a live bar on a terminal, a line every tenth of the way elsewhere.
+
+    Use with `with`.
+    """
 
     def __init__(self, title: str, total: int, unit: str, done: int = 0):
         self.title = title

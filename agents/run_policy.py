@@ -1,8 +1,9 @@
 """Runs the exported policy beside this file. Needs numpy and onnxruntime, nothing else.
 
-    python run_policy.py            drives the recorded steps of course.npz: difference from the agent, time a step
-    python run_policy.py --serve    a line of numbers (an observation) on stdin -> a line (the action) on stdout; after
-                                    an empty line a new course begins
+    python run_policy.py            drives the recorded steps of course.npz and compares with the
+                                    agent; time a step
+    python run_policy.py --serve    a line of numbers (an observation) on stdin -> a line (the
+                                    action) on stdout; after an empty line a new course begins
 
 The order, units and bounds of the numbers are in policy.yaml.
 """
@@ -22,18 +23,19 @@ class Policy:
 
     def __init__(self, path=HERE / "policy.onnx"):
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
         options.log_severity_level = 3  # errors
         self.session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
         )
         own = {x.name: x for x in self.session.get_inputs()}
-        self.kept = (
-            own["history"].shape[1] if "history" in own else 0
-        )  # numbers kept from step to step
+        # Numbers kept from step to step.
+        self.kept = own["history"].shape[1] if "history" in own else 0
 
     def act(self, observation, memory=None, new_course=None):
-        """(actions [n, 1] in [-1, 1], memory [n, kept]) for float32 observations [n, D] and the last memory.
+        """(actions [n, 1] in [-1, 1], memory [n, kept]) for float32 observations [n, D] and the
+        last memory.
 
         `new_course` [n] bool: rows where a course begins; all of them where there is no memory.
         """
@@ -62,7 +64,9 @@ def serve(policy):
 
 
 def compared(policy, course):
-    """(largest difference of the actions on the steps of course.npz, times of a step of one wheel [us])."""
+    """(largest difference of the actions on the steps of course.npz, times of a step of one wheel
+    [us]).
+    """
     memory = None
     worst = 0.0
     times = []
@@ -82,6 +86,6 @@ if __name__ == "__main__":
     else:
         worst, times = compared(Policy(), np.load(HERE / "course.npz"))
         print(
-            f"{len(times)} steps: largest difference {worst:.1e}, {np.median(times):.0f} us a step, "
-            f"99 % within {np.percentile(times, 99):.0f} us"
+            f"{len(times)} steps: largest difference {worst:.1e}, {np.median(times):.0f} us a "
+            f"step, 99 % within {np.percentile(times, 99):.0f} us"
         )

@@ -7,10 +7,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
-from soil_env.course_env import CourseVectorEnv
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.course_env import CourseVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.parameters import DEFAULT_ROVER, DEFAULT_SCENARIO
-from soil_env.rover_env import SoilRoverVectorEnv
+from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause, layout, truth
 from soil_env.terramechanics.model import load_model
 
@@ -50,11 +50,12 @@ class NativeVecEnv(VecEnv):
 
 
 class CourseVecEnv(NativeVecEnv):
-    """Base: a vector environment of many courses for SB3, a finished one reset within the same step, as SB3 expects.
+    """Base: a vector environment of many courses for SB3, a finished one reset within the same
+    step, as SB3 expects.
 
-    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time limit of the scenario
-    ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all others share one empty dict, which must
-    not be written to.
+    Infos of finished courses carry `terminal_observation`, `TimeLimit.truncated` (False: the time
+    limit of the scenario ends an episode as being stuck does), `episode` {r, l, t} and `cause`; all
+    others share one empty dict, which must not be written to.
     """
 
     def __init__(
@@ -69,7 +70,8 @@ class CourseVecEnv(NativeVecEnv):
         self.model = load_model(model)
         self.observation_variant = observation
         own = {"autoreset_mode": AutoresetMode.DISABLED, "info": "none", "model": self.model}
-        self.env = env = kind(num_envs, task, observation, **own, **options)
+        env = kind(num_envs, task, observation, **own, **options)
+        self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.scenario = env.scenario
         self.simulation = env.simulation
@@ -96,7 +98,10 @@ class CourseVecEnv(NativeVecEnv):
         self._actions = actions
 
     def step_wait(self):
-        """One action; (observations, rewards, dones, infos). An action that is not finite raises ValueError."""
+        """One action; (observations, rewards, dones, infos).
+
+        An action that is not finite raises ValueError.
+        """
         seen, rewards, done, _, _ = self.env.step(self._actions)
         self._returns += rewards
         self._lengths += 1

@@ -1,10 +1,12 @@
 """Student of a privileged teacher: the beginning of a training.
 
-The teacher is `best_slip_true`: it knows the true soil under the wheel and that of the lines ahead (privileged teacher:
-Lee et al. 2020, Science Robotics 5:eabc5986; Kumar et al. 2021, RSS). The student drives by its own observation. It
-learns the acceleration of the teacher in every state that it comes to itself, by least squares (DAgger: Ross, Gordon &
-Bagnell 2011, AISTATS). So where the soil is not known it learns the mean. The choice of a line it learns from what
-becomes of it (`agents.choice`), and its value network the returns of the last rounds, so that PPO can go on from here.
+The teacher is `best_slip_true`: it knows the true soil under the wheel and that of the lines ahead
+(privileged teacher: Lee et al. 2020, Science Robotics 5:eabc5986; Kumar et al. 2021, RSS). The
+student drives by its own observation. It learns the acceleration of the teacher in every state that
+it comes to itself, by least squares (DAgger: Ross, Gordon & Bagnell 2011, AISTATS). So where the
+soil is not known it learns the mean. The choice of a line it learns from what becomes of it
+(`agents.choice`), and its value network the returns of the last rounds, so that PPO can go on from
+here.
 """
 
 import math
@@ -22,10 +24,10 @@ from .teachers import Teachers
 ROUND = 64  # steps of each wheel
 KEPT = 800_000  # newest steps that are learnt from, unless asked otherwise
 PASSES = 7  # over the steps of a round, drawn from all that are kept
-BATCH = 2048
-RATE = 2e-3
-NOISE = 0.2  # of the action: its sd, and its correlation from step to step
-MEMORY = 0.8
+BATCH = 2048  # steps of an update
+RATE = 2e-3  # learning rate of Adam at the start, chosen; falls to a fiftieth
+NOISE = 0.2  # sd of the noise of the action
+MEMORY = 0.8  # correlation of that noise from step to step
 FLIPPED = 0.1  # least share of the choices turned round, so that dead ends are met; half at first
 VALUE_STEPS = 600  # of the value network
 
@@ -56,7 +58,9 @@ class Lessons:
         return np.divmod(picked if among is None else among[picked], wheels)
 
     def returns(self, gamma: float) -> tuple[np.ndarray, np.ndarray]:
-        """(discounted returns [steps, wheels], numbers of the steps whose course has ended since)."""
+        """(discounted returns [steps, wheels], numbers of the steps whose course has ended
+        since).
+        """
         steps = len(self.seen)
         out = np.zeros_like(self.reward)
         known = np.zeros(self.done.shape, dtype=bool)
@@ -77,7 +81,8 @@ def teach(
     progress: Callable[[int], None] = lambda _: None,
     most: int = KEPT,
 ) -> None:
-    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a round more.
+    """Let an untrained `model` learn from the teacher for `steps` of its environment, or up to a
+    round more.
 
     It learns from the newest steps, at `most` so many.
     """

@@ -1,4 +1,6 @@
-"""Teachers of a student: what knows the true soil and is asked for its action in every state (`student.teach`)."""
+"""Teachers of a student: what knows the true soil and is asked for its action in every state
+(`student.teach`).
+"""
 
 from typing import NamedTuple
 
@@ -10,8 +12,9 @@ from soil_env.parameters import RoverScenario, Scenario
 from .controllers.rover import RoverController
 from .controllers.wheel import BestSlipTrue
 
-#: Of the teacher: start and speed [of the top rim speed], acceleration [m/s2], share of the best slip as its limit.
-#: Found with 36 trials a scenario on 700 development courses each; where they were alike they are one.
+#: Of the teacher: start and speed [of the top rim speed], acceleration [m/s2], share of the best
+#: slip as its limit. Found with 36 trials a scenario on 700 development courses each; where they
+#: were alike they are one.
 SETTINGS = {"start": 0.08, "acceleration": 0.25, "speed": 0.54, "share": 1.05}
 OF_SCENARIOS = {
     "loose_slopes": {"start": 0.13, "acceleration": 0.31, "speed": 0.85},
@@ -26,7 +29,8 @@ class Manner(NamedTuple):
     start: float = 0.3  # [of the top rim speed]
     speed: float = 0.8  # [of the top rim speed]
     acceleration: float = 0.3  # [m/s2]
-    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in stiffer ruts.
+    #: Limit of the slip of each axle over the best slip on its fresh soil; wheels behind run in
+    #: stiffer ruts.
     shares: tuple[float, ...] = (1.0,)
 
 
@@ -75,7 +79,9 @@ class _OfWheels(Teacher):
 
 
 class RoverTeacher(RoverController):
-    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands now."""
+    """`best_slip_true` of a rover whose ramps go on from the speeds that the student commands
+    now.
+    """
 
     def __init__(self, scenario: RoverScenario):
         super().__init__(scenario, "best_slip_true")
@@ -92,7 +98,9 @@ class RoverTeacher(RoverController):
 
 
 def teacher_of(part: VecEnv) -> Teacher | RoverTeacher:
-    """The teacher of the wheels or rovers of a vector environment, with the settings that it names, if any."""
+    """The teacher of the wheels or rovers of a vector environment, with the settings that it names,
+    if any.
+    """
     if isinstance(part.scenario, RoverScenario):
         return RoverTeacher(part.scenario)
     return Teacher(part.scenario, **getattr(part, "teacher", {}))

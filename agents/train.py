@@ -49,8 +49,8 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
     soil-env train --observation blind --timesteps 5e6
     soil-env train --resume runs/NAME                    # continue after an interrupt or a kill
 
-    The run folder gets config.yaml, scenario.yaml, model.zip, tensorboard/ and comparison/; checkpoint.zip
-    is there from the end of the student until the training is done.
+    The run folder gets config.yaml, scenario.yaml, model.zip, tensorboard/ and comparison/;
+    checkpoint.zip is there from the end of the student until the training is done.
     """
     with needing_training():
         from . import comparison, training

@@ -1,4 +1,6 @@
-"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is done."""
+"""One training run: its folder, and an agent that is trained there, resumed, or loaded where it is
+done.
+"""
 
 import shutil
 import time
@@ -11,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
-from soil_env.env import IMMOBILISED
+from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
 
 from . import ppo, student
@@ -76,14 +78,16 @@ def scenario_of(config: TrainConfig) -> Scenario | RoverScenario:
     )
     if scenario.belief.method == "none":
         raise ParameterError(
-            "belief.method = 'none': expected 'filter': the agent is compared with best_slip_identified, which reads "
-            "the identified soil"
+            "belief.method = 'none': expected 'filter': the agent is compared with "
+            "best_slip_identified, which reads the identified soil"
         )
     return scenario
 
 
 def make_run_folder(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
-    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite one."""
+    """Create the run folder with its resolved config.yaml and scenario.yaml; refuses to overwrite
+    one.
+    """
     name = config.name or f"{config.observation}-{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise ParameterError(f"name = {name!r}: expected the name of a folder, not a path")
@@ -123,10 +127,8 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
     folder = Path(folder)
     if not (folder / MODEL).is_file():
         _learn(folder, config, scenario)
-    for left_over in (
-        folder / CHECKPOINT,
-        *folder.glob(".*.partial*"),
-    ):  # a kill may have left them beside the model
+    # A kill may have left them beside the model.
+    for left_over in (folder / CHECKPOINT, *folder.glob(".*.partial*")):
         left_over.unlink(missing_ok=True)
     return load_agent(folder / MODEL)
 
@@ -150,7 +152,8 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
                 )
             except KeyboardInterrupt:
                 show(
-                    "A student keeps no checkpoint before it is done: it will start again from step 0."
+                    "A student keeps no checkpoint before it is done: it will start again from "
+                    "step 0."
                 )
                 raise
             ppo.save(model, checkpoint)

@@ -45,8 +45,8 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     """Tune the classical controllers on a scenario.
 
     Every controller gets the same number of trials on the first N courses of the tuning set, for
-    each action of the drive. OUT then holds NAME.yaml for configs/tuned, where train.py and soil-env evaluate find it.
-    The same command continues an interrupted tuning.
+    each action of the drive. OUT then holds NAME.yaml for configs/tuned, where train.py and
+    soil-env evaluate find it. The same command continues an interrupted tuning.
     """
     if scenario not in scenario_names():
         raise unknown_value(scenario, scenario_names(), "--scenario")

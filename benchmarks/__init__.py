@@ -1,4 +1,6 @@
-"""Benchmarks, run as `python -m benchmarks.NAME`; numbers and tables of their results are in docs/results.
+"""Benchmarks, run as `python -m benchmarks.NAME`; numbers and tables of their results are in
+docs/results.
 
-`identification`: calibration by drive. `discovery`: blind naming of hidden mechanisms. `throughput`: speed.
+`identification`: calibration by drive. `discovery`: blind naming of hidden mechanisms.
+`throughput`: speed.
 """

@@ -1,4 +1,6 @@
-"""Shared by the benchmarks: rounds of a measurement, the machine, options, results as JSON with a page of tables."""
+"""Shared by the benchmarks: rounds of a measurement, the machine, options, results as JSON with a
+page of tables.
+"""
 
 import os
 import platform
@@ -80,14 +82,20 @@ def study_options(name: str) -> Callable[[Callable], Callable]:
 
 
 def ready(out: Path, name: str) -> Path:
-    """Make the folder of the results and return the JSON file. Raises OSError before the work if it is no use."""
+    """Make the folder of the results and return the JSON file.
+
+    Raises OSError before the work if it is no use.
+    """
     check_outputs(out, (f"{name}.json", f"{name}.md"))
     make_folder(out)
     return out / f"{name}.json"
 
 
 def write(out: Path, name: str, title: str, text: str, tables: Mapping[str, Table]) -> None:
-    """Write NAME.md: a title, a paragraph and tables under their headings. Print it and say where it is."""
+    """Write NAME.md: a title, a paragraph and tables under their headings.
+
+    Print it and say where it is.
+    """
     parts = [f"## {heading}\n\n{table.markdown()}" for heading, table in tables.items()]
     page = "\n\n".join([f"# {title}", text, *parts]) + "\n"
     replace_files(out, {f"{name}.md": page})

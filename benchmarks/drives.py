@@ -11,8 +11,8 @@ from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env._numba.compiling import compiled_root
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import IDLE, STEP
 from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import RoverScenario, Scenario, load_rover
 from soil_env.simulation.task import Cause
@@ -22,6 +22,7 @@ from soil_env.terramechanics.traversability import best_points
 
 #: Judged quantities with their units; the first five in the order of `Identifiers.estimate`.
 QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of load]")
+#: From the units of `Identifiers.estimate` to these.
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
@@ -44,12 +45,15 @@ class SwingingSpeed(ConstantSpeed):
 
     def rim_speed(self, observation, state):
         """Rim speed of this period [m/s], [n]."""
-        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        state["time"] = t
         return self.settings["speed"] * (1.0 + 0.3 * np.sin(2.0 * math.pi * t / SWING_PERIOD))
 
 
 def controller_of(name: str, scenario: Scenario) -> Any:
-    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s to the highest."""
+    """Return a controller as it ships, `swinging_speed`, or `ramp`: a rim speed that rises in 15 s
+    to the highest.
+    """
     if name == "swinging_speed":
         return SwingingSpeed(scenario)
     if name == "ramp":
@@ -67,9 +71,9 @@ def record(
 ) -> list[dict[str, np.ndarray]]:
     """Drive courses of a seed; return of each a log of T control periods.
 
-    `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as the environment had
-    them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the belief and true bearing sinkage;
-    `halt_left` [T] s.
+    `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as
+    the environment had them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the
+    belief and true bearing sinkage; `halt_left` [T] s.
     """
     wheel = scenario.wheel
     weight = scenario.weight
@@ -111,7 +115,9 @@ def record(
 
 
 def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.ndarray, ...]:
-    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`, halts left out."""
+    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`,
+    halts left out.
+    """
     driven = np.concatenate([log["halt_left"] == 0.0 for log in logs])
     course = np.repeat(np.arange(len(logs)), [len(log["halt_left"]) for log in logs])[driven]
     true, estimate, sd = (
@@ -124,7 +130,9 @@ def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.nd
 def truth(
     soil: np.ndarray, bearing: np.ndarray, load: np.ndarray, scenario: Scenario
 ) -> np.ndarray:
-    """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and loads [N]."""
+    """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and
+    loads [N].
+    """
     wheel = scenario.wheel
     belief = scenario.belief
     slip, pull = np.empty((2, len(soil)))
@@ -154,7 +162,8 @@ def rover_scenario(rover: str) -> RoverScenario:
 
 
 class SwingingSlip:
-    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of its own.
+    """Rim speeds [rovers, axles], of the highest, for a slip of 20 +- 18 %, each axle at a phase of
+    its own.
 
     The speeds change as slowly as the rim's, and are at least 30 % of the highest at no slip.
     """
@@ -181,7 +190,9 @@ class SwingingSlip:
 
 
 def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds [rovers]."""
+    """Return a drive at half the highest rim speed, [rovers, axles], whatever the measured speeds
+    [rovers].
+    """
     return lambda speed: np.full((len(speed), scenario.axles), 0.5)
 
 
@@ -190,8 +201,9 @@ def record_rover(
 ) -> dict[str, np.ndarray]:
     """Drive courses of a seed; return arrays [T, courses, axles, ...].
 
-    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt, not ended;
-    "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own filter, and of all wheels.
+    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt,
+    not ended; "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own
+    filter, and of all wheels.
     """
     simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):

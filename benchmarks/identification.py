@@ -1,10 +1,12 @@
-"""Calibration of the online identifier in every drive that ships: docs/results/identification.json and .md.
+"""Calibration of the online identifier in every drive that ships: docs/results/identification.json
+and .md.
 
-    python -m benchmarks.identification --out X             all rows, half an hour; goes on where it was interrupted
-    python -m benchmarks.identification --only two_lines    rows of this scenario anew, the others as they are
+    python -m benchmarks.identification --out X all rows, half an hour; goes on where it was
+    interrupted python -m benchmarks.identification --only two_lines rows of this scenario anew, the
+    others as they are
 
-A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors are those of the
-ground under the wheel at all steps but halts, whatever the status of the estimate.
+A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors
+are those of the ground under the wheel at all steps but halts, whatever the status of the estimate.
 """
 
 import sys
@@ -27,13 +29,8 @@ from soil_env.terramechanics.model import load_model
 
 NAME = "identification"
 SEED = 20261126  # nothing was chosen on its courses, nor changed after they were seen
-OWN = (
-    "two_lines",
-    "mixed",
-    "loose_slopes",
-    "sticky",
-    "field_vehicle",
-)  # scenarios with the laws of the filter
+#: Scenarios with the laws of the filter.
+OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle")
 OTHERS = {
     "unseen": [""],
     "mixed": ["grousers", "shear_softening", "bulldozing", "law_errors", "two_effects"],
@@ -42,12 +39,8 @@ ROVERS = ("field_rover", "mars_rover", "lunar_micro_rover")
 ROVER_DRIVES = {"swinging slip": drives.SwingingSlip, "constant speed": drives.constant_speeds}
 EVERY = (*(name for name in CONTROLLERS if name != "best_slip_true"), "swinging_speed", "ramp")
 ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start", "wheel_speed"))
-FEW = (
-    "soft_start",
-    "best_slip_identified",
-    "extremum_seeking",
-    "swinging_speed",
-)  # drives of OTHERS
+#: Drives of OTHERS.
+FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
 SHOWN = (0, 1, 5)  # of `QUANTITIES`: friction angle, ln K, best pull
 #: Asked of a row: shares in 68 %, in 95 % and beyond 3 sd [%], bias over the mean sd.
 ASKED = {
@@ -78,7 +71,9 @@ def cases() -> dict[str, Case]:
 
 
 def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
-    """Drive and judge a row: of a wheel `QUANTITIES`, of a rover phi, ln K and c of all wheels, pooled."""
+    """Drive and judge a row: of a wheel `QUANTITIES`, of a rover phi, ln K and c of all wheels,
+    pooled.
+    """
     units = drives.UNITS
     if case.scenario in ROVERS:
         rover = drives.rover_scenario(case.scenario)
@@ -102,7 +97,9 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
 def statistics(
     error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.ndarray, units
 ) -> dict[str, Any]:
-    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N] numbers the courses."""
+    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N]
+    numbers the courses.
+    """
     z = np.abs(error) / sd
     off = (z < 1.0) - (z < 1.0).mean(0)
     spread = np.linalg.norm([off[course == k].sum(0) for k in np.unique(course)], axis=0) / len(
@@ -124,7 +121,9 @@ def statistics(
 
 
 def tables(result: dict) -> dict[str, Table]:
-    """Return the tables of the page: medians by scenario, and rows that hold what an interval promises."""
+    """Return the tables of the page: medians by scenario, and rows that hold what an interval
+    promises.
+    """
     groups: dict[str, list[dict]] = {}
     for row in (row for row in result["rows"].values() if not row.get("noise")):
         groups.setdefault(" with ".join(filter(None, (row["scenario"], row["world"]))), []).append(
@@ -214,8 +213,9 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
         write_json(file, result)
         print(f"{number} of {len(wanted)}: {name}", file=sys.stderr, flush=True)
     text = (
-        f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, by `python -m "
-        f"benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction angle and ln K, pooled."
+        f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, "
+        f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction "
+        "angle and ln K, pooled."
     )
     write(out, NAME, "Identification, measured", text, tables(result))
 

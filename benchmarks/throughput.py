@@ -1,10 +1,11 @@
 """Speed of the environments in one run, wheels and rovers side by side.
 
-    python -m benchmarks.throughput                  minutes; writes docs/results/throughput.json and .md
+    python -m benchmarks.throughput                  minutes; writes docs/results/throughput.*
     python -m benchmarks.throughput --smoke --out X  every part in seconds, numbers without meaning
 
-Torque commands are random, one a control period, held for eight; resets included. Everything is measured in turns;
-each figure is a median over rounds with the lowest and the highest. Run it on an idle machine.
+Torque commands are random, one a control period, held for eight; resets included. Everything is
+measured in turns; each figure is a median over rounds with the lowest and the highest. Run it on an
+idle machine.
 """
 
 import itertools
@@ -21,8 +22,8 @@ from benchmarks.common import machine, machine_text, ready, spread, study_option
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env.cli.running import leave, run
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
-from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 
 NAME = "throughput"
 HELD = 8  # steps that a random command is held
@@ -83,7 +84,9 @@ def runners(size: int, threads: int) -> dict[str, Runner]:
 
 
 def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, list[float]]:
-    """Steps a second of each runner in each round, measured in turns after one turn of warming up."""
+    """Steps a second of each runner in each round, measured in turns after one turn of warming
+    up.
+    """
     found: dict[str, list[float]] = {name: [] for name in runners}
     for turn in range(rounds + 1):
         for name, runner in runners.items():
@@ -108,7 +111,10 @@ def command(smoke: bool, out: Path) -> None:
     found = rates(runners(size, min(2, about["cores"])), seconds, rounds)
     speeds = {name: spread(values) for name, values in found.items()}
     write_json(file, {"machine": about, "size": size, "rates": speeds})
-    text = f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on {machine_text(about)}."
+    text = (
+        f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on "
+        f"{machine_text(about)}."
+    )
     rows = [
         (name, *(f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high")))
         for name, v in speeds.items()

@@ -1,15 +1,18 @@
-"""Make measurement tables of the single-wheel runs of Pavlov and Johnson (Carnegie Mellon University).
+"""Make measurement tables of the single-wheel runs of Pavlov and Johnson (Carnegie Mellon
+University).
 
     git clone https://github.com/robomechanics/3d-terramechanics
     python examples/cmu_rig.py 3d-terramechanics --out tables
     soil-env discover tables/smooth.csv --setup tables/smooth.setup.yaml --out smooth
 
-Writes smooth.csv, grouser.csv and beside each its setup. A row is one straight run: the mean over 70 to 75 s at a
-travel speed of 10 mm/s; the rim speed sets the slip. Signs are those of the repository's average_data_to_model.m.
+Writes smooth.csv, grouser.csv and beside each its setup. A row is one straight run: the mean over
+70 to 75 s at a travel speed of 10 mm/s; the rim speed sets the slip. Signs are those of the
+repository's average_data_to_model.m.
 
-Cautions: radius and width are uncertain by 4 and 10 mm, and the zero of the sinkage by a few mm, the same for all
-slips. There is no torque, one load (about 24 N) and one travel speed. Cohesion and K of set_soil_params.m were tuned to
-these runs, so they are no prior knowledge and are not in the setup.
+Cautions: radius and width are uncertain by 4 and 10 mm, and the zero of the sinkage by a few mm,
+the same for all slips. There is no torque, one load (about 24 N) and one travel speed. Cohesion and
+K of set_soil_params.m were tuned to these runs, so they are no prior knowledge and are not in the
+setup.
 """
 
 import argparse
@@ -26,13 +29,14 @@ FILES = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
 FIELDS = ("beta", "Vry", "avg_Vry", "slip", "avg_Fy", "avg_Fz", "avg_Z")
 HEADER = ("run", "time", "slip", "load", "speed", "sinkage", "drawbar_pull")
 RADIUS = 0.058  # [m] set_rover_params.m
-WIDTH = 0.05
+WIDTH = 0.05  # [m] the same
 GROUSER_HEIGHT = {"smooth": 0.0, "grouser": 0.005}  # [m] the same
-TRAVEL = 10.0  # [mm/s] nominal; [s] middle of the averages
-WINDOW = 72.5
-#: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, from p = k z^n of the 18 flat plates of the repository:
-#: the median n, and the median pressure at 20 mm, amid the wheels' 14 to 26 mm. k and n are correlated from plate to
-#: plate: the sd of S is the scatter of ln k at a given n, and that of n what the scatter of ln p at 20 mm leaves.
+TRAVEL = 10.0  # [mm/s] nominal
+WINDOW = 72.5  # [s] middle of the averages
+#: Sinkage coefficient [N/m^(n+2)] and exponent with their sd, from p = k z^n of the 18 flat plates
+#: of the repository: the median n, and the median pressure at 20 mm, amid the wheels' 14 to 26 mm.
+#: k and n are correlated from plate to plate: the sd of S is the scatter of ln k at a given n, and
+#: that of n what the scatter of ln p at 20 mm leaves.
 PLATES = (7.63e6, 1.9e6, 1.44, 0.029)
 
 
@@ -58,8 +62,9 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
         expected = (rim - TRAVEL) / max(TRAVEL, rim)
         if not (abs(run["slip"] - expected) <= 1e-3 and load > 0.0 and abs(sinkage) < RADIUS):
             raise ParameterError(
-                f"{path}: all_results({number}): slip = {run['slip']:g}, avg_Fz = {-load:g}, avg_Z = {run['avg_Z']:g}: "
-                f"expected slip {expected:.4g} of that rim speed, the load downward in N and mm within the wheel"
+                f"{path}: all_results({number}): slip = {run['slip']:g}, avg_Fz = {-load:g}, avg_Z "
+                f"= {run['avg_Z']:g}: expected slip {expected:.4g} of that rim speed, the load "
+                "downward in N and mm within the wheel"
             )
         repeats[run["Vry"]] = repeats.get(run["Vry"], 0) + 1
         name = f"{wheel} rim {run['Vry']:g} mm/s #{repeats[run['Vry']]}"
@@ -75,13 +80,15 @@ def read_runs(path: Path, wheel: str) -> list[tuple]:
 def setup_text(wheel: str) -> str:
     """Setup of a wheel as YAML."""
     coefficient, coefficient_sd, exponent, exponent_sd = PLATES
+    size = f"radius: {RADIUS:g}, width: {WIDTH:g}, grouser_height: {GROUSER_HEIGHT[wheel]:g}"
+    plates = f"value: {coefficient:.0f}, sd: {coefficient_sd:.0f}"
     return f"""\
 # {wheel} wheel of Pavlov and Johnson, github.com/robomechanics/3d-terramechanics, MIT licence
-wheel: {{radius: {RADIUS:g}, width: {WIDTH:g}, grouser_height: {GROUSER_HEIGHT[wheel]:g}}}   # set_rover_params.m
+wheel: {{{size}}}   # set_rover_params.m
 soil:
-  sinkage_coefficient: {{value: {coefficient:.0f}, sd: {coefficient_sd:.0f}}}   # N/m^(n+2), flat plates
+  sinkage_coefficient: {{{plates}}}   # N/m^(n+2), flat plates
   sinkage_exponent: {{value: {exponent:g}, sd: {exponent_sd:g}}}
-  friction_angle_deg: {{value: 29, sd: 3}}   # angle of repose (set_soil_params.m), that of loose dry sand
+  friction_angle_deg: {{value: 29, sd: 3}}   # angle of repose of loose dry sand, set_soil_params.m
   density: 1330   # kg/m3, set_soil_params.m
   # cohesion and shear_modulus left out: fitted
 # noise left out: from the repeats, three of each rim speed, where they are at one slip
@@ -89,7 +96,9 @@ soil:
 
 
 def convert(path: Path, out: Path) -> dict[str, int]:
-    """Read the files in `path`, or in its raw-data-processing, and write tables and setups; runs by wheel."""
+    """Read the files in `path`, or in its raw-data-processing, and write tables and setups; runs by
+    wheel.
+    """
     home = next(
         (p for p in (path, path / "raw-data-processing") if (p / FILES["smooth"]).is_file()), None
     )

@@ -1,9 +1,11 @@
-"""Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and identify the soil.
+"""Record a drive of SoilWheel-v0 into a ROS 2 bag (MCAP) with standard messages, read it back, and
+identify the soil.
 
-The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed), WrenchStamped (drawbar
-pull, load), Imu (orientation, acceleration), Range (hub to ground) and Float64 (slip, motor torque). The
-estimates from the bag agree with those of the drive to three digits. `soil-env logs BAG --map MAP --out DIR`
-reads it too and writes a report. Needs `pip install "soil_env[logs]"`, no ROS.
+The bag has the messages of a rover: JointState (wheel speed, torque), Odometry (travel speed),
+WrenchStamped (drawbar pull, load), Imu (orientation, acceleration), Range (hub to ground) and
+Float64 (slip, motor torque). The estimates from the bag agree with those of the drive to three
+digits. `soil-env logs BAG --map MAP --out DIR` reads it too and writes a report. Needs
+`pip install "soil_env[logs]"`, no ROS.
 
     python examples/record_bag.py    writes drive/ (the bag) and drive.map.yaml
     soil-env logs drive --map drive.map.yaml --out drive.report
@@ -89,9 +91,8 @@ class Recorder:
             vector(reading["drawbar_pull"], 0.0, reading["load"]), zero
         )
         self.write("/wheel/wrench", seconds, "geometry_msgs/msg/WrenchStamped", force)
-        half = (
-            -0.5 * reading["pitch"]
-        )  # REP 103: a positive rotation about y, to the left, is nose down
+        # REP 103: a positive rotation about y, to the left, is nose down.
+        half = -0.5 * reading["pitch"]
         up = quaternion(0.0, math.sin(half), 0.0, math.cos(half))
         unknown = np.array([-1.0, *[0.0] * 8])  # "not measured" of sensor_msgs/Imu
         felt = vector(reading["acceleration"], 0.0, 0.0)
@@ -124,7 +125,9 @@ class Recorder:
 
 
 def drive(recorder: Recorder, seed: int, steps: int):
-    """Drive one course, record it; the scenario and the estimates that the environment gave on the way."""
+    """Drive one course, record it; the scenario and the estimates that the environment gave on the
+    way.
+    """
     env = gymnasium.make("soil_env:SoilWheel-v0", action="torque", scaled=False).unwrapped
     names = env.observation_names
     scenario = env.scenario
@@ -223,7 +226,8 @@ def main() -> None:
                 worst, float(np.max(np.abs(values - given) / np.maximum(np.abs(given), 1e-9)))
             )
     print(
-        f"{len(online)} sets of readings; phi {found.values['friction_angle_deg'][-1]:.2f} deg at the end"
+        f"{len(online)} sets of readings; phi {found.values['friction_angle_deg'][-1]:.2f} deg at "
+        "the end"
     )
     print(
         f"largest relative difference of an estimate from the bag to that of the drive: {worst:.1e}"

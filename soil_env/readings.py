@@ -1,3 +1,6 @@
-"""Names of `soil_env.parameters` about readings, at an earlier path of theirs."""
+"""Readings of a wheel: the public path of `parameters.readings`."""
 
-from soil_env.parameters import SensorReading as SensorReading, sensor_noise as sensor_noise
+from soil_env.parameters.readings import (
+    SensorReading as SensorReading,
+    sensor_noise as sensor_noise,
+)

@@ -17,11 +17,11 @@ for name, value in (
 ):
     os.environ.setdefault(name, value)
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(
-        name, "1"
-    )  # matrices and networks are small, and as many tests run as there are cores
+    # Matrices and networks are small, and as many tests run as there are cores.
+    os.environ.setdefault(name, "1")
 
-# A shell starts what runs in the background with Ctrl-C ignored, and processes started from here would inherit that.
+# A shell starts what runs in the background with Ctrl-C ignored, and processes started from here
+# would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
@@ -41,7 +41,9 @@ def importable(monkeypatch):
 
 @pytest.fixture()
 def unrendered(monkeypatch):
-    """Figures are composed but not rendered, which takes longer than what many a small study computes."""
+    """Figures are composed but not rendered, which takes longer than what many a small study
+    computes.
+    """
     from matplotlib.figure import Figure
 
     monkeypatch.setattr(

@@ -1,7 +1,8 @@
 """Random valid configurations of the environment for tests/test_fuzz.py.
 
-Everything the loaders accept can be drawn; sizes are related to each other (a wheel's load to its area, its torque to
-its load), since else no course would be passable. What the loaders refuse is refused here too (`ParameterError`).
+Everything the loaders accept can be drawn; sizes are related to each other (a wheel's load to its
+area, its torque to its load), since else no course would be passable. What the loaders refuse is
+refused here too (`ParameterError`).
 """
 
 import dataclasses
@@ -57,7 +58,10 @@ class Case:
 
 
 def draw_case(choices: Random, most_substeps: int = 60) -> Case:
-    """Draw a configuration of at most `most_substeps` steps a control period. Raises `ParameterError` if refused."""
+    """Draw a configuration of at most `most_substeps` steps a control period.
+
+    Raises `ParameterError` if refused.
+    """
     changes = _scenario(choices, most_substeps)
     scenario = load_scenario(choices.pick(scenario_names()), changes)
     model = _model(choices, scenario) if choices.pick([True, False]) else None
@@ -73,7 +77,9 @@ def _pair(choices: Random, low: float, high: float) -> list[float]:
 
 
 def _within(c: Random, f: dataclasses.Field) -> float:
-    """Draw a number within the bounds of a parameter, by ratio where they are more than a factor of 100 apart."""
+    """Draw a number within the bounds of a parameter, by ratio where they are more than a factor of
+    100 apart.
+    """
     low = f.metadata["low"]
     high = f.metadata["high"]
     return _log(c, low, high) if low > 0.0 and high > 100.0 * low else c.number(low, high)
@@ -178,7 +184,9 @@ def _noise(c: Random) -> dict:
 
 
 def _model(c: Random, scenario: Scenario) -> WheelSoilModel:
-    """One to four effects with parameters of the size of their prior, or anywhere in their bounds."""
+    """One to four effects with parameters of the size of their prior, or anywhere in their
+    bounds.
+    """
     w = scenario.wheel
     wide = c.pick([False, False, False, True])
     effects = {}

@@ -1,10 +1,11 @@
 """The oracle: numbers that the code gave before it was rewritten, and that it has to go on giving.
 
-    pytest tests/test_oracle.py                         run all cases, compare them with tests/data/oracle.npz
-    python -m tests.oracle                              write tests/data/oracle.npz anew, as results are meant to change
-    python -m tests.oracle --only trajectory/,effect/   the same for these cases; the others stay as recorded
+    pytest tests/test_oracle.py run all cases, compare them with tests/data/oracle.npz python -m
+    tests.oracle write tests/data/oracle.npz anew, as results are meant to change python -m
+    tests.oracle --only trajectory/,effect/ the same for these cases; the others stay as recorded
 
-A case gives named quantities, each an array of numbers or a text. Cases go through the public interface alone.
+A case gives named quantities, each an array of numbers or a text. Cases go through the public
+interface alone.
 """
 
 import argparse
@@ -19,9 +20,8 @@ from tests import oracle_cases
 FILE = Path(__file__).parent / "data" / "oracle.npz"
 TOLERANCE = 1e-9  # of the largest value that a quantity has over the case
 SINGLE = 1.2e-7  # the same for float32, whose last digit may be rounded the other way
-SEARCHED = (
-    1e-4  # the same for results of an optimiser, which stops elsewhere on another processor or BLAS
-)
+#: The same for results of an optimiser, which stops elsewhere on another processor or BLAS.
+SEARCHED = 1e-4
 
 
 def tolerance(case: str, values: np.ndarray) -> float:
@@ -32,7 +32,9 @@ def tolerance(case: str, values: np.ndarray) -> float:
 
 
 def differences(want: np.ndarray, got: np.ndarray) -> np.ndarray:
-    """|got - want| over the scale of the quantity: the largest |want| along the first axis; inf where one is nan."""
+    """|got - want| over the scale of the quantity: the largest |want| along the first axis; inf
+    where one is nan.
+    """
     want = np.asarray(want, float)
     got = np.asarray(got, float)
     scale = np.max(np.abs(np.where(np.isfinite(want), want, 0.0)), axis=0)
@@ -43,7 +45,10 @@ def differences(want: np.ndarray, got: np.ndarray) -> np.ndarray:
 
 
 def first_difference(case: str, want: dict, got: dict) -> str | None:
-    """One line on the earliest value of a case that is not the recorded one; None if all are. More may have come."""
+    """One line on the earliest value of a case that is not the recorded one; None if all are.
+
+    More may have come.
+    """
     missing = [name for name in want if name not in got]
     if missing:
         return f"{case}: {len(missing)} quantities are missing, the first {missing[0]!r}"
@@ -68,8 +73,11 @@ def first_difference(case: str, want: dict, got: dict) -> str | None:
                     (
                         at[0],
                         -off[at],
-                        f"{case}: {name} at {list(at)}{when}: {new[at]:.15g} instead of {old[at]:.15g}, "
-                        f"relative difference {off[at]:.2g}, tolerance {limit:.1g}",
+                        (
+                            f"{case}: {name} at {list(at)}{when}: {new[at]:.15g} instead of "
+                            f"{old[at]:.15g}, relative difference {off[at]:.2g}, tolerance "
+                            f"{limit:.1g}"
+                        ),
                     )
                 )
     return min(found)[2] if found else None

@@ -1,4 +1,6 @@
-"""The cases of the oracle (tests/oracle.py): `CASES` maps a name to a function of nothing that gives its quantities."""
+"""The cases of the oracle (tests/oracle.py): `CASES` maps a name to a function of nothing that
+gives its quantities.
+"""
 
 from functools import partial
 

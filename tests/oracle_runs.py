@@ -1,4 +1,6 @@
-"""Runs of the cases of the oracle (tests/oracle_cases.py), through the public interface: {quantity: array or text}."""
+"""Runs of the cases of the oracle (tests/oracle_cases.py), through the public interface: {quantity:
+array or text}.
+"""
 
 import math
 from pathlib import Path
@@ -36,14 +38,17 @@ def action(k: int, level: float) -> float:
     return -0.3 if k % 97 >= 92 else level + 0.2 * math.sin(0.17 * k)
 
 
-#: A constant; and probabilities by a network, whose weights are trained anew without a change of any law.
+#: A constant; and probabilities by a network, whose weights are trained anew without a change of
+#: any law.
 _LEFT_OUT = ("torque_available", "immobilised_within")
 
 
 def drive(level: float, steps: int = 252, seed: int = 3, env=None, **options) -> dict:
-    """Observations and states of a vehicle every `EVERY` steps; it starts again where an episode ends.
+    """Observations and states of a vehicle every `EVERY` steps; it starts again where an episode
+    ends.
 
-    Each axle has its own command. The vehicle is the wheel of the keyword arguments, or that of `env`.
+    Each axle has its own command. The vehicle is the wheel of the keyword arguments, or that of
+    `env`.
     """
     rover = env is not None
     env = env if rover else make(disable_env_checker=True, info="full", **options)
@@ -78,7 +83,9 @@ def drive_rover(**options) -> dict:
 
 
 def drive_many(count: int, steps: int = 200, **options) -> dict:
-    """The same of several wheels at once, each at a level of its own; the wheels end and start again."""
+    """The same of several wheels at once, each at a level of its own; the wheels end and start
+    again.
+    """
     env = make(
         gymnasium.make_vec, num_envs=count, vectorization_mode="vector_entry_point", **options
     )
@@ -94,9 +101,8 @@ def drive_many(count: int, steps: int = 200, **options) -> dict:
         observation, reward, terminated, truncated, info = env.step(levels)
         total = total + reward
         over = terminated | truncated
-        cause = info.get("final_info", info)[
-            "cause"
-        ]  # in SameStep mode `info` is of after the reset
+        # In SameStep mode `info` is of after the reset.
+        cause = info.get("final_info", info)["cause"]
         ends += [f"{k} {j} {cause[j]}" for j in np.flatnonzero(over)]
         if k % 25 == 24:
             for name, value in zip(out, (float(k), observation, total, info["x"]), strict=True):

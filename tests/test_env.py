@@ -1,4 +1,6 @@
-"""Environments of a wheel and of a rover: checkers, determinism, copies, actions, arguments, ends, info."""
+"""Environments of a wheel and of a rover: checkers, determinism, copies, actions, arguments, ends,
+info.
+"""
 
 import copy
 import math
@@ -13,7 +15,7 @@ import yaml
 from gymnasium.utils.env_checker import check_env
 
 from soil_env._io.loading import config_dir
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import (
     ParameterError,
     load_rover,
@@ -21,7 +23,7 @@ from soil_env.parameters import (
     rover_names,
     scenario_names,
 )
-from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS, Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_working_point
@@ -36,7 +38,9 @@ ALL = pytest.mark.parametrize(
 
 
 def run(env, seed, steps, command=None):
-    """(observations, rewards, infos) of steps until the end under random, held actions, or always the same one."""
+    """(observations, rewards, infos) of steps until the end under random, held actions, or always
+    the same one.
+    """
     rng = np.random.default_rng(0)
     motors = env.action_space.shape
     observation, info = env.reset(seed=seed)
@@ -86,7 +90,9 @@ def test_a_seed_is_a_course_and_its_noise(make, mode):
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("name", [*scenario_names(), *rover_names()])
 def test_checkers(name, variant):
-    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden world."""
+    """Checkers of gymnasium and SB3, for a wheel with and without the effects of a shipped hidden
+    world.
+    """
     sb3 = pytest.importorskip("stable_baselines3.common.env_checker")
     number = len(VARIANTS) * [*scenario_names(), *rover_names()].index(name) + VARIANTS.index(
         variant
@@ -135,7 +141,9 @@ def test_registration_of_the_rover():
 
 
 def test_the_length_of_an_episode_is_that_of_the_scenario():
-    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the same step."""
+    """Wrappers ask `spec.max_episode_steps` for it; registered, it would cut every scenario at the
+    same step.
+    """
     env = gymnasium.wrappers.TimeAwareObservation(
         gymnasium.make("SoilWheel-v0", course={"length": 50.0}, control={"time_limit": 100.0}),
         normalize_time=True,
@@ -271,11 +279,8 @@ def test_halts_happen_and_ignore_the_action(make):
     for in_halt in (0.5, -1.0):
         rows = [env.reset(seed=1)[0]]
         for _ in range(80):
-            rows.append(
-                env.step(np.full(env.action_space.shape, in_halt if rows[-1][halted[0]] else 0.5))[
-                    0
-                ]
-            )
+            action = in_halt if rows[-1][halted[0]] else 0.5
+            rows.append(env.step(np.full(env.action_space.shape, action))[0])
         halts.append(np.array(rows))
     np.testing.assert_array_equal(*halts)
     rows = halts[0]
@@ -339,7 +344,9 @@ def test_bad_arguments_are_named(make, arguments, message):
 
 @ALL
 def test_an_unknown_keyword_is_the_error_of_python_too(make):
-    """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes back."""
+    """TorchRL's GymEnv tries `frameskip=...` and goes on without where such a TypeError comes
+    back.
+    """
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'") as raised:
         make(frameskip=1)
     assert isinstance(raised.value, ParameterError)
@@ -405,7 +412,9 @@ def test_the_deepest_wheel_is_bogged():
 
 
 def test_info_is_as_documented():
-    """Estimates as in the observation, the state as the sensors read it, and rewards the sum of their terms."""
+    """Estimates as in the observation, the state as the sensors read it, and rewards the sum of
+    their terms.
+    """
     env = SoilWheelEnv(course={"length": 3.0}, action="torque")
     causes = set()
     noise = env.scenario.noise

@@ -1,6 +1,6 @@
-"""Random configurations, random and extreme commands: no NaN, no exception, and the invariants hold.
+"""Random configurations and extreme commands: no NaN, no exception, and the invariants hold.
 
-    SOIL_ENV_FUZZ=500 python -m pytest tests/test_fuzz.py      that many configurations, a million steps
+    SOIL_ENV_FUZZ=500 python -m pytest tests/test_fuzz.py    that many configurations
 
 The checks are tested too: faults are planted.
 """
@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
 from soil_env._numba.compiling import compiled_root
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import REWARD_TERMS
 from soil_env.simulation.world.dynamics import MOST_STEPS
 from soil_env.simulation.world.terrain import ground_at
@@ -25,7 +25,8 @@ from soil_env.terramechanics.reaction import REST_SPEED
 from tests.fuzz_cases import Case, Random, draw_case
 
 CASES = int(os.environ.get("SOIL_ENV_FUZZ", "40"))
-#: Cases that broke once: an estimate whose exponential overflowed, a wheel that stood still for a control period.
+#: Cases that broke once: an estimate whose exponential overflowed, a wheel that stood still for a
+#: control period.
 BROKEN_ONCE = (40, 106)
 
 
@@ -88,12 +89,14 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
 
     The stages of a step, multiplied by their speeds and summed, are an energy balance:
 
-        motor work = d(m V^2/2 + J w^2/2) + work against gravity + sum of h_i (T w - DP V) + numerical work + e
+        motor work = d(m V^2/2 + J w^2/2) + work against gravity
+                     + sum of h_i (T w - DP V) + numerical work + e
 
-    The sum is the work on soil and drivetrain. The Newton iteration leaves e, at most 1e-4 m/s (m |V| + J |w|/r)
-    a stage. The gain of height comes from the course itself, by quadrature over the distance. Where the grade changes
-    it differs from the sum of the stages by m g times the distance times its change within a step. A wheel that starts
-    or stops may do so anywhere in a step: all of its gain of height counts as uncertain.
+    The sum is the work on soil and drivetrain. The Newton iteration leaves e, at most 1e-4 m/s (m
+    |V| + J |w|/r) a stage. The gain of height comes from the course itself, by quadrature over the
+    distance. Where the grade changes it differs from the sum of the stages by m g times the
+    distance times its change within a step. A wheel that starts or stops may do so anywhere in a
+    step: all of its gain of height counts as uncertain.
     """
     after = worlds.state
     r = scenario.wheel.radius
@@ -139,10 +142,12 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
 
 
 def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
-    """{name of an invariant: wheels [N] that break it} of one step of a vector env; those that hold are left out.
+    """{name of an invariant: wheels [N] that break it} of one step of a vector env; those that hold
+    are left out.
 
-    `stepped` [N] are the wheels that were driven, the others were reset; `out` is what `step` returned. Of wheels that
-    ended and were reset in this step (SAME_STEP) the terms of the reward are those of `final_info`.
+    `stepped` [N] are the wheels that were driven, the others were reset; `out` is what `step`
+    returned. Of wheels that ended and were reset in this step (SAME_STEP) the terms of the reward
+    are those of `final_info`.
     """
     observation, reward, terminated, truncated, info = out
     worlds = env.simulation.worlds
@@ -226,9 +231,8 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
             stepped = ~ended
             done = np.zeros(wheels, dtype=bool)
-            before.data[:, :wheels][:, ended] = env.simulation.worlds.state.data[:, :wheels][
-                :, ended
-            ]
+            state = env.simulation.worlds.state.data[:, :wheels]
+            before.data[:, :wheels][:, ended] = state[:, ended]
         else:
             stepped = ~done
             done = ended
@@ -248,7 +252,8 @@ def unbalanced(env, before, stepped, case: Case) -> dict[str, np.ndarray]:
         "motor work = work against resistance, grade and inertia": sure
         & (np.abs(balance.gap - balance.integrator) > slack)
     }
-    # A residual law is no law of nature; the thrust of lugs acts beyond the rim by which their slip is counted.
+    # A residual law is no law of nature; the thrust of lugs acts beyond the rim by which their slip
+    # is counted.
     if case.model is None or not (
         case.model.residual or "blades" in case.model.effects.get("grousers", {})
     ):
@@ -310,7 +315,9 @@ def test_a_planted_fault_is_found(where, name, plant):
 
 
 def lost_and_turnover(substep):
-    """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the turnover [J]."""
+    """Energy that the integrator takes or gives in 3 s of driving with a changing command, and the
+    turnover [J].
+    """
     changes = {
         "control": {"substep": substep},
         "noise": {"slip": 0.0},
@@ -318,7 +325,8 @@ def lost_and_turnover(substep):
     }
     env = SoilWheelVectorEnv(8, "mixed", action="torque", threads=1, **changes)
     env.reset(seed=4)
-    lost = turnover = 0.0
+    lost = 0.0
+    turnover = 0.0
     for step in range(30):
         before = env.simulation.worlds.state.copy()
         env.step(np.full((8, 1), 0.35 + 0.1 * math.sin(0.5 * step)))
@@ -330,7 +338,9 @@ def lost_and_turnover(substep):
 
 
 def test_the_integrator_loses_energy_of_second_order():
-    """In all a fourth with steps half as long, once they are short against the time constants; little at 0.1 s."""
+    """In all a fourth with steps half as long, once they are short against the time constants;
+    little at 0.1 s.
+    """
     lost = [lost_and_turnover(h)[0] for h in (2e-3, 1e-3, 5e-4)]
     assert all(2.5 < a / b < 8.0 for a, b in itertools.pairwise(lost))
     taken, turnover = lost_and_turnover(0.1)

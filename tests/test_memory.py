@@ -1,4 +1,6 @@
-"""Memory over many steps: after the first tenth, in which caches fill, the process may not grow by more than 2 MB."""
+"""Memory over many steps: after the first tenth, in which caches fill, the process may not grow by
+more than 2 MB.
+"""
 
 import gc
 import os
@@ -8,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import config_dir
 
 MOST = 2.0  # MB

@@ -1,4 +1,6 @@
-"""The online identifier by itself: that of the environment, and what it makes of channels that are missing."""
+"""The online identifier by itself: that of the environment, and what it makes of channels that are
+missing.
+"""
 
 import dataclasses
 import math
@@ -56,7 +58,8 @@ NO_FORCE = dict.fromkeys(("torque", "drawbar_pull", "motor_torque", "acceleratio
 
 
 def known(drive, **missing):
-    """(least standard deviations of phi, ln K, ln S and the digging gain over those of the prior, identifier).
+    """(least standard deviations of phi, ln K, ln S and the digging gain over those of the prior,
+    identifier).
 
     Over 100 periods in one soil, with fields replaced.
     """
@@ -99,13 +102,14 @@ def test_it_is_the_identifier_of_the_environment(drive):
 
 
 def test_without_a_channel_less_is_known(drive):
-    """Order of the uncertainties: little is known of shear where neither pull nor torque is read."""
+    """Order of the uncertainties: little is known of shear where neither pull nor torque is
+    read.
+    """
     whole = known(drive)[0]
     none = known(drive, **NO_FORCE)[0]
     for name in ("torque", "drawbar_pull", "load"):
-        part = known(drive, **{name: math.nan})[
-            0
-        ]  # of another estimate, and so not less to the last digit
+        # Of another estimate, and so not less to the last digit.
+        part = known(drive, **{name: math.nan})[0]
         assert 0.9 * whole[1] < part[1] < 0.6
     assert none[1] > 0.65 and none[2] < 0.7
     for name in ("motor_torque", "acceleration"):
@@ -117,7 +121,9 @@ def test_without_a_channel_less_is_known(drive):
 
 
 def test_without_any_force_nothing_is_known_but_the_stiffness(drive):
-    """Load known by the mass of the wheel alone, which is doubted by 5 %; the mass stays as it is."""
+    """Load known by the mass of the wheel alone, which is doubted by 5 %; the mass stays as it
+    is.
+    """
     sd, identifier = known(drive, load=math.nan, **NO_FORCE)
     assert sd[2] < 0.8 and sd[0] > 0.8
     point = identifier._ids.banks.point
@@ -130,7 +136,9 @@ STEADY = Readings(2.5, 0.28, 0.022, 14.0, 147.0, 5.5, 0.25)
 
 
 def test_what_stands_for_pull_and_torque():
-    """Pull = m a; the motor torque turns the wheel, whose inertia costs none at a constant speed."""
+    """Pull = m a; the motor torque turns the wheel, whose inertia costs none at a constant
+    speed.
+    """
     exact = Noise(acceleration=0.01 * 9.81)
     one = OnlineIdentifier(WHEEL, BELIEF, exact)
     other = OnlineIdentifier(WHEEL, BELIEF, exact)
@@ -198,7 +206,9 @@ def test_bad_readings_are_refused_and_leave_no_trace(wrong):
 
 
 def test_whatever_is_admitted_gives_a_soil():
-    """Readings up to their limits, of any sign, some missing: finite numbers, a valid `Soil`, no warning."""
+    """Readings up to their limits, of any sign, some missing: finite numbers, a valid `Soil`, no
+    warning.
+    """
     rng = np.random.default_rng(3)
     limits = largest_readings(WHEEL)[:10]
     with warnings.catch_warnings():
@@ -225,7 +235,9 @@ def test_whatever_is_admitted_gives_a_soil():
 
 
 def test_time_stamps_count_as_time():
-    """Five readings a quarter of a second apart go 5 times as far as at 0.05 s: the open point is closed before."""
+    """Five readings a quarter of a second apart go 5 times as far as at 0.05 s: the open point is
+    closed before.
+    """
     renewed = []
     for dt in (0.25, 0.05):
         identifier = OnlineIdentifier(WHEEL)
@@ -253,7 +265,9 @@ def test_reset_and_copy():
 
 
 def test_a_wheel_that_is_lifted_at_first_does_not_begin_its_mass(drive):
-    """Loads of nothing in the first periods: the wheel has its weight afterwards, not next to none for ever."""
+    """Loads of nothing in the first periods: the wheel has its weight afterwards, not next to none
+    for ever.
+    """
     scenario, readings, _ = drive
     own = OnlineIdentifier.of_scenario(scenario)
     for k, reading in enumerate(readings):

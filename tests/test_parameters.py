@@ -137,7 +137,9 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
 
 
 def test_a_soil_digs_only_where_it_says_so():
-    """`Soil()` under a wheel is the base model of Eqs. (1)-(10), which the identification fits: no slip-sinkage."""
+    """`Soil()` under a wheel is the base model of Eqs. (1)-(10), which the identification fits: no
+    slip-sinkage.
+    """
     wheel = ModelWheel(0.15, 0.12)
     slip = [0.1, 0.6]
     bare = WheelSoilModel(wheel, Soil(**SOIL_S)).predict({"slip": slip, "load": 100.0})

@@ -1,4 +1,6 @@
-"""Processes and threads: an environment is the same wherever it is stepped, and does not outlive its close."""
+"""Processes and threads: an environment is the same wherever it is stepped, and does not outlive
+its close.
+"""
 
 import multiprocessing
 import threading
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
 
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 
 SHORT = {"course": {"length": 2.0}}
 ACTION = np.array([0.45], dtype=np.float32)

@@ -1,4 +1,6 @@
-"""The definition of slip: its values, its inverses, and that numbers and arrays give the same bits."""
+"""The definition of slip: its values, its inverses, and that numbers and arrays give the same
+bits.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""Vector environments of wheels and of rovers: bit for bit the single ones, in every autoreset mode."""
+"""Vector environments of wheels and of rovers: bit for bit the single ones, in every autoreset
+mode.
+"""
 
 from typing import Any, NamedTuple
 
@@ -7,11 +9,11 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from soil_env.driving.infos import flat
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv
+from soil_env.envs.infos import flat
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.identification import Status
 from soil_env.parameters import rover_names
-from soil_env.rover_env import SoilRoverEnv, SoilRoverVectorEnv
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -34,20 +36,14 @@ WHEEL = Kind(
     SoilWheelVectorEnv,
     "SoilWheel-v0",
     1,
-    {
-        "course": {"length": 2.0},
-        "control": {"action": "torque", "time_limit": 4.5},
-    },
+    {"course": {"length": 2.0}, "control": {"action": "torque", "time_limit": 4.5}},
 )
 ROVER = Kind(
     SoilRoverEnv,
     SoilRoverVectorEnv,
     "SoilRover-v0",
     2,
-    {
-        "course": {"length": 1.0},
-        "control": {"time_limit": 5.0},
-    },
+    {"course": {"length": 1.0}, "control": {"time_limit": 5.0}},
 )
 WORLD = WheelSoilModel.from_content(
     {
@@ -64,7 +60,9 @@ KINDS = pytest.mark.parametrize("kind", [WHEEL, ROVER], ids=["wheel", "rover"])
 
 
 def actions(steps, vehicles, motors=1, seed=0):
-    """Held random actions [steps, vehicles, motors]: full throttle, full reverse and out of range among them."""
+    """Held random actions [steps, vehicles, motors]: full throttle, full reverse and out of range
+    among them.
+    """
     rng = np.random.default_rng(seed)
     held = rng.uniform(0.0, 1.0, (steps // 7 + 1, vehicles, motors))
     held[rng.random(held.shape) < 0.15] = 1.7
@@ -83,7 +81,9 @@ def same_info(info, k, scalar):
 
 
 def same_nested(info, k, scalar):
-    """A full info is that of a single environment: states to the bit, exponentials of estimates to rounding."""
+    """A full info is that of a single environment: states to the bit, exponentials of estimates to
+    rounding.
+    """
     for name, value in scalar.items():
         found = info[name] if isinstance(value, dict) else info[name][k]
         if isinstance(value, dict):
@@ -111,7 +111,9 @@ def same_nested(info, k, scalar):
     ],
 )
 def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
-    """Through ends and restarts; with two lines through the camera, choices at halts and the memory of classes."""
+    """Through ends and restarts; with two lines through the camera, choices at halts and the memory
+    of classes.
+    """
     lines = changes is TWO_LINES
     changes = {**kind.quick, "control": {"time_limit": 5.0}, "observation": variant, **changes}
     count, steps = (3, 450) if lines else (ROVERS, 70)
@@ -199,9 +201,8 @@ def test_flat_infos_are_the_same_numbers(kind, info):
         assert set(numbers) == set(arrays) == {name for name in synced if name[0] != "_"}
         expected = flat(nested) if kind is WHEEL else numbers
         for name, value in numbers.items():
-            assert (
-                isinstance(value, np.number) and value == expected[name]
-            )  # numpy's: TorchRL asks for a dtype
+            # Numpy's: TorchRL asks for a dtype.
+            assert isinstance(value, np.number) and value == expected[name]
             assert arrays[name][0] == pytest.approx(value, rel=1e-14) and synced[name][0] == value
         infos = [full.step(a[0])[4], one.step(a[0])[4], many.step(a)[4], sync.step(a)[4]]
     some = {
@@ -216,7 +217,9 @@ def test_flat_infos_are_the_same_numbers(kind, info):
 
 @KINDS
 def test_nothing_is_identified_unless_something_asks(kind):
-    """Observation, info or reward; without, the environment drives the same and its infos have no estimate."""
+    """Observation, info or reward; without, the environment drives the same and its infos have no
+    estimate.
+    """
     for asked in (
         {"observation": "identified"},
         {"info": "full"},

@@ -28,7 +28,9 @@ BOGIE = {"mass": 100.0, "axles": (0.0, 1.0, 2.2), "centre": 1.1, "centre_height"
     ],
 )
 def test_shares_are_those_of_statics(vehicle):
-    """Balance of forces, of moments about the front axle, and of those on the bogie about its pivot."""
+    """Balance of forces, of moments about the front axle, and of those on the bogie about its
+    pivot.
+    """
     shares = np.array(vehicle.shares)
     axles = np.array(vehicle.axles)
     assert shares.sum() == pytest.approx(1.0) and shares @ axles == pytest.approx(vehicle.centre)
@@ -39,7 +41,9 @@ def test_shares_are_those_of_statics(vehicle):
 
 @pytest.mark.parametrize("name", rover_names())
 def test_a_preset_is_sized_for_its_weight(name, tmp_path):
-    """Wheels bear equal masses on average, the motors turn them under their weight, and the file gives its sources."""
+    """Wheels bear equal masses on average, the motors turn them under their weight, and the file
+    gives its sources.
+    """
     rover = load_rover(name)
     assert rover.wheel.body_mass * 2 * rover.axles == pytest.approx(rover.vehicle.mass)
     assert (
@@ -94,9 +98,8 @@ def test_bad_rovers_are_named_in_one_line(changes, message):
 def test_wheels_and_rovers_are_not_taken_for_each_other(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(to_dict(load_scenario("mixed"))))
-    assert (
-        load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
-    )  # it has one then
+    # It has one then.
+    assert load_rover(path, {"vehicle": to_dict(load_rover().vehicle)}).axles == 2
     for load, which in (
         (load_rover, load_scenario("mixed")),
         (load_rover, "mixed"),

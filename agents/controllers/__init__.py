@@ -1,8 +1,10 @@
-"""Classical drive controllers with the interface of a Stable-Baselines3 model: `predict(observation, state, ...)`.
+"""Classical drive controllers with the interface of a Stable-Baselines3 model:
+`predict(observation, state, ...)`.
 
-They work on batches of observations [n, D] in their units and know the wheel of the scenario (radius, motor, weight).
-The true soil is an input of `best_slip_true` alone. All but `full_throttle` and `constant_torque` set a rim speed; the
-drive follows it with any action of the scenario. docs/guide/controllers.md has their table and laws.
+They work on batches of observations [n, D] in their units and know the wheel of the scenario
+(radius, motor, weight). The true soil is an input of `best_slip_true` alone. All but
+`full_throttle` and `constant_torque` set a rim speed; the drive follows it with any action of the
+scenario. docs/guide/controllers.md has their table and laws.
 """
 
 from soil_env._io.loading import ParameterError, number, unknown_key, unknown_value
@@ -30,8 +32,8 @@ CONTROLLERS: dict[str, type[Controller]] = {c.name: c for c in _ALL}
 def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) -> dict[str, float]:
     """Settings of the controller `name` as numbers.
 
-    ParameterError, in one line that begins with `where`, for an unknown key, a value that is no number, or a value that
-    the controller or the motor cannot hold.
+    ParameterError, in one line that begins with `where`, for an unknown key, a value that is no
+    number, or a value that the controller or the motor cannot hold.
     """
     if name not in CONTROLLERS:
         raise unknown_value(name, CONTROLLERS, "controller")
@@ -52,13 +54,16 @@ def checked_settings(name: str, scenario: Scenario, settings: dict, where: str) 
         if not 0.0 <= value <= high or (value == 0.0 and not setting.zero):
             bracket = "[" if setting.zero else "("
             raise ParameterError(
-                f"{where}.{key} = {given!r}: expected a number in {bracket}0, {high:.4g}] {setting.unit}"
+                f"{where}.{key} = {given!r}: expected a number in {bracket}0, {high:.4g}] "
+                f"{setting.unit}"
             )
         out[key] = value
     return out
 
 
 def make_controller(name: str, scenario: Scenario, **settings) -> Controller:
-    """A controller by name with its `settings` (`bounds` of its class); ParameterError as `checked_settings`."""
+    """A controller by name with its `settings` (`bounds` of its class); ParameterError as
+    `checked_settings`.
+    """
     values = checked_settings(name, scenario, settings, f"settings.{name}")
     return CONTROLLERS[name](scenario, **values)

@@ -1,4 +1,6 @@
-"""Base of the classical controllers: checked settings, and the control loop from a rim speed to an action."""
+"""Base of the classical controllers: checked settings, and the control loop from a rim speed to an
+action.
+"""
 
 import math
 from typing import NamedTuple
@@ -41,8 +43,9 @@ ACCELERATION = Setting(
 class Controller:
     """Base: a rim speed that the drive follows.
 
-    With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance follows it. With
-    `wheel_speed` and `rim_acceleration` the drive's own loop follows it, and its droop is compensated.
+    With `control.action = torque` a PI loop with feed-forward of grade and rolling resistance
+    follows it. With `wheel_speed` and `rim_acceleration` the drive's own loop follows it, and its
+    droop is compensated.
     """
 
     name = "controller"
@@ -61,12 +64,10 @@ class Controller:
         self.weight_torque = scenario.weight * wheel.radius
         self.action = scenario.control.action  # [s] between two actions
         self.period = scenario.control.duration
-        self.change = (
-            scenario.control.rim_acceleration * self.period / self.top_speed
-        )  # of command by an action of 1
-        self.gain = (
-            wheel.inertia / self.period
-        )  # [N m s]: a free wheel is on speed after one period
+        # Of command by an action of 1.
+        self.change = scenario.control.rim_acceleration * self.period / self.top_speed
+        # [N m s]: a free wheel is on speed after one period.
+        self.gain = wheel.inertia / self.period
         self.integral_gain = 0.68 * self.weight_torque  # [N m] per rad
         #: Values of the settings.
         self.settings = {
@@ -116,20 +117,23 @@ class Controller:
         return np.where(batch[:, self.column["choice"]] > 0.5, sign, action[:, 0])[:, None]
 
     def command(self, batch: np.ndarray, rim_speed: np.ndarray, state: dict) -> np.ndarray:
-        """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D]; advances `state`."""
+        """Actions [n, 1] float32 that follow a `rim_speed` [n] m/s, for observations [n, D];
+        advances `state`.
+        """
         if self.action == "torque":
             action = self._torque(batch, rim_speed, state) / self.stall
         else:
-            droop = (
-                batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
-            )  # of the drive's loop
+            # Of the drive's loop.
+            droop = batch[:, self.column["torque"]] * self.weight_torque / (10.0 * self.stall)
             action = rim_speed / self.top_speed + droop
             if self.action == "rim_acceleration":
                 action = (action - batch[:, self.column["rim_command"]]) / self.change
         return np.clip(action, -1.0, 1.0).astype(np.float32)[:, None]
 
     def begin(self, batch: np.ndarray, state: dict | None, fresh: np.ndarray) -> dict:
-        """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a course."""
+        """Copy of `state` for a call with observations [n, D]; rows that are `fresh` [n] begin a
+        course.
+        """
         if state is None or len(state["integral"]) != len(batch):
             state = {
                 name: np.zeros((len(batch), n) if n else len(batch))
@@ -170,7 +174,9 @@ class Ramped(Controller):
     memory = {**Controller.memory, "ramp": 0}
 
     def ramp(self, batch, state: dict, acceleration, speed):
-        """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s]; advances `state`."""
+        """Highest rim speed now [m/s], [n], for an acceleration [m/s2] up to a speed [m/s];
+        advances `state`.
+        """
         risen = np.minimum(state["ramp"] + acceleration * self.period, speed)
         state["ramp"] = np.where(self.halted(batch), 0.0, risen)
         return state["ramp"]

@@ -1,13 +1,16 @@
-"""Oracle: a planner on clones of the true world, as the limit of the task (model predictive control by sampling).
+"""Oracle: a planner on clones of the true world, as the limit of the task (model predictive control
+by sampling).
 
-Every half second each wheel is cloned (`soil_env.driving.cloning`) some dozens of times. Every clone drives a plan
-of its own to a horizon of several seconds, halts and ruts included: back away, ramp the rim speed up to a top speed,
-and later ramp to another speed. The wheel follows the plan with the best score: distance, less a penalty for sinkage.
-Plans are the present one, variations of it, soft starts with fixed settings, and random ones.
+Every half second each wheel is cloned (`soil_env.envs.cloning`) some dozens of times. Every
+clone drives a plan of its own to a horizon of several seconds, halts and ruts included: back away,
+ramp the rim speed up to a top speed, and later ramp to another speed. The wheel follows the plan
+with the best score: distance, less a penalty for sinkage. Plans are the present one, variations of
+it, soft starts with fixed settings, and random ones.
 
-The planner knows the true state, the ground ahead and the next halt. It does not know the sensor noise and the later
-halts, because its clones have random streams of their own. It tries few plans of one kind, so its rate of finished
-courses is a lower bound of the rate that is possible with a known ground.
+The planner knows the true state, the ground ahead and the next halt. It does not know the sensor
+noise and the later halts, because its clones have random streams of their own. It tries few plans
+of one kind, so its rate of finished courses is a lower bound of the rate that is possible with a
+known ground.
 """
 
 from __future__ import annotations
@@ -17,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import IDLE, STEP, Simulation
+from soil_env.envs.cloning import clone
+from soil_env.envs.wheels import IDLE, STEP, Simulation
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
@@ -26,19 +29,18 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .base import Ramped
 
 EVERY = 0.5  # [s] between two plans
-HORIZON = 11.0  # [s]
+HORIZON = 11.0  # [s] that a plan is driven ahead
 ACCELERATIONS = (0.03, 1.0)  # [m/s2] range of the plans, drawn evenly in the logarithm
-SPEEDS = (0.05, 1.0)  # [of the top rim speed]
-BACKING = (0.5, 4.0)  # [s] of going back, and the share of drawn plans that begin so
-BACKING_SHARE = 0.25
-BACK = -0.1  # [of the top rim speed]
-FIXED = tuple(
-    (a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8)
-)  # soft starts, tried every time
+SPEEDS = (0.05, 1.0)  # [of the top rim speed] range of the plans
+BACKING = (0.5, 4.0)  # [s] range of going back, of drawn plans
+BACKING_SHARE = 0.25  # share of the drawn plans that go back first
+BACK = -0.1  # [of the top rim speed] when going back
+#: Soft starts, tried every time.
+FIXED = tuple((a, v) for a in (0.04, 0.09, 0.2, 0.5) for v in (0.2, 0.45, 0.8))
 DEEP = 3.0  # [m] penalty of a wheel at the limit of sinkage
-VARIED = 10  # plans
-DRAWN = 14
-COUNT = 1 + VARIED + len(FIXED) + DRAWN
+VARIED = 10  # plans that vary the best one so far
+DRAWN = 14  # plans drawn anew
+COUNT = 1 + VARIED + len(FIXED) + DRAWN  # plans of a wheel, with that which it follows
 _FAILED = (Cause.ENTRAPPED.value, Cause.STALLED.value, Cause.BOGGED.value, Cause.TIME_LIMIT.value)
 _RUNNING = Cause.RUNNING.value
 _FINISHED = Cause.FINISHED.value
@@ -110,7 +112,9 @@ class Oracle:
     def attach(
         self, simulation: Simulation, threads: int | None, model: WheelSoilModel | None
     ) -> None:
-        """Set the simulation whose observations come next, which was made with `threads` and `model`."""
+        """Set the simulation whose observations come next, which was made with `threads` and
+        `model`.
+        """
         self.simulation = simulation
         wheels = simulation.worlds.cause.size
         self.clones = Simulation(
@@ -147,9 +151,8 @@ class Oracle:
         tried = self._candidates(self.driver.plans.at(due))
         clone(self.simulation, wheels, self.clones, places)
         streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
-        self.clones.worlds.streams[places] = np.repeat(
-            streams, COUNT
-        )  # the same noise for all plans of a wheel
+        # The same noise for all plans of a wheel.
+        self.clones.worlds.streams[places] = np.repeat(streams, COUNT)
         self.dreamer.plans = Plans(*(x.ravel() for x in tried))
         score = self._tried(
             batch[wheels], {name: values[wheels] for name, values in memory.items()}
@@ -229,7 +232,9 @@ class Oracle:
         return self._value(n, done)
 
     def _value(self, n: int, done: np.ndarray) -> np.ndarray:
-        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time saved by a finish."""
+        """Score [n]: distance [m], less penalties for failure, waiting and sinkage, plus the time
+        saved by a finish.
+        """
         w = self.clones.worlds
         s = self.clones.worlds.state
         waited = s["idle_time"][:n] / self.scenario.limits.no_progress_time

@@ -1,16 +1,18 @@
-"""Controllers of a rover: a rim speed for each wheel, or a torque, from the observation of the whole rover.
+"""Controllers of a rover: a rim speed for each wheel, or a torque, from the observation of the
+whole rover.
 
 | name | command of each wheel | observation |
 |------|-------------------------|-------------|
 | equal_speed | one constant rim speed, as most rovers drive | blind |
 | soft_start | one rim speed that rises from rest | blind |
-| velocity_sync | that ramp, times the speed of each axle as the body turns (Toupet et al. 2020) | blind |
-| slip_limiter | that ramp, but of each wheel not above a slip of its own | blind |
-| torque_by_load | shares of the torque that the rover's speed needs, by the load on each wheel | blind |
-| best_slip_identified | that ramp, of each wheel not above the best slip on its soil as identified | identified |
+| velocity_sync | that ramp, times the speed of each axle in turns (Toupet et al. 2020) | blind |
+| slip_limiter | that ramp, but not above a slip of each wheel | blind |
+| torque_by_load | the torque that the rover's speed needs, shared by load | blind |
+| best_slip_identified | that ramp, not above the best slip on the soil as identified | identified |
 | best_slip_true | the same on the true soil: a reference, not a bound | true_soil |
 
-All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`), one for each wheel.
+All but `velocity_sync` and `torque_by_load` are the controllers of a wheel (`agents.controllers`),
+one for each wheel.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,7 +33,9 @@ _TIME = 0.5  # [s] in which torque_by_load makes up for a lack of speed
 
 
 class RoverController:
-    """The controller `of_wheel` for each wheel; `own` is that controller, `drives` changes of the control."""
+    """The controller `of_wheel` for each wheel; `own` is that controller, `drives` changes of the
+    control.
+    """
 
     drives: dict[str, Any] = {}
 
@@ -53,7 +57,9 @@ class RoverController:
         )
 
     def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
-        """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next call."""
+        """Actions [n, axles] float32 (or [axles] for one observation) and the state for the next
+        call.
+        """
         batch = np.atleast_2d(np.asarray(observation, dtype=np.float64))
         wheels = batch[:, self._columns].reshape(len(batch) * self.axles, -1)
         fresh = (
@@ -66,7 +72,9 @@ class RoverController:
         return (action[0] if np.ndim(observation) == 1 else action), state
 
     def command(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
-        """Actions of all wheels [n x axles], for observations of rovers and of wheels; advances `state`."""
+        """Actions of all wheels [n x axles], for observations of rovers and of wheels; advances
+        `state`.
+        """
         return self.own.command(wheels, self.rim_speeds(batch, wheels, state), state)
 
     def rim_speeds(self, batch: np.ndarray, wheels: np.ndarray, state: dict) -> np.ndarray:
@@ -77,9 +85,10 @@ class RoverController:
 class VelocitySync(RoverController):
     """The ramp, with each wheel as fast as its axle goes in the motion of the rigid body.
 
-    What the traction control of Curiosity does (Toupet et al. 2020, J. Field Robotics 37:699-728), reduced to a rover
-    whose two sides are alike and whose bogie is not measured: at a speed V and a pitch rate q an axle at x ahead of the
-    centre goes sqrt(V^2 + (q x)^2), and the fastest keeps the commanded speed. On even slopes all go alike.
+    What the traction control of Curiosity does (Toupet et al. 2020, J. Field Robotics 37:699-728),
+    reduced to a rover whose two sides are alike and whose bogie is not measured: at a speed V and a
+    pitch rate q an axle at x ahead of the centre goes sqrt(V^2 + (q x)^2), and the fastest keeps
+    the commanded speed. On even slopes all go alike.
     """
 
     def __init__(self, scenario: RoverScenario, of_wheel: str = "soft_start", **settings: float):
@@ -105,9 +114,9 @@ class VelocitySync(RoverController):
 class TorqueByLoad(RoverController):
     """Torques in proportion to the measured loads, all together what the speed of the ramp needs.
 
-    Equal ratios of traction to load (Lamon & Siegwart 2005, ICRA; Iagnemma & Dubowsky 2004, Int. J. Robotics Research
-    23:1029-1040). The sum follows a speed of the body with proportional and integral gain over what grade and motion
-    resistance take.
+    Equal ratios of traction to load (Lamon & Siegwart 2005, ICRA; Iagnemma & Dubowsky 2004, Int. J.
+    Robotics Research 23:1029-1040). The sum follows a speed of the body with proportional and
+    integral gain over what grade and motion resistance take.
     """
 
     drives = {"action": "torque", "repeat": 1}
@@ -150,7 +159,9 @@ ROVER_CONTROLLERS = {
 
 
 def make_rover_controller(name: str, scenario: RoverScenario, **settings: float) -> RoverController:
-    """A controller by name with the settings of its wheels' controller; ParameterError for an unknown one."""
+    """A controller by name with the settings of its wheels' controller; ParameterError for an
+    unknown one.
+    """
     if name not in ROVER_CONTROLLERS:
         raise unknown_value(name, ROVER_CONTROLLERS, "controller")
     if not isinstance(scenario, RoverScenario):

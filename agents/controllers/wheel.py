@@ -1,4 +1,6 @@
-"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on its soil."""
+"""Controllers of a wheel: without knowledge of the ground, by slip alone, and by the best slip on
+its soil.
+"""
 
 import numpy as np
 
@@ -10,9 +12,8 @@ from .base import SPEED, START, Controller, Ramped, Setting
 MOST_SLIP = 0.95  # largest slip to hold: the rim speed for a slip i is V/(1 - i)
 _CREEP = 0.2  # [of the starting speed] by which the rim leads V/(1 - i), so that speed can build up
 _SLIP = Setting(0.3, "-", "slip to hold, or not to exceed", (0.02, 0.9), high=MOST_SLIP, zero=True)
-CHANGE = np.array(
-    [0.01] * 7 + [0.1]
-)  # relative change of soil and load that recomputes the best slip
+#: Relative change of soil and load that recomputes the best slip.
+CHANGE = np.array([0.01] * 7 + [0.1])
 
 
 class FullThrottle(Controller):
@@ -62,7 +63,9 @@ class SlipFollower(Ramped):
         raise NotImplementedError
 
     def rim_speed(self, observation, state):
-        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed [m/s], [n]."""
+        """The lower of the ramp and V/(1 - i) with a lead, which is at least the starting speed
+        [m/s], [n].
+        """
         ramp = self.ramp(observation, state, self.settings["acceleration"], self.settings["speed"])
         slip, rim = (observation[:, self.column[name]] for name in ("slip", "rim_speed"))
         # V from slip and rim speed is less noisy at low speeds than the speed sensor.
@@ -75,8 +78,9 @@ class SlipFollower(Ramped):
 class FixedSlip(Controller):
     """A rim speed whose acceleration holds a slip, from a creeping start up to a top speed.
 
-    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The acceleration of the rim
-    therefore controls the slip while the rim speed is between start and top.
+    A wheel that gains speed needs more pull than the slope alone, and so has more slip. The
+    acceleration of the rim therefore controls the slip while the rim speed is between start and
+    top.
     """
 
     name = "fixed_slip"
@@ -100,9 +104,8 @@ class FixedSlip(Controller):
         )
         rim = np.where(rest, 0.0, np.maximum(state["rim"], start)) + gain * self.period
         state["rim"] = np.where(rest, 0.0, np.clip(rim, start, max(top, start)))
-        held = np.where(
-            rim > top, np.minimum(gain, 0.0), gain
-        )  # at its limits the acceleration does not wind up
+        # At its limits the acceleration does not wind up.
+        held = np.where(rim > top, np.minimum(gain, 0.0), gain)
         state["gain"] = np.where(rim < start, np.maximum(held, 0.0), held)
         return state["rim"]
 
@@ -120,8 +123,8 @@ class SlipLimiter(SlipFollower):
 class ExtremumSeeking(SlipFollower):
     """A limit of the slip that seeks the highest drawbar pull.
 
-    The limit swings about an estimate of the best slip. The estimate climbs the slope of the measured pull over the
-    measured slip, a regression over the last seconds.
+    The limit swings about an estimate of the best slip. The estimate climbs the slope of the
+    measured pull over the measured slip, a regression over the last seconds.
     """
 
     name = "extremum_seeking"
@@ -143,9 +146,9 @@ class ExtremumSeeking(SlipFollower):
         "power": 0,
         "product": 0,
     }
-    first = 0.3  # estimate at the start, and its bounds
-    low = 0.05
-    high = 0.8
+    first = 0.3  # estimate at the start
+    low = 0.05  # least estimate
+    high = 0.8  # largest estimate
     swing_period = 1.2  # [s]
     memory_time = 2.4  # [s] of the means and of the slope
     _LITTLE = 1e-3  # variance of slip at which the slope counts half: that of its sensor is 1e-4
@@ -157,10 +160,8 @@ class ExtremumSeeking(SlipFollower):
         share = np.where(driving, self.period / self.memory_time, 0.0)
         a = slip - state["slip_mean"]
         b = pull - state["pull_mean"]
-        state["slip_mean"], state["pull_mean"] = (
-            state["slip_mean"] + share * a,
-            state["pull_mean"] + share * b,
-        )
+        state["slip_mean"] = state["slip_mean"] + share * a
+        state["pull_mean"] = state["pull_mean"] + share * b
         state["power"] = state["power"] + share * (a * a - state["power"])
         state["product"] = state["product"] + share * (a * b - state["product"])
         slope = state["product"] / (state["power"] + self._LITTLE)
@@ -172,7 +173,9 @@ class ExtremumSeeking(SlipFollower):
 
 
 class BestSlipIdentified(SlipFollower):
-    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as identified."""
+    """A ramp of the rim speed, limited to the slip of the best steady drawbar pull on the soil as
+    identified.
+    """
 
     name = "best_slip_identified"
     variant = "identified"
@@ -180,7 +183,10 @@ class BestSlipIdentified(SlipFollower):
 
     def soil_columns(self, observation) -> list:
         """The columns of `SoilState` read from the observation, each [n] or one number."""
-        read = lambda name: observation[:, self.column[name]]
+
+        def read(name: str) -> np.ndarray:
+            return observation[:, self.column[name]]
+
         belief = self.scenario.belief
         return [
             np.tan(np.clip(read("friction_angle"), 0.02, 1.4)),
@@ -203,7 +209,9 @@ class BestSlipIdentified(SlipFollower):
         return np.clip(observation[:, self.column["load"]], 0.3, 3.0) * self.scenario.weight
 
     def target_slip(self, observation, state):
-        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose load by 10 %."""
+        """Best slip; computed again only for rows whose soil has changed by more than 1 % or whose
+        load by 10 %.
+        """
         soils = self.soils(observation)
         load = self.load(observation)
         known = state["known"]

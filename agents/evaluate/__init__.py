@@ -1,1 +1,3 @@
-"""Controllers on the same courses: paired runs, rates and means with 95 % intervals; `soil-env evaluate`."""
+"""Controllers on the same courses: paired runs, rates and means with 95 % intervals;
+`soil-env evaluate`.
+"""

@@ -103,10 +103,11 @@ def command(
 ) -> None:
     """Compare controllers and agents on the same courses.
 
-    An entry of the list is a classical controller (full_throttle, fixed_slip, ...), default_policy (comes with the
-    package), a run folder or model.zip, a policy.onnx, or my.module:Thing with predict(obs, state, episode_start,
-    deterministic). NAME=ENTRY names it; a glob makes one algorithm of several seeds. Models of others are unpickled and
-    modules imported: name what you trust.
+    An entry of the list is a classical controller (full_throttle, fixed_slip, ...), default_policy
+    (comes with the package), a run folder or model.zip, a policy.onnx, or my.module:Thing with
+    predict(obs, state, episode_start, deterministic). NAME=ENTRY names it; a glob makes one
+    algorithm of several seeds. Models of others are unpickled and modules imported: name what you
+    trust.
 
     \b
     soil-env evaluate --controllers full_throttle,best_slip_identified --out evaluation
@@ -136,7 +137,8 @@ def command(
 def carry_out(
     asked: Evaluation, folder: Path, engine: cells.Engine = cells.in_process, ship: bool = False
 ) -> dict:
-    """Tune, drive what is missing in `folder`, write and print the results; returns the content of evaluation.json.
+    """Tune, drive what is missing in `folder`, write and print the results; returns the content of
+    evaluation.json.
 
     `ship`: the engine's machines do not have the files of the models.
     """
@@ -191,7 +193,9 @@ def _asked(options: SimpleNamespace, keys: tuple[str, ...]) -> Evaluation:
 
 
 def _tuned(asked: Evaluation, folder: Path) -> Evaluation:
-    """`asked` with settings of the classical controllers that have none by --settings, under their own name."""
+    """`asked` with settings of the classical controllers that have none by --settings, under their
+    own name.
+    """
     if asked.tuned or not asked.tuning_courses:
         return asked
     own = [

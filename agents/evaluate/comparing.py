@@ -1,4 +1,6 @@
-"""Comparison of controllers on the same courses: rates and means with 95 % intervals, paired differences."""
+"""Comparison of controllers on the same courses: rates and means with 95 % intervals, paired
+differences.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,9 +15,8 @@ from .tables import COLUMNS, OF_ROVERS, legend, metric_table
 
 RESAMPLES = 2000  # of the bootstraps
 ORACLE = "oracle"  # its name in tables; no contestant may have it
-ORACLE_BLOCK = (
-    10  # courses that it drives side by side: it is slow, and a block is what an interruption loses
-)
+#: Courses that it drives side by side: it is slow, and a block is what an interruption loses.
+ORACLE_BLOCK = 10
 #: Differences on the same courses; the last three of rovers.
 PAIRED = ("immobilised", "finished", "return", "energy_per_metre", "fighting", "wheel_force")
 _UNDEFINED = {"value": None, "low": None, "high": None}
@@ -32,11 +33,12 @@ def comparison(
 ) -> dict:
     """The comparison of controllers; `runs`: for each the runs of each training seed.
 
-    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds}, "metrics": {metric: {...}},
-    "controllers": {name: {metric: {"value", "low", "high"}}}, "by_seed": {name: {metric: [mean of each
-    training seed]}}, "iqm": {name: interquartile mean of the return}, "paired": {a: {b: {metric: a - b on the same
-    courses}}}, "improvement": {a: {b: probability of the higher return}}}; "limit" (see `_limit`) where the
-    `oracle` has driven the first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
+    {"scenario", "courses", "seed", "settings", "members": {name: number of training seeds},
+    "metrics": {metric: {...}}, "controllers": {name: {metric: {"value", "low", "high"}}},
+    "by_seed": {name: {metric: [mean of each training seed]}}, "iqm": {name: interquartile mean of
+    the return}, "paired": {a: {b: {metric: a - b on the same courses}}}, "improvement": {a: {b:
+    probability of the higher return}}}; "limit" (see `_limit`) where the `oracle` has driven the
+    first courses. Intervals are 95 % (`statistics`); None where a value is not defined.
     """
     first = next(iter(runs.values()))[0]
     names = first.names

@@ -1,7 +1,8 @@
-"""Contestants of an evaluation, parsed from `--controllers`; the help of the command lists the forms.
+"""Contestants of an evaluation, parsed from `--controllers`; the help of the command lists the
+forms.
 
-Models that train.py did not write are unpickled in part, and modules are imported: both run code. Name only what you
-trust.
+Models that train.py did not write are unpickled in part, and modules are imported: both run code.
+Name only what you trust.
 """
 
 import glob
@@ -51,15 +52,16 @@ _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 def parse(
     text: str, settings: dict[str, dict] | None = None, known: Collection[str] = CONTROLLERS
 ) -> dict[str, Contestant]:
-    """{key: contestant} of a comma-separated list; ParameterError with one line for what does not exist.
+    """{key: contestant} of a comma-separated list; ParameterError with one line for what does not
+    exist.
 
-    `settings`: {name of a classical controller: keyword arguments of `make_controller`}; `known`: their names.
+    `settings`: {name of a classical controller: keyword arguments of `make_controller`}; `known`:
+    their names.
     """
     settings = settings or {}
     out = {}
-    first: dict[
-        str, tuple[str, str, bool]
-    ] = {}  # kind, text and explicit naming of the first entry of a name
+    # Kind, text and explicit naming of the first entry of a name.
+    first: dict[str, tuple[str, str, bool]] = {}
     items = [item.strip() for item in text.split(",")]
     if not any(items):
         raise ParameterError("controllers: expected at least one, got none")
@@ -87,8 +89,8 @@ def parse(
             raise ParameterError(f"controllers: {name!r} twice; give one another name: NAME={spec}")
         if own and (kind != first_kind or kind == "classical"):
             raise ParameterError(
-                f"controllers: {name!r}: {spec} beside {first_spec}: one name is one algorithm of several training "
-                "seeds, models alone or classes alone; give another name"
+                f"controllers: {name!r}: {spec} beside {first_spec}: one name is one algorithm of "
+                "several training seeds, models alone or classes alone; give another name"
             )
         for member, source in enumerate(sources, start=len(own)):
             found = digest(source) if kind == "model" else ""

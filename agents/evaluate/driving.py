@@ -1,4 +1,6 @@
-"""Drives of a controller over courses that are the same for every controller, and the metrics of each course."""
+"""Drives of a controller over courses that are the same for every controller, and the metrics of
+each course.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import IDLE, STEP, Simulation
-from soil_env.env import IMMOBILISED
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import IDLE, STEP, Simulation
+from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
@@ -19,12 +21,13 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .warning import Foresight
 
 #: Course sets (`course_rng`), disjoint from each other and from all courses of training.
-TUNING_SET = 1_000_001
-HELD_OUT_SET = 3_000_011
+TUNING_SET = 1_000_001  # for the settings of controllers
+HELD_OUT_SET = 3_000_011  # for comparisons
 _RUNNING = Cause.RUNNING.value
 _STUCK = [cause.value for cause in IMMOBILISED]
 
-#: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals over courses.
+#: Metrics of every drive -> (unit, meaning). Rates have Wilson intervals, means bootstrap intervals
+#: over courses.
 METRICS = {
     "immobilised": ("share of courses", "entrapped, stalled or bogged"),
     "entrapped": ("share of courses", "no progress, though the wheel turned"),
@@ -84,9 +87,8 @@ class Runs:
     slip: np.ndarray  # mean
     sinkage: np.ndarray  # mean [m]
     returns: np.ndarray
-    more: dict[str, np.ndarray] = field(
-        default_factory=dict
-    )  # further metrics in their units, NaN where not defined
+    #: Further metrics in their units, NaN where not defined.
+    more: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:
@@ -141,7 +143,9 @@ _FIELDS = tuple(f.name for f in fields(Runs) if f.name != "more")
 
 
 def course_rng(seed: int, course: int) -> np.random.Generator:
-    """The Generator of one course of the set `seed`; no environment seeded with a single number ever gets it."""
+    """The Generator of one course of the set `seed`; no environment seeded with a single number
+    ever gets it.
+    """
     return np.random.default_rng([seed, course, 1])
 
 
@@ -156,14 +160,16 @@ def run_courses(
     threads: int | None = None,
     detailed: bool = False,
 ) -> Runs:
-    """Drive `controller` over courses `first` ... `first + courses - 1` of the set `seed`, of a wheel or of a rover.
+    """Drive `controller` over courses `first` ...
 
-    `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes another action than
-    the scenario's. Course k of a set is the same for every controller. `model` has the effects of the world.
-    `detailed`: with the metrics `DETAILED` of a wheel.
+    `first + courses - 1` of the set `seed`, of a wheel or of a rover.
 
-    The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural network the last
-    bits may depend on how many courses are driven side by side.
+    `controller` has `predict` and `variant` (the observation it reads), and `drives` where it takes
+    another action than the scenario's. Course k of a set is the same for every controller. `model`
+    has the effects of the world. `detailed`: with the metrics `DETAILED` of a wheel.
+
+    The same arguments give the same runs, bit for bit, whatever the number of threads. For a neural
+    network the last bits may depend on how many courses are driven side by side.
     """
     parts = []
     kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
@@ -203,11 +209,12 @@ def drive(
 ) -> Iterator[tuple[Simulation | RoverSimulation, np.ndarray]]:
     """Drive courses `first` ... `first + count - 1` of set `seed` side by side, each to its end.
 
-    Yields (simulation, alive) after every control period: one row a course in its arrays, and the courses still under
-    way in that period [count] bool. The controller acts as often as the scenario says (`control.repeat`); between, its
-    action is held. Rows of ended courses stay as they ended. Raises `ParameterError` for an action of another shape
-    than [count, 1], or [count, axles], and for one that is not finite. The reward has no term `information`: it helps
-    to learn, and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
+    Yields (simulation, alive) after every control period: one row a course in its arrays, and the
+    courses still under way in that period [count] bool. The controller acts as often as the
+    scenario says (`control.repeat`); between, its action is held. Rows of ended courses stay as
+    they ended. Raises `ParameterError` for an action of another shape than [count, 1], or [count,
+    axles], and for one that is not finite. The reward has no term `information`: it helps to learn,
+    and is no merit of a drive. `warnings`: keep the last seconds of the sensors in `worlds.recent`.
     """
     control = replace(scenario.control, **getattr(controller, "drives", {}))
     stepped = replace(
@@ -247,7 +254,9 @@ def drive(
 
 
 def _commands(action, alive: np.ndarray, scenario: Scenario, when: str, first: int) -> np.ndarray:
-    """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an unsuitable one."""
+    """The `action` of a controller as commands [count] or [count, axles]; ParameterError for an
+    unsuitable one.
+    """
     action = np.asarray(action, dtype=np.float64)
     axles = scenario.axles if isinstance(scenario, RoverScenario) else 1
     if action.shape != (len(alive), axles):
@@ -285,7 +294,9 @@ class _Totals:
         return np.maximum(self.body["motor_work"], 0.0)
 
     def add(self, alive: np.ndarray) -> np.ndarray:
-        """Take in one control period; returns the `alive` courses that are not at a halt [count] bool."""
+        """Take in one control period; returns the `alive` courses that are not at a halt [count]
+        bool.
+        """
         s = self.body
         driving = alive & (s["halt_left"] == 0.0)
         self.energy += np.where(alive, self.work(), 0.0)
@@ -389,7 +400,9 @@ class _Detailed(_Totals):
 
 
 def _percentiles(series, mask):
-    """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where `mask`."""
+    """Median and 95th percentile [2, courses] of the columns of `series` [periods, courses] where
+    `mask`.
+    """
     columns = (x[chosen] for x, chosen in zip(series.T, mask.T, strict=True))
     return np.array(
         [np.percentile(x, [50, 95]) if x.size else (math.nan, math.nan) for x in columns]

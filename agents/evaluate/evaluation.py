@@ -1,7 +1,8 @@
 """Configuration of an evaluation, and its cells: blocks of courses of one controller.
 
-The folder holds study.yaml (the whole task, resolved) and a file in cells/ for each block that is driven. Blocks are
-cut the same way by every engine, so that all engines and any number of interruptions give the same files.
+The folder holds study.yaml (the whole task, resolved) and a file in cells/ for each block that is
+driven. Blocks are cut the same way by every engine, so that all engines and any number of
+interruptions give the same files.
 """
 
 from __future__ import annotations
@@ -35,12 +36,10 @@ class Evaluation(OfTask):
     resamples: int = quantity("of the bootstrap", 10, 100_000, default=2000)
     tuning_courses: int = quantity("0: not tuned", 0, 10**6, default=0)
     oracle_courses: int = quantity("of them, that the oracle drives too", 0, 100_000, default=0)
-    tuned: dict = field(
-        default_factory=dict
-    )  # {classical controller: settings that tuning has found}
-    model: dict = field(
-        default_factory=dict
-    )  # content of the model.yaml of the world's effects; empty = none
+    #: {classical controller: settings that tuning has found}.
+    tuned: dict = field(default_factory=dict)
+    #: Content of the model.yaml of the world's effects; empty = none.
+    model: dict = field(default_factory=dict)
     detailed: bool = True  # with the metrics `DETAILED` of a wheel
     version: str = field(default_factory=code_version)
 
@@ -69,7 +68,10 @@ class Evaluation(OfTask):
 
 @dataclass(frozen=True)
 class Block:
-    """Courses `first` ... `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`."""
+    """Courses `first` ...
+
+    `first + count - 1` for the controller of a `Contestant.key`, or for `ORACLE`.
+    """
 
     controller: str
     first: int
@@ -137,9 +139,8 @@ class Job:
         if key == ORACLE:
             return Oracle(self.asked.scenario)
         contestant = self.controllers[key]
-        if (
-            contestant.kind == "class"
-        ):  # an object may keep things in itself: a new one for every block
+        # An object may keep things in itself: a new one for every block.
+        if contestant.kind == "class":
             return loading.load(contestant, self.asked.scenario)
         if key not in self._loaded:
             self._loaded[key] = loading.load(contestant, self.asked.scenario, self.files.get(key))
@@ -149,7 +150,8 @@ class Job:
 def run(
     asked: Evaluation, folder: Path, engine: Engine, job: Job, progress: Callable[[int], None]
 ) -> dict:
-    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it drives.
+    """Drive what is missing in `folder`; {controller: [runs of each member]}, and of `ORACLE` if it
+    drives.
 
     `progress` receives numbers of courses done.
     """
@@ -170,8 +172,8 @@ def run(
 def result(asked: Evaluation, runs: dict[str, list[Runs]]) -> dict:
     """The content of evaluation.json: a `comparison`, with how each controller was made.
 
-    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen": {name: "given",
-    "tuned" or "untuned", of the settings}.
+    "sources": {name: [where from]}; "settings": {name: those of a classical controller}; "chosen":
+    {name: "given", "tuned" or "untuned", of the settings}.
     """
     oracle = runs.get(ORACLE, [None])[0]
     own = {name: rows for name, rows in runs.items() if name != ORACLE}

@@ -1,4 +1,6 @@
-"""Loading and trial of contestants' controllers; failures of foreign code are errors of one line."""
+"""Loading and trial of contestants' controllers; failures of foreign code are errors of one
+line.
+"""
 
 import importlib
 import inspect
@@ -21,7 +23,10 @@ from .driving import simulate
 
 
 def load(contestant: Contestant, scenario: Scenario, content: bytes | None = None):
-    """The controller: an object with `predict` and `variant`. `content`: of a model that is not here."""
+    """The controller: an object with `predict` and `variant`.
+
+    `content`: of a model that is not here.
+    """
     if contestant.kind == "classical":
         known, make = controllers_of(scenario)
         if known is CONTROLLERS:

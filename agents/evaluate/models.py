@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from soil_env._io.loading import ParameterError, load
-from soil_env.env import observation_space
+from soil_env.envs.wheel_env import observation_space
 from soil_env.parameters import Control, CourseSpec, Scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.task.scaling import Scaling
@@ -27,9 +27,11 @@ try:
 
     from .. import agent as saved
 except ImportError:  # reported in one line where a model is loaded
-    torch = saved = None
+    torch = None
+    saved = None
 
-#: (module of the policy starts with, keys the zip must hold, module and class of the algorithm); the first that fits.
+#: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
+#: the first that fits.
 _ALGORITHMS = (
     ("sb3_contrib.common.recurrent", set(), ("sb3_contrib", "RecurrentPPO")),
     ("sb3_contrib.tqc", set(), ("sb3_contrib", "TQC")),
@@ -48,11 +50,13 @@ _ALGORITHMS = (
 
 
 def load_model(path: Path, scenario: Scenario):
-    """An object with `predict` on raw observations and `variant`; ParameterError with one line if it cannot be had.
+    """An object with `predict` on raw observations and `variant`; ParameterError with one line if
+    it cannot be had.
 
-    A policy.onnx of `agents.export` is run by onnxruntime; an .npz is a default policy. A zip of train.py
-    (soil_env.json inside) is loaded without unpickling. Any other zip of SB3 is unpickled, after a warning; its
-    observation space gives the variant. It may have been trained with `LineAction`, but not with VecNormalize.
+    A policy.onnx of `agents.export` is run by onnxruntime; an .npz is a default policy. A zip of
+    train.py (soil_env.json inside) is loaded without unpickling. Any other zip of SB3 is unpickled,
+    after a warning; its observation space gives the variant. It may have been trained with
+    `LineAction`, but not with VecNormalize.
     """
     path = Path(path)
     if path.suffix in (".onnx", ".npz"):
@@ -85,7 +89,8 @@ def _check_action(path: Path, own: Control, scenario: Scenario) -> None:
         )
     if own.duration != control.duration:
         raise ParameterError(
-            f"{where}s that last {own.duration:g} s, those of scenario {scenario.name!r} last {control.duration:g} s"
+            f"{where}s that last {own.duration:g} s, those of scenario {scenario.name!r} last "
+            f"{control.duration:g} s"
         )
 
 
@@ -106,14 +111,16 @@ def _exported(path: Path, scenario: Scenario) -> ExportedAgent:
         constants, asked_for = (CommonScaling(task).added for task in (made_for, scenario))
         if not np.allclose(constants, asked_for):
             _warn(
-                f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} differs: "
-                f"soil-env export default --scenario {scenario.name}"
+                f"{path}: exported for the wheel of {made_for.name!r}, that of {scenario.name!r} "
+                f"differs: soil-env export default --scenario {scenario.name}"
             )
     return agent
 
 
 def _foreign(path: Path, scenario: Scenario) -> _Plain:
-    """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs code."""
+    """A model of SB3 or sb3-contrib that train.py did not write; it is unpickled, which runs
+    code.
+    """
     data = saved.read_mapping(path, "data")
     if data is None:
         raise ParameterError(f"{path}: not a model of Stable-Baselines3 (it has no data)")
@@ -135,12 +142,14 @@ def _foreign(path: Path, scenario: Scenario) -> _Plain:
         raise ParameterError(
             f"{path}: a {algorithm} model needs {package.replace('_', '-')}"
         ) from None
-    if (beside := path.with_name("vecnormalize.pkl")).is_file():  # as rl-baselines3-zoo writes it
+    beside = path.with_name("vecnormalize.pkl")
+    if beside.is_file():  # as rl-baselines3-zoo writes it
         raise ParameterError(
             f"{beside}: trained with VecNormalize: evaluate a module:Class that applies it instead"
         )
     _warn(
-        f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load only what you trust"
+        f"{path}: not written by train.py; parts of it are unpickled, which runs its code: load "
+        "only what you trust"
     )
     try:
         with warnings.catch_warnings():
@@ -175,15 +184,16 @@ def _variant(model, path: Path, course: CourseSpec) -> tuple[str, Scaling]:
     shape = getattr(model.observation_space, "shape", None)
     expected = ", ".join(f"{v}: {observation_space(v, course).shape[0]}" for v in VARIANTS)
     raise ParameterError(
-        f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers or bounds than "
-        f"those of this scenario ({expected}); --scenario names that of the training"
+        f"controllers: {path}: trained on another observation layout: shape {shape}, other numbers "
+        f"or bounds than those of this scenario ({expected}); --scenario names that of the training"
     )
 
 
 class _Plain:
     """A model of SB3 that reads the observation of `variant`.
 
-    `choice` is the place of that reading in the observation for a model trained with `LineAction`, else None.
+    `choice` is the place of that reading in the observation for a model trained with `LineAction`,
+    else None.
     """
 
     def __init__(self, model, variant: str, scaling: Scaling, choice: int | None = None):

@@ -78,7 +78,9 @@ def write(result: Mapping, runs: Mapping[str, list[Runs]], folder: Path) -> list
 
 
 def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
-    """A row for each course of each controller: how it ended, and every metric that is not a rate."""
+    """A row for each course of each controller: how it ended, and every metric that is not a
+    rate.
+    """
     names = [m for m in metrics if m not in RATES]
     rows = [["controller", "member", "course", "cause", *names]]
     for name, members in runs.items():
@@ -119,12 +121,18 @@ def page(result: Mapping) -> str:
         paired.append([f"`{a}` - `{b}`", *cells, cell(result["improvement"][a][b])])
     parts = [
         f"# Controllers on scenario {result['scenario']}",
-        f"{result['courses']} courses of set {result['seed']}, the same for all controllers; 95 % intervals.",
+        (
+            f"{result['courses']} courses of set {result['seed']}, the same for all controllers; "
+            "95 % intervals."
+        ),
         Table(["controller", "training seeds", "from", "settings"], made).markdown(),
         *settings(result),
         "![Metrics](metrics.png)",
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
-        "Differences on the same courses, of rates in percentage points, and the probability of the higher return:",
+        (
+            "Differences on the same courses, of rates in percentage points, and the probability "
+            "of the higher return:"
+        ),
         Table(["controllers", *shown, "P(higher return)"], paired).markdown(),
     ]
     return "\n\n".join(parts) + "\n"

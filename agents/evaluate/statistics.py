@@ -1,11 +1,13 @@
 """Statistics over training seeds and courses.
 
-Scores of one controller are an array [members, courses]: one row a training seed (a controller that is not trained has
-one row), one column a course. All controllers drive the same courses. NaN: not defined on that course.
+Scores of one controller are an array [members, courses]: one row a training seed (a controller that
+is not trained has one row), one column a course. All controllers drive the same courses. NaN: not
+defined on that course.
 
-Intervals draw whole training seeds and whole courses with replacement, the courses once for all controllers (the
-pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). They hold for another training and other courses. With one
-training seed only the courses are drawn. They are computed from weights: how often a member and a course were drawn.
+Intervals draw whole training seeds and whole courses with replacement, the courses once for all
+controllers (the pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1(2) 386). They hold for another
+training and other courses. With one training seed only the courses are drawn. They are computed
+from weights: how often a member and a course were drawn.
 """
 
 import math
@@ -14,20 +16,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-LEVEL = 0.95
+LEVEL = 0.95  # probability of every interval
 _NORMAL = float(stats.norm.ppf(0.5 + LEVEL / 2))
 _CHUNK = 100  # bootstrap draws whose weights are in memory at once
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Bootstrap draws: how often each course [resamples, courses] was drawn, and a seed for the members."""
+    """Bootstrap draws: how often each course [resamples, courses] was drawn, and a seed for the
+    members.
+    """
 
     courses: np.ndarray
     seed: int
 
     def members(self, name: str, count: int) -> np.ndarray:
-        """Counts of the draws of each of `count` members of controller `name` [resamples, count]."""
+        """Counts of the draws of each of `count` members of controller `name` [resamples,
+        count].
+        """
         rng = np.random.default_rng([self.seed, 1, *name.encode()])
         return _counts(rng, len(self.courses), count)
 
@@ -42,7 +48,9 @@ def _counts(rng, resamples, n):
 
 
 def interval(value: float, samples: np.ndarray) -> tuple[float, float]:
-    """Percentile interval at `LEVEL` of bootstrap samples, NaNs left out, never without `value` itself."""
+    """Percentile interval at `LEVEL` of bootstrap samples, NaNs left out, never without `value`
+    itself.
+    """
     samples = samples[np.isfinite(samples)]
     if not samples.size:
         return value, value
@@ -81,7 +89,8 @@ def rate_bounds(value: float, samples: np.ndarray, trials: float, members: int) 
 
 
 def difference_bounds(a: np.ndarray, b: np.ndarray, samples: np.ndarray) -> dict[str, float]:
-    """`bounds` of the difference of two rates on the same courses: the wider of both and that of Agresti & Min.
+    """`bounds` of the difference of two rates on the same courses: the wider of both and that of
+    Agresti & Min.
 
     Theirs (2005, Statistics in Medicine 24:729, Wald + 2) is no point where no course differs.
     """
@@ -112,7 +121,9 @@ def mean_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) -
 
 
 def iqm(scores: np.ndarray) -> float:
-    """Interquartile mean: the mean without the lowest and the highest quarter of all scores (Agarwal et al. 2021)."""
+    """Interquartile mean: the mean without the lowest and the highest quarter of all scores
+    (Agarwal et al. 2021).
+    """
     return float(stats.trim_mean(scores, 0.25, axis=None))
 
 
@@ -125,22 +136,25 @@ def iqm_samples(scores: np.ndarray, members: np.ndarray, courses: np.ndarray) ->
     m, c = np.unravel_index(np.argsort(scores, axis=None, kind="stable"), scores.shape)
     for start in range(0, len(courses), _CHUNK):
         part = slice(start, start + _CHUNK)
-        up_to = np.cumsum(
-            members[part][:, m] * courses[part][:, c], axis=1
-        )  # scores up to each of `ordered`
+        # Scores up to each of `ordered`.
+        up_to = np.cumsum(members[part][:, m] * courses[part][:, c], axis=1)
         out.append(np.diff(np.clip(up_to, cut, n - cut), axis=1, prepend=cut) @ ordered)
     return np.concatenate(out) / (n - 2 * cut)
 
 
 def _wins(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """[members of a, members of b, courses]: 1 where a is better than b on the course, 1/2 where equal, else 0."""
+    """[members of a, members of b, courses]: 1 where a is better than b on the course, 1/2 where
+    equal, else 0.
+    """
     return (a[:, None] > b[None]) + 0.5 * (a[:, None] == b[None])
 
 
 def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> float:
-    """Probability that a random member of a scores higher than a random member of b on a random course, ties half.
+    """Probability that a random member of a scores higher than a random member of b on a random
+    course, ties half.
 
-    On each course it is the Mann-Whitney statistic over the product of the numbers of members (Agarwal et al. 2021).
+    On each course it is the Mann-Whitney statistic over the product of the numbers of members
+    (Agarwal et al. 2021).
     """
     return float(_wins(a, b).mean())
 

@@ -45,7 +45,9 @@ OF_ROVERS = (
 def cell(
     m: Mapping, factor: float = 1.0, digits: int = 2, sign: bool = False, bounds: bool = True
 ) -> str:
-    """'12.3 [10.0, 14.1]' of {"value", "low", "high"}, or a dash where the metric is not defined."""
+    """'12.3 [10.0, 14.1]' of {"value", "low", "high"}, or a dash where the metric is not
+    defined.
+    """
     if m["value"] is None:
         return "-"
     value, low, high = (
@@ -96,8 +98,9 @@ def save_csv(path: Path, rows: Iterable[Iterable[object]]) -> None:
 
 
 def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[str]) -> bytes:
-    """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a column for each metric,
-    points with their intervals from the bottom; those not defined are left out."""
+    """PNG of {group: {controller: {metric: {"value", "low", "high"}}}}: a row for each group, a
+    column for each metric, points with their intervals from the bottom; those not defined are left
+    out."""
     metrics = list(metrics)
     most = max(map(len, rows.values()))
     figure = Figure(
@@ -119,6 +122,5 @@ def draw_metrics(rows: Mapping[str, Mapping[str, Mapping]], metrics: Iterable[st
             axis.set_xlabel(f"{metric.replace('_', ' ')} [{unit}]")
         line[0].set_yticks(range(len(names)), names)
         line[0].set_title(group, loc="left", fontsize=9)
-    return picture_of(
-        figure, dpi=110, metadata={"Software": None}
-    )  # the same bytes for the same figure
+    # The same bytes for the same figure.
+    return picture_of(figure, dpi=110, metadata={"Software": None})

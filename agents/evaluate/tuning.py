@@ -1,9 +1,10 @@
 """Tuning of the classical controllers by Optuna, on courses that no comparison uses.
 
-The settings of a controller are drawn from their ranges (`Setting.tuned`) by the tree-structured Parzen estimator
-(Bergstra et al. 2011, NeurIPS 24; Akiba et al. 2019, KDD 2623), beginning with its defaults; every controller has as
-many trials on as many courses as every other. The one that finishes most courses is kept, the return breaking ties. The
-sampler of each trial has a seed of its own, so that a tuning that goes on from its log ends as one without a break.
+The settings of a controller are drawn from their ranges (`Setting.tuned`) by the tree-structured
+Parzen estimator (Bergstra et al. 2011, NeurIPS 24; Akiba et al. 2019, KDD 2623), beginning with its
+defaults; every controller has as many trials on as many courses as every other. The one that
+finishes most courses is kept, the return breaking ties. The sampler of each trial has a seed of its
+own, so that a tuning that goes on from its log ends as one without a break.
 """
 
 import hashlib
@@ -39,9 +40,11 @@ def trials_of(courses: int) -> int:
 def shipped_settings(
     scenario: Scenario, courses: int, model: WheelSoilModel | None = None
 ) -> dict[str, dict]:
-    """{controller: settings} of configs/tuned where this scenario was tuned there on at least `courses` courses.
+    """{controller: settings} of configs/tuned where this scenario was tuned there on at least
+    `courses` courses.
 
-    {} where it was not, where anything but reward and name of the scenario was changed, or where a `model` is on.
+    {} where it was not, where anything but reward and name of the scenario was changed, or where a
+    `model` is on.
     """
     path = config_dir() / TUNED / f"{scenario.name}.yaml"
     if model is not None or scenario.name not in scenario_names() or not path.is_file():
@@ -67,10 +70,10 @@ def tuned_settings(
 ) -> dict[str, dict]:
     """{controller: best settings} on the first `courses` courses of the tuning set.
 
-    `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package are taken where
-    they are good enough (`shipped_settings`), unless `anew`. Controllers without settings are left out; with 0 courses
-    all are. `model` has the effects of the world. With a `log`, Optuna's journal, an
-    interrupted tuning goes on.
+    `names`: controllers of a wheel, or of a rover; default all. Settings that come with the package
+    are taken where they are good enough (`shipped_settings`), unless `anew`. Controllers without
+    settings are left out; with 0 courses all are. `model` has the effects of the world. With a
+    `log`, Optuna's journal, an interrupted tuning goes on.
     """
     if courses == 0:
         return {}
@@ -93,7 +96,9 @@ def tuned_settings(
 
 
 def tried(name, space, trials, scenario, courses, model, log, progress) -> list[dict]:
-    """{**settings, "finished": share, "return": mean} of each trial of a controller, in their order."""
+    """{**settings, "finished": share, "return": mean} of each trial of a controller, in their
+    order.
+    """
     optuna = _optuna()
     _, make = controllers_of(scenario)
     top = scenario.wheel.radius * scenario.wheel.no_load_speed

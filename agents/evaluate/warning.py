@@ -1,20 +1,23 @@
-"""Alarms of a coming immobilisation by its probability within 5 s (`identification.online.immobilisation`).
+"""Alarms of a coming immobilisation by its probability within 5 s
+(`identification.online.immobilisation`).
 
-An alarm comes on where the probability reaches the threshold on its card, and goes off after `RELEASE` s below half of
-that (`KEPT`), so that it does not flicker. Halts do not count. The identifier runs with every controller, so every
-controller has the same alarm; the true soil is not used.
+An alarm comes on where the probability reaches the threshold on its card, and goes off after
+`RELEASE` s below half of that (`KEPT`), so that it does not flicker. Halts do not count. The
+identifier runs with every controller, so every controller has the same alarm; the true soil is not
+used.
 
-*Complete immobilisation* is the last moment at which the wheel got further at the least mean speed that the task asks
-for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the end. An immobilisation is *foreseen* if
-the alarm is on at that moment; distance and time count from the moment when it came on.
+*Complete immobilisation* is the last moment at which the wheel got further at the least mean speed
+that the task asks for (`no_progress_distance` over `no_progress_time`), and for a bogged wheel the
+end. An immobilisation is *foreseen* if the alarm is on at that moment; distance and time count from
+the moment when it came on.
 
-Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover in snow, ASME J.
-Autonomous Vehicles and Systems 2(3) 031001 (2022).
+Published for another method, machine and ground: 1.8 m and 2.9 s on average, a four-wheeled rover
+in snow, ASME J. Autonomous Vehicles and Systems 2(3) 031001 (2022).
 """
 
 import numpy as np
 
-from soil_env.driving.wheels import Worlds
+from soil_env.envs.wheels import Worlds
 from soil_env.identification.online.immobilisation import ImmobilisationWarning, shipped
 from soil_env.parameters import Scenario
 
@@ -23,7 +26,9 @@ KEPT = 0.5  # of the threshold: an alarm that is on stays on over that
 
 
 class Foresight:
-    """The alarms over the courses of `count` wheels: how far and how long ahead they came, and when they were on."""
+    """The alarms over the courses of `count` wheels: how far and how long ahead they came, and when
+    they were on.
+    """
 
     def __init__(self, scenario: Scenario, count: int):
         self.warning = ImmobilisationWarning(scenario)
@@ -32,17 +37,16 @@ class Foresight:
         self.probability = np.zeros(count)
         self.on = np.zeros(count, dtype=bool)  # alarms; [s] below `KEPT`
         self.quiet = np.zeros(count)
-        self.under, self.driven, self.time = np.zeros(
-            (3, count)
-        )  # [s] under alarm, of all driving, of all
+        # [s] under alarm, of all driving, of all.
+        self.under, self.driven, self.time = np.zeros((3, count))
         self.start_time, self.start_x = np.zeros((2, count))
+        # [m]
         self.least = (
             scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period
-        )  # [m]
+        )
         self.furthest = np.zeros(count)  # [m] a control period ago
-        self.mobile_lead = np.full(
-            (count, 2), np.nan
-        )  # [m], [s] from the alarm to the last mobile moment
+        # [m], [s] from the alarm to the last mobile moment.
+        self.mobile_lead = np.full((count, 2), np.nan)
 
     def step(self, worlds: Worlds, alive: np.ndarray) -> None:
         """Take in one control period of the wheels that are `alive` [count]."""
@@ -63,7 +67,9 @@ class Foresight:
         self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
     def _switch(self, driving):
-        """Switch the alarms of the wheels that are `driving` [count] on and off; returns where one came on."""
+        """Switch the alarms of the wheels that are `driving` [count] on and off; returns where one
+        came on.
+        """
         come = driving & (self.probability >= self.threshold) & ~self.on
         kept = self.probability >= KEPT * self.threshold
         self.quiet = np.where(driving, np.where(kept, 0.0, self.quiet + self.period), self.quiet)
@@ -77,8 +83,10 @@ class Foresight:
         return np.where(self.on[:, None], lead, np.nan)
 
     def lead(self, worlds: Worlds, bogged: np.ndarray) -> np.ndarray:
-        """[count, 2]: distance [m] and time [s] from the alarm to complete immobilisation, NaN without an alarm.
+        """[count, 2]: distance [m] and time [s] from the alarm to complete immobilisation, NaN
+        without an alarm.
 
-        `bogged` [count] bool: wheels that were mobile to the end. Meaningful for immobilised wheels only.
+        `bogged` [count] bool: wheels that were mobile to the end. Meaningful for immobilised wheels
+        only.
         """
         return np.where(bogged[:, None], self._lead(worlds), self.mobile_lead)

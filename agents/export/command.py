@@ -1,4 +1,6 @@
-"""`soil-env export`: a trained agent as one ONNX file that needs neither torch, Stable-Baselines3 nor soil_env."""
+"""`soil-env export`: a trained agent as one ONNX file that needs neither torch, Stable-Baselines3
+nor soil_env.
+"""
 
 import io
 import tempfile
@@ -39,12 +41,13 @@ RUNNER = "run_policy.py"
 def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     """Export a trained agent as one ONNX file.
 
-    RUN is a run folder of train.py, "default" for the policy that comes with the package, or a .zip of
-    Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3). A zip that train.py did not write is unpickled in part:
-    name only what you trust.
+    RUN is a run folder of train.py, "default" for the policy that comes with the package, or a .zip
+    of Stable-Baselines3 (PPO, A2C, TRPO, SAC, TQC, TD3). A zip that train.py did not write is
+    unpickled in part: name only what you trust.
 
-    The file takes raw observations and gives actions; normalisation, clipping and history are inside. It is compared
-    with the agent over steps of held-out courses, and written only if no action differs by more than 1e-5.
+    The file takes raw observations and gives actions; normalisation, clipping and history are
+    inside. It is compared with the agent over steps of held-out courses, and written only if no
+    action differs by more than 1e-5.
 
     \b
     soil-env export runs/NAME --out policy
@@ -85,8 +88,8 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
         worst, times = compared(Policy(Path(there) / POLICY), course)
     if worst > policy.TOLERANCE:
         raise ParameterError(
-            f"{path}: the exported action differs by {worst:.1e} from the agent's: expected at most "
-            f"{policy.TOLERANCE:.0e}; nothing is written"
+            f"{path}: the exported action differs by {worst:.1e} from the agent's: expected at "
+            f"most {policy.TOLERANCE:.0e}; nothing is written"
         )
     median, p99 = np.percentile(times, [50, 99]).tolist()
     description["proof"] = {
@@ -107,8 +110,8 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
         },
     )
     show(
-        f"Written to {out}: policy.onnx ({len(content) / 1024:.0f} KiB). {len(times)} steps: largest "
-        f"difference {worst:.1e}, {median:.0f} us a step, 99 % within {p99:.0f} us."
+        f"Written to {out}: policy.onnx ({len(content) / 1024:.0f} KiB). {len(times)} steps: "
+        f"largest difference {worst:.1e}, {median:.0f} us a step, 99 % within {p99:.0f} us."
     )
 
 

@@ -1,7 +1,7 @@
 """Arithmetic of numpy, and networks of Stable-Baselines3, recorded as an ONNX graph.
 
-A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the graph. So
-`agents.history` is run, not written again.
+A `Traced` array takes part in numpy's functions like an array; each operation adds a node to the
+graph. So `agents.history` is run, not written again.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from torch import nn
 
 from soil_env._io.loading import ParameterError
 
-OPSET = 17  # onnxruntime 1.14 and later
-IR = 8
+OPSET = 17  # version of the operators: onnxruntime 1.14 and later
+IR = 8  # version of the file format that goes with it
 _TYPES = {
     "float32": TensorProto.FLOAT,
     "float64": TensorProto.DOUBLE,
@@ -72,7 +72,9 @@ class Graph:
     def node(
         self, op: str, *inputs, dtype=None, outputs: Sequence[str] | None = None, **attributes
     ) -> Traced:
-        """The first output of a new node; inputs that are no `Traced` become constants of the type of the others."""
+        """The first output of a new node; inputs that are no `Traced` become constants of the type
+        of the others.
+        """
         known = next(
             (x.dtype for x in inputs if isinstance(x, Traced) and x.dtype != bool),
             np.dtype(np.float64),
@@ -167,7 +169,9 @@ def numbers(tensor) -> np.ndarray:
 
 
 def action_of(graph: Graph, policy, x: Traced) -> Traced:
-    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an unknown network."""
+    """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an
+    unknown network.
+    """
     if hasattr(policy, "action_net") and not hasattr(policy, "lstm_actor"):  # PPO, A2C, TRPO
         own = policy.mlp_extractor
         drive = _layers(graph, policy.action_net, _layers(graph, own.policy_net, x))

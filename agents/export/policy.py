@@ -26,13 +26,13 @@ TOLERANCE = 1e-5  # of the action, between the agent and its export
 def onnx_model(agent, description: dict):
     """The ONNX model of a loaded agent (`agents.evaluate.models.load_model`), `description` inside.
 
-    Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and `history`.
-    Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a network of no such form.
+    Inputs: `observation` [n, D] float32, raw; for agents with a history `new_course` [n] bool and
+    `history`. Outputs: `action` [n, 1] float32 in [-1, 1], and `next_history`. ParameterError for a
+    network of no such form.
     """
     shipped = isinstance(agent, DefaultPolicy)
-    choice = (
-        None if shipped else getattr(agent, "choice", None)
-    )  # of a model trained with LineAction
+    # Of a model trained with LineAction.
+    choice = None if shipped else getattr(agent, "choice", None)
     expected = Box(-1.0, 1.0, (1 if choice is None else 2,), np.float32)
     if not shipped and agent.policy.action_space != expected:
         raise ParameterError(f"action space {agent.policy.action_space}: expected {expected}")
@@ -61,7 +61,9 @@ def onnx_model(agent, description: dict):
 
 
 def _normalised(x: Traced, agent) -> Traced:
-    """Input of the network, float32, as `Agent._normalised` computes it; other models have no normalisation."""
+    """Input of the network, float32, as `Agent._normalised` computes it; other models have no
+    normalisation.
+    """
     if not hasattr(agent, "mean"):
         return x
     return np.clip((x.astype(np.float64) - agent.mean) / agent.sd, -agent.clip, agent.clip).astype(
@@ -126,7 +128,10 @@ def _output(wheel: Wheel, control: Control) -> dict:
         return {"meaning": "wheel speed, followed by the drive's own loop", "scale": scale}
     top = wheel.radius * wheel.no_load_speed
     return {
-        "meaning": "rate of the rim speed that the drive's own loop follows and that is 0 at the start and in halts",
+        "meaning": (
+            "rate of the rim speed that the drive's own loop follows and that is 0 at the start "
+            "and in halts"
+        ),
         "scale": {"value": control.rim_acceleration, "unit": "m/s2"},
         "limits": {"value": [-REVERSE * top, top], "unit": "m/s, of that rim speed"},
     }
@@ -149,7 +154,9 @@ class _Recorder:
 def recorded(
     agent, scenario: Scenario, steps: int, world: WheelSoilModel | None
 ) -> dict[str, np.ndarray]:
-    """`observation` [steps, D], `new_course` [steps] and `action` [steps, 1] of the agent on held-out courses."""
+    """`observation` [steps, D], `new_course` [steps] and `action` [steps, 1] of the agent on
+    held-out courses.
+    """
     recorder = _Recorder(agent)
     course = 0
     while len(recorder.rows) < steps:

@@ -50,14 +50,14 @@ def command(
     """Compare agents and controllers (arms) over training seeds and scenarios.
 
     \b
-    soil-env study --config study_smoke.yaml --out runs/smoke     # a minute, numbers without meaning
+    soil-env study --config study_smoke.yaml --out runs/smoke   # a minute, numbers without meaning
     soil-env study --config study.yaml --out runs/study --workers 2
     soil-env study --config study.yaml --out runs/short --seeds 2 --train.timesteps 1e6
     soil-env study --out runs/study                               # continue
 
-    Any key of the YAML file is an option, too. Trainings continue from their last checkpoint, tunings from their last
-    trial; a larger --seeds adds to the finished cells. OUT gets study.json, study.md and study.png. Keys of the file:
-    docs/guide/study.md.
+    Any key of the YAML file is an option, too. Trainings continue from their last checkpoint,
+    tunings from their last trial; a larger --seeds adds to the finished cells. OUT gets study.json,
+    study.md and study.png. Keys of the file: docs/guide/study.md.
     """
     chosen = cells.choose(engine, workers, address)
     changes = overrides(keys, "--config")

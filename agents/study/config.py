@@ -1,7 +1,8 @@
-"""Configuration of a study: arms, scenarios and worlds, read from a YAML file; docs/guide/study.md has its keys.
+"""Configuration of a study: arms, scenarios and worlds, read from a YAML file; docs/guide/study.md
+has its keys.
 
-Scenarios, arms and worlds have the keys of `_Scenario`, `Arm` and `World`, the other keys are the numbers of `Study`.
-Files are looked for from here, then beside the YAML file.
+Scenarios, arms and worlds have the keys of `_Scenario`, `Arm` and `World`, the other keys are the
+numbers of `Study`. Files are looked for from here, then beside the YAML file.
 """
 
 from __future__ import annotations
@@ -53,9 +54,8 @@ class Target(OfTask):
 
     task: dict
     trained_on: str = ""  # target that the arms are made on; empty: this one
-    model: dict = field(
-        default_factory=dict
-    )  # content of the model.yaml of its world's effects; empty: none
+    #: Content of the model.yaml of its world's effects; empty: none.
+    model: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,9 @@ class World(OfWorld):
 
 @dataclass(frozen=True)
 class Arm(Checked):
-    """A controller that is compared: an agent that is trained, a classical controller, or a class."""
+    """A controller that is compared: an agent that is trained, a classical controller, or a
+    class.
+    """
 
     train: dict = field(default_factory=dict)  # keys of the training's config
     controller: str = ""  # a classical controller or module:Thing, in place of a training
@@ -147,7 +149,9 @@ class Study(Checked):
         ]
 
     def cells(self) -> list[Cell]:
-        """All cells: the arms without a training, then seed by seed every agent on every scenario."""
+        """All cells: the arms without a training, then seed by seed every agent on every
+        scenario.
+        """
         sources = [name for name, target in self.targets.items() if not target.trained_on]
         once = [Cell(s, a, 0) for s in sources for a, arm in self.arms.items() if arm.controller]
         agents = [name for name, arm in self.arms.items() if not arm.controller]
@@ -189,7 +193,9 @@ class Cell:
 
 
 def _seed_of(cell: Cell) -> int:
-    """Seed of a training, the same for all arms; far from the next one, as wheel k of a training has seed + k."""
+    """Seed of a training, the same for all arms; far from the next one, as wheel k of a training
+    has seed + k.
+    """
     return 1_000_003 * (cell.seed + 1)
 
 
@@ -259,9 +265,11 @@ def _target(path: Path, name: str, entry, common: dict) -> dict:
 
 
 def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
-    """Content of a model.yaml that is named in a file: as seen from here, else from beside that file.
+    """Content of a model.yaml that is named in a file: as seen from here, else from beside that
+    file.
 
-    Without a scenario, of a fitted model only the named effects: its law without a name belongs to its soil.
+    Without a scenario, of a fitted model only the named effects: its law without a name belongs to
+    its soil.
     """
     file = Path(name) if Path(name).is_file() else Path(path).parent / name
     model = WheelSoilModel.load(file)
@@ -277,7 +285,7 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
     wheel = scenario.wheel if scenario else model.wheel
     if (own.radius, own.width) != (wheel.radius, wheel.width):
         raise ParameterError(
-            f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of scenario "
-            f"{scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
+            f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of "
+            f"scenario {scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
         )
     return model.content()

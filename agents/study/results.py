@@ -18,8 +18,8 @@ FILES = ("study.json", "study.md", "study.png")
 def result(study: Study, folder: Path) -> dict:
     """The content of study.json, of the cells that are done.
 
-    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name: effects},
-    "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
+    {"arms": {name: its config}, "baseline", "settings": {cell: tuned settings}, "worlds": {name:
+    effects}, "scenarios": {name: a `comparison` of the arms, and "trained_on"}}.
     """
     runs, settings = work.driven(study, folder)
     return {
@@ -45,12 +45,16 @@ def result(study: Study, folder: Path) -> dict:
 
 
 def table(content: dict, bounds: bool = True) -> Table:
-    """A row for each scenario and arm; differences are on the same courses. Narrow without `bounds`."""
+    """A row for each scenario and arm; differences are on the same courses.
+
+    Narrow without `bounds`.
+    """
     base = content["baseline"]
     rows = []
     for name, entry in content["scenarios"].items():
         for arm, metrics in entry["controllers"].items():
-            difference = probability = ""
+            difference = ""
+            probability = ""
             if arm != base and base in entry["controllers"]:
                 difference = points(entry["paired"][arm][base]["finished"])
                 probability = cell(entry["improvement"][arm][base])

@@ -3,7 +3,7 @@
 study.yaml            the study, resolved; another study may not go on in this folder
 trained/CELL/         run folder of a training: config.yaml, model.zip, checkpoint.zip on the way
 tuned/CELL.log        trials of a tuning
-cells/CELL.json       the courses of all scenarios as driven by one arm with one training seed: the cell is done
+cells/CELL.json       all courses as driven by one arm with one training seed: the cell is done
 """
 
 import tempfile
@@ -118,7 +118,9 @@ class Work:
 
 
 def driven(study: Study, folder: Path) -> tuple[dict[str, dict[str, list[Runs]]], dict[str, dict]]:
-    """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell: settings})."""
+    """({target: {arm: [runs of each training seed]}} of the cells that are done, {cell:
+    settings}).
+    """
 
     def parse(content: dict) -> dict:
         own = {

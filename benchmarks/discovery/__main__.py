@@ -1,14 +1,16 @@
-"""Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on soil?
+"""Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on
+soil?
 
-    python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16   draw, ask, score
-    python -m benchmarks.discovery run --held-out ...                                         the final run
-    python -m benchmarks.discovery score --out DIR --publish docs/results                     all answers in DIR
+    python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16 draw,
+    ask, score python -m benchmarks.discovery run --held-out ... the final run python -m
+    benchmarks.discovery score --out DIR --publish docs/results all answers in DIR
 
 An entrant is `workflow` or module:function, from the paths of data.csv and setup.yaml to a
-benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted. Develop with seeds from
-100000 on and without --held-out.
+benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted.
+Develop with seeds from 100000 on and without --held-out.
 
-DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with seed and generator.
+DIR holds cases/NAME, truth/NAME.json, answers/ENTRANT/NAME.json, and study.json with seed and
+generator.
 """
 
 import hashlib
@@ -50,7 +52,10 @@ def begin(folder: Path, seed: int) -> None:
 
 
 def describe(folder: Path, label: str, who: str) -> None:
-    """Keep the entrant and the hashed sources of soil_env beside its answers. Raises `ParameterError` for others."""
+    """Keep the entrant and the hashed sources of soil_env beside its answers.
+
+    Raises `ParameterError` for others.
+    """
     sources = sorted(Path(soil_env.__file__).parent.rglob("*.py"))
     digest = hashlib.sha256(b"".join(f.read_bytes() for f in sources)).hexdigest()[:12]
     about = {"entrant": who, "soil_env": f"{soil_env.__version__}+{digest}"}
@@ -73,7 +78,9 @@ def draw(seed: int, folder: Path, name: str) -> None:
 
 
 def ask(who: str, label: str, seed: int, folder: Path, name: str) -> None:
-    """Draw a case if it is not there, ask the entrant in a folder that holds only the case, keep the answer."""
+    """Draw a case if it is not there, ask the entrant in a folder that holds only the case, keep
+    the answer.
+    """
     draw(seed, folder, name)
     with tempfile.TemporaryDirectory() as place:
         shutil.copytree(folder / "cases" / name, place, dirs_exist_ok=True)
@@ -91,7 +98,9 @@ def ask(who: str, label: str, seed: int, folder: Path, name: str) -> None:
 
 
 def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None:
-    """Call `work` with every name in `jobs` processes; an interrupt loses only the cases in work."""
+    """Call `work` with every name in `jobs` processes; an interrupt loses only the cases in
+    work.
+    """
     names = list(names)
     if jobs == 1:
         for done, name in enumerate(names, start=1):
@@ -223,8 +232,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from benchmarks.discovery import (
-        __main__ as imported,
-    )  # processes of --jobs look functions up in a named module
+    # Processes of --jobs look functions up in a named module.
+    from benchmarks.discovery import __main__ as imported
 
     leave(imported.main())

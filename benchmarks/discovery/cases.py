@@ -1,8 +1,10 @@
-"""Cases of the benchmark: sets, groups, hidden effects, and a table and a setup as files with the truth apart.
+"""Cases of the benchmark: sets, groups, hidden effects, and a table and a setup as files with the
+truth apart.
 
-A case follows from the seed, its group and its number alone. Loads of a table are normal to the ground, and
-sinkage is below the surface in front of the wheel. Pull is the net forward force on the axle, less the weight component
-where a grade effect is hidden. Laws err by 10 %, in all kinds of ways (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
+A case follows from the seed, its group and its number alone. Loads of a table are normal to the
+ground, and sinkage is below the surface in front of the wheel. Pull is the net forward force on the
+axle, less the weight component where a grade effect is hidden. Laws err by 10 %, in all kinds of
+ways (`laws.smooth`, `laws.log_slip`, `laws.regimes`).
 """
 
 import csv
@@ -46,7 +48,9 @@ class Group:
 
     @property
     def name(self) -> str:
-        """Kind, sort, size of the law errors in percent and their kind, as in the names of the cases."""
+        """Kind, sort, size of the law errors in percent and their kind, as in the names of the
+        cases.
+        """
         kind = "" if self.of_slip is smooth else self.of_slip.__name__
         return "-".join(filter(None, (self.kind, "rich", self.sort, f"{100 * ERROR:.0f}", kind)))
 
@@ -164,7 +168,9 @@ def draw_case(seed: int, task: Task) -> Case:
 
 
 def _strengths(rng, measure: Measure, forms, group: Group):
-    """(Effects whose sizes are drawn between the multiples of the limit, sizes); (.., None) if impossible."""
+    """(Effects whose sizes are drawn between the multiples of the limit, sizes); (.., None) if
+    impossible.
+    """
     bench = measure.bench
     effects = [
         Hidden(f, float(f.signs[rng.integers(len(f.signs))]), f.side(rng, bench)) for f in forms
@@ -179,10 +185,8 @@ def _strengths(rng, measure: Measure, forms, group: Group):
         )
     wanted = [SEEN[0] * (SEEN[1] / SEEN[0]) ** rng.uniform() for _ in effects]
     sizes = [np.nan] * len(effects)
-    for k in [
-        *range(len(effects)),
-        *range(len(effects) - 1),
-    ]:  # the first of two again, once the second is there
+    # The first of two again, once the second is there.
+    for k in [*range(len(effects)), *range(len(effects) - 1)]:
         others = [e for j, e in enumerate(effects) if j != k and np.isfinite(sizes[j])]
         strength, sizes[k] = measure.strength(effects[k], wanted[k], others)
         if strength == 0.0:
@@ -231,7 +235,9 @@ def _measured(rng, seed: int, task: Task, measure: Measure, effects, sizes) -> C
 
 
 def _described(measure: Measure, effects, sizes) -> dict:
-    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one, counts or not."""
+    """Truth about the effects: sizes in detection limits, what listed forms leave of a single one,
+    counts or not.
+    """
     out = []
     counts = True
     for k, effect in enumerate(effects):
@@ -274,7 +280,9 @@ def _columns(bench: Bench, effects, values: np.ndarray) -> dict[str, list]:
 
 
 def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
-    """Known to the entrant: a wheel, priors of the soil that are off by their sd times N(0, 1), mostly the noise."""
+    """Known to the entrant: a wheel, priors of the soil that are off by their sd times N(0, 1),
+    mostly the noise.
+    """
     soil = {}
     for name in SOIL:
         true = getattr(bench.ground, name)
@@ -291,7 +299,9 @@ def _setup(rng, bench: Bench, noise_stated: bool) -> dict:
 
 
 def write_case(case: Case, folder: Path, truth_file: Path) -> None:
-    """data.csv and setup.yaml in `folder`, the truth in another place; the truth is written last."""
+    """data.csv and setup.yaml in `folder`, the truth in another place; the truth is written
+    last.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     truth_file.parent.mkdir(parents=True, exist_ok=True)
     with (folder / "data.csv").open("w", newline="", encoding="utf-8") as stream:

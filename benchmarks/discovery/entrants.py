@@ -1,7 +1,7 @@
 """Entrants: functions from (data.csv, setup.yaml) to an `Answer`.
 
-`workflow` is the discrepancy workflow of soil_env. The least-squares fits that docs/results.md compares it with are at
-commit 723d8c2d.
+`workflow` is the discrepancy workflow of soil_env. The least-squares fits that docs/results.md
+compares it with are at commit 723d8c2d.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", 
 class Answer:
     """Answer of an entrant to a table. Raises `ParameterError` for unknown names.
 
-    `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty where the verdict is
-    unlisted, none or undetermined. `alternatives`: those that look like the named ones. `probabilities`: of
-    each mechanism to be in the table; those left out count as 0. Names are those of the catalogue.
+    `verdict`: one of `VERDICTS`. `named`: the mechanisms that are there, the surest first; empty
+    where the verdict is unlisted, none or undetermined. `alternatives`: those that look like the
+    named ones. `probabilities`: of each mechanism to be in the table; those left out count as 0.
+    Names are those of the catalogue.
     """
 
     verdict: str
@@ -49,7 +50,10 @@ class Answer:
 
     @classmethod
     def of(cls, content: Mapping) -> Answer:
-        """Return the answer of a mapping with the keys of this class. Raises `ParameterError` for anything else."""
+        """Return the answer of a mapping with the keys of this class.
+
+        Raises `ParameterError` for anything else.
+        """
         if not isinstance(content, Mapping) or not set(content) <= set(cls.__dataclass_fields__):
             raise ParameterError(
                 f"answer {content!r}: expected a mapping of {', '.join(cls.__dataclass_fields__)}"
@@ -62,7 +66,10 @@ Entrant = Callable[[Path, Path], Answer | Mapping]
 
 
 def entrant(name: str) -> Entrant:
-    """Return the entrant of a name or of module:function. Raises `ParameterError` where there is none."""
+    """Return the entrant of a name or of module:function.
+
+    Raises `ParameterError` where there is none.
+    """
     if name in ENTRANTS:
         return ENTRANTS[name]
     module, _, function = name.partition(":")
@@ -77,7 +84,8 @@ def entrant(name: str) -> Entrant:
 def workflow(data: Path, setup: Path) -> Answer:
     """Discrepancy workflow of soil_env, by the content of its report.json.
 
-    Of an ambiguous verdict the first candidate is named if it is more probable than nothing or something unlisted.
+    Of an ambiguous verdict the first candidate is named if it is more probable than nothing or
+    something unlisted.
     """
     report = content(run(data, setup))
     named = tuple(e["name"] for e in report["effects"])

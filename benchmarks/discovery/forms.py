@@ -1,8 +1,10 @@
-"""Mechanisms of the catalogue that a case may hide, in published forms that the catalogue does not have.
+"""Mechanisms of the catalogue that a case may hide, in published forms that the catalogue does not
+have.
 
-A form that has no strength in the literature is multiplied by one. Each names its source; "after" says that the source
-has the idea or the data, and the expression here is the simplest one of it. Side parameters are drawn once for a case.
-`cap` is the largest strength that is sensible for the wheel, soil and conditions at hand.
+A form that has no strength in the literature is multiplied by one. Each names its source; "after"
+says that the source has the idea or the data, and the expression here is the simplest one of it.
+Side parameters are drawn once for a case. `cap` is the largest strength that is sensible for the
+wheel, soil and conditions at hand.
 """
 
 from dataclasses import replace
@@ -29,7 +31,8 @@ def passive(contact):
 
 @_form("slip_sinkage", "sinkage over the slid distance [-]", 0.25)
 def slid_distance(contact, s, side):
-    """Soil carried off in proportion to the distance that a point of the rim slides in the soil, after Reece (1965-66).
+    """Soil carried off in proportion to the distance that a point of the rim slides in the soil,
+    after Reece (1965-66).
 
     z = z0 + s r [theta0 - (1 - i) sin theta0], theta0 that of z0: it grows with slip and with load.
     """
@@ -43,13 +46,17 @@ def slid_distance(contact, s, side):
 
 @_form("slip_sinkage", "loss of S at full slip [-]", 0.85)
 def softened_bed(contact, s, side):
-    """Sheared soil bears less: S (1 - s i), after Yong, Fattah & Skiadas (1984) on inclined loads."""
+    """Sheared soil bears less: S (1 - s i), after Yong, Fattah & Skiadas (1984) on inclined
+    loads.
+    """
     contact.stiffness = contact.stiffness * np.maximum(1.0 - s * _slip(contact), 0.05)
 
 
 @_form("rear_contact", "-theta2 [rad]", lambda bench: 0.35)
 def constant_exit(contact, s, side):
-    """One exit angle for all loads and slips, as read from the stress records of Onafeko & Reece (1967)."""
+    """One exit angle for all loads and slips, as read from the stress records of Onafeko & Reece
+    (1967).
+    """
     contact.exit_angle = lambda entry, r: -np.minimum(s, 0.9 * entry)
 
 
@@ -61,7 +68,9 @@ def constant_exit(contact, s, side):
     freedom=2,
 )
 def unloading_rebound(contact, s, side):
-    """Rebound z_e = p/ku of the unloading line of Wong (1989): it grows with the load, not with the sinkage."""
+    """Rebound z_e = p/ku of the unloading line of Wong (1989): it grows with the load, not with the
+    sinkage.
+    """
     rebound = s**2 * (contact.load / side["load"]) ** side["power"]
     contact.exit_angle = lambda entry, r: (
         -np.arccos(1.0 - np.minimum(rebound, 0.9 * (1.0 - np.cos(entry))))
@@ -70,7 +79,9 @@ def unloading_rebound(contact, s, side):
 
 @_form("stress_peak_shift", "shift at slip 1 [rad]", 0.35)
 def shift_in_degrees(contact, s, side):
-    """thetam = theta1/2 + s i in angle, not in proportion to theta1, after the records of Onafeko & Reece (1967)."""
+    """thetam = theta1/2 + s i in angle, not in proportion to theta1, after the records of Onafeko &
+    Reece (1967).
+    """
     contact.peak_shift.append(lambda entry: s * contact.slip)
 
 
@@ -82,7 +93,9 @@ def shift_in_degrees(contact, s, side):
     freedom=2,
 )
 def shift_saturating(contact, s, side):
-    """thetam = [1/2 + s (1 - exp(-i/i0))] theta1: a peak that moves at once and then stays, after Krick (1969)."""
+    """thetam = [1/2 + s (1 - exp(-i/i0))] theta1: a peak that moves at once and then stays, after
+    Krick (1969).
+    """
     contact.peak_shift.append(lambda entry: s * -np.expm1(-_slip(contact) / side["slip"]) * entry)
 
 
@@ -93,7 +106,9 @@ def shift_saturating(contact, s, side):
     side=lambda rng, bench: {"lugs": int(rng.integers(12, 31))},
 )
 def passive_ripple_mean(contact, s, side):
-    """Mean of the ripple of passive pressure on each lug at its depth, Irani, Bauer & Warkentin (2011)."""
+    """Mean of the ripple of passive pressure on each lug at its depth, Irani, Bauer & Warkentin
+    (2011).
+    """
     n_phi = passive(contact)
     gamma = contact.ground.unit_weight
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -122,7 +137,9 @@ def passive_ripple_mean(contact, s, side):
 
 @_late("grousers", "lug height [m]", lambda bench: 0.25 * bench.radius)
 def sheared_sides(contact, s, side):
-    """Bekker's thrust with lugs (1956), their sides: c (1 + 2 h/b), tan phi [1 + 0.64 (h/b) arccot(h/b)]."""
+    """Bekker's thrust with lugs (1956), their sides: c (1 + 2 h/b), tan phi [1 + 0.64 (h/b)
+    arccot(h/b)].
+    """
     share = s / contact.width
 
     def hook(limit, sigma, theta):
@@ -144,7 +161,9 @@ def resist(contact, s, force):
 
 @_late("bulldozing", "factor on the force [-]", 0.3, (PULL,))
 def terzaghi(contact, s, side):
-    """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), bearing factors of Terzaghi."""
+    """Bekker (1960): b sin(a + phi)/(2 sin a cos phi) (2 z c Kc + gamma z^2 Kg), bearing factors of
+    Terzaghi.
+    """
     phi = contact.phi
     gamma = contact.ground.unit_weight
     c = contact.cohesion
@@ -170,7 +189,9 @@ def terzaghi(contact, s, side):
     side=drawn(crescent=(0.5, 2.0)),
 )
 def crescent(contact, s, side):
-    """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece (1967)."""
+    """Wedge with side crescents, (gamma z^2 N/2 + 2 c z sqrt N)(b + m z), Hettiaratchi & Reece
+    (1967).
+    """
     n_phi = passive(contact)
     gamma = contact.ground.unit_weight
     c = contact.cohesion
@@ -185,7 +206,9 @@ def crescent(contact, s, side):
 
 @_form("shear_softening", "f, residual/peak about 1/(1 + f/3) [-]", 2.5)
 def hyperbolic_cosine(contact, s, side):
-    """The hump 1 + f/cosh(x), x = j/K, of Kacigin & Guskov (1968) on (1 - e^-x), the peak as strength; f = s."""
+    """The hump 1 + f/cosh(x), x = j/K, of Kacigin & Guskov (1968) on (1 - e^-x), the peak as
+    strength; f = s.
+    """
     x = np.linspace(0.0, 40.0, 4001)
     peak = np.max(-np.expm1(-x) * (1.0 + s / np.cosh(x)))
     contact.mobilised = lambda ratio: (
@@ -224,7 +247,9 @@ def _compact(contact, growth, side):
 
 @_form("multipass", "exponent of the pass number [-]", 0.8, side=_compaction, freedom=2)
 def pass_power_of_all(contact, s, side):
-    """S N^a, c N^(q a) and K N^(-k a): each pass leaves firmer and stronger soil, after Holm (1969)."""
+    """S N^a, c N^(q a) and K N^(-k a): each pass leaves firmer and stronger soil, after Holm
+    (1969).
+    """
     number = contact.passes
     contact.stiffness = contact.stiffness * number**s
     contact.cohesion = contact.cohesion * number ** (side["cohesion"] * s)
@@ -233,7 +258,9 @@ def pass_power_of_all(contact, s, side):
 
 @_form("multipass", "gain of S for each factor e of passes [-]", 1.0, side=_compaction, freedom=2)
 def pass_logarithm(contact, s, side):
-    """Gain in proportion to ln N, as compaction with traffic (Soane et al. 1981), of S and in part of c and 1/K."""
+    """Gain in proportion to ln N, as compaction with traffic (Soane et al. 1981), of S and in part
+    of c and 1/K.
+    """
     _compact(contact, s * np.log(contact.passes), side)
 
 
@@ -260,7 +287,9 @@ def local_penetration(contact, s, side):
 
 @_form("penetration_rate", "gain of S at high speed [-]", 0.9, side=reference_speed, freedom=2)
 def rate_saturating(contact, s, side):
-    """S [1 + a (1 - exp(-V/V0))]: pressure that rises with the sinkage rate to a limit, after Pope (1969)."""
+    """S [1 + a (1 - exp(-V/V0))]: pressure that rises with the sinkage rate to a limit, after Pope
+    (1969).
+    """
     contact.stiffness = contact.stiffness * (1.0 + s * -np.expm1(-contact.speed / side["speed"]))
 
 
@@ -272,7 +301,9 @@ def _local_sliding(contact, arc):
 
 @_form("shear_rate", "gain of the shear stress [-]", 0.35, order=3, side=reference_speed, freedom=2)
 def strength_rate_process(contact, s, side):
-    """Strength times 1 + a asinh(v/v0), v the local sliding velocity: a rate process, Mitchell (1964)."""
+    """Strength times 1 + a asinh(v/v0), v the local sliding velocity: a rate process, Mitchell
+    (1964).
+    """
     contact.tangential.append(
         lambda tau, arc: (
             tau * (1.0 + s * np.arcsinh(_local_sliding(contact, arc) / (0.3 * side["speed"])))
@@ -288,7 +319,9 @@ def strength_rate_process(contact, s, side):
     side=lambda rng, bench: {"speed": float(bench.rows.speed.max()), "pressure": bench.pressure},
 )
 def bingham(contact, s, side):
-    """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law, Ghezzehei & Or (2001)."""
+    """Cohesion plus a viscous part in proportion to the sliding velocity: Bingham's law, Ghezzehei
+    & Or (2001).
+    """
 
     def hook(tau, arc):
         viscous = s * side["pressure"] * _local_sliding(contact, arc) / side["speed"]
@@ -305,7 +338,9 @@ def _along_the_slope(contact):
 
 @_form("grade", "steepest grade [deg]", 15.0, scales_grade=True)
 def hansen_slope(contact, s, side):
-    """Weight along the slope, and bearing on sloping ground by Hansen (1970): S (1 - tan(g)/2)^5, more downhill."""
+    """Weight along the slope, and bearing on sloping ground by Hansen (1970): S (1 - tan(g)/2)^5,
+    more downhill.
+    """
     contact.stiffness = (
         contact.stiffness * np.maximum(1.0 - 0.5 * np.abs(np.tan(contact.grade)), 0.1) ** 5
     )
@@ -321,7 +356,9 @@ def hansen_slope(contact, s, side):
     freedom=2,
 )
 def weight_transfer(contact, s, side):
-    """Weight along the slope, and load W (1 + (h/L) tan g) of a vehicle, h/L height over wheelbase, Wong (2008)."""
+    """Weight along the slope, and load W (1 + (h/L) tan g) of a vehicle, h/L height over wheelbase,
+    Wong (2008).
+    """
     _along_the_slope(contact)
     contact.load = contact.load * (1.0 + side["height"] * np.tan(contact.grade))
 
@@ -347,7 +384,9 @@ def _lost(contact, loss):
     "drivetrain_friction", "loss over load x radius [-]", 0.15, (TORQUE,), side=_drive, freedom=2
 )
 def stribeck(contact, s, side):
-    """T0 [1 + q exp(-(omega/omega_s)^2)]: friction that falls from rest, Armstrong-Helouvry et al. (1994)."""
+    """T0 [1 + q exp(-(omega/omega_s)^2)]: friction that falls from rest, Armstrong-Helouvry et al.
+    (1994).
+    """
     rest = np.exp(-((_omega(contact) / side["omega"]) ** 2))
     _lost(
         contact,
@@ -379,14 +418,18 @@ _WRONG_SLIP = {"signs": (1, -1), "order": 0}
     **_WRONG_SLIP,
 )
 def speed_zero(contact, s, side):
-    """The travel speed has a zero error, so that slip is the more wrong the slower the run (ISTVS 1977, on slip)."""
+    """The travel speed has a zero error, so that slip is the more wrong the slower the run (ISTVS
+    1977, on slip).
+    """
     error = np.clip(s * side["speed"] / column(contact.rows.speed), -0.4, 0.4)
     contact.slip = 1.0 - (1.0 - contact.slip) * (1.0 - error)
 
 
 @_form("slip_bias", "share of the slip [-]", 0.6, **_WRONG_SLIP)
 def slip_gain(contact, s, side):
-    """Slip recorded too small in proportion, a carriage that yields as the wheel pulls: i_m [1 + s (1 - i_m)]."""
+    """Slip recorded too small in proportion, a carriage that yields as the wheel pulls: i_m [1 + s
+    (1 - i_m)].
+    """
     contact.slip = contact.slip * (1.0 + s * (1.0 - contact.slip))
 
 
@@ -407,7 +450,9 @@ def _read_sinkage(contact, error):
     **_WRONG_SINKAGE,
 )
 def drifting_zero(contact, s, side):
-    """Zero of the sinkage sensor that creeps through the campaign, from a part of the offset to all of it."""
+    """Zero of the sinkage sensor that creeps through the campaign, from a part of the offset to all
+    of it.
+    """
     _read_sinkage(
         contact, s * (side["start"] + (1.0 - side["start"]) * contact.rows.time / side["time"])
     )
@@ -423,7 +468,9 @@ def drifting_zero(contact, s, side):
     **_WRONG_SINKAGE,
 )
 def bending_frame(contact, s, side):
-    """The rig gives way under the load, by s (W/W0)^q: carriage deflection, as corrected for at the CMU rig."""
+    """The rig gives way under the load, by s (W/W0)^q: carriage deflection, as corrected for at the
+    CMU rig.
+    """
     _read_sinkage(contact, s * (contact.rows.load / side["load"]) ** side["power"])
 
 

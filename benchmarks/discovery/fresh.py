@@ -1,7 +1,9 @@
-"""Mechanisms in no catalogue that were written by somebody who does not know the workflow, for a blind test.
+"""Mechanisms in no catalogue that were written by somebody who does not know the workflow, for a
+blind test.
 
-The author read the forms, the other kinds and the world of this benchmark, never the program that is tested, and ran
-the kinds for nothing but their size in detection limits. Every kind says what separates it from the listed mechanisms.
+The author read the forms, the other kinds and the world of this benchmark, never the program that
+is tested, and ran the kinds for nothing but their size in detection limits. Every kind says what
+separates it from the listed mechanisms.
 """
 
 from dataclasses import replace
@@ -22,10 +24,11 @@ _fresh = partial(enter, FRESH, "")
     side=drawn("speed", "radius", at=(0.5, 2.0), width=(0.25, 0.45), friction=(0.1, 0.4)),
 )
 def shaking_carriage(contact, s, side):
-    """Resonance of the carriage with the teeth of the gear, at one speed of the wheel; the shaken soil is weak.
+    """Resonance of the carriage with the teeth of the gear, at one speed of the wheel; the shaken
+    soil is weak.
 
-    S and in part tan(phi) fall near that speed and are unharmed far below and above it, after Barkan (1962). Listed
-    rates rise with the speed all the way, and have no band.
+    S and in part tan(phi) fall near that speed and are unharmed far below and above it, after
+    Barkan (1962). Listed rates rise with the speed all the way, and have no band.
     """
     turning = column(contact.rows.speed) / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))
     far = np.log(turning / (side["at"] * side["speed"] / (0.7 * side["radius"]))) / side["width"]
@@ -36,10 +39,12 @@ def shaking_carriage(contact, s, side):
 
 @_fresh("loss of strength at the rim, all worn [-]", 0.5, side=drawn(share=(0.15, 0.5)))
 def polished_rim(contact, s, side):
-    """Wear of a rough rim by the sand that slides along it, so that less and less of the soil's strength is taken up.
+    """Wear of a rough rim by the sand that slides along it, so that less and less of the soil's
+    strength is taken up.
 
-    Strength goes with the distance slid in all rows before, whatever the bed; sinkage changes little. Listed
-    softening begins anew in each contact, and multipass in each bed; a moister bed gains cohesion with time.
+    Strength goes with the distance slid in all rows before, whatever the bed; sinkage changes
+    little. Listed softening begins anew in each contact, and multipass in each bed; a moister bed
+    gains cohesion with time.
     """
     rows = contact.rows
     driven = np.clip(np.diff(rows.time, prepend=0.0), 0.0, 90.0) * rows.speed
@@ -50,10 +55,11 @@ def polished_rim(contact, s, side):
 
 @_fresh("loss of S in the third pass for a unit of slip [-]", 1.3, side=drawn(friction=(0.0, 0.2)))
 def churned_rut(contact, s, side):
-    """Loosening of dense soil by the slip of each pass, which the next pass finds at the same place of the lane.
+    """Loosening of dense soil by the slip of each pass, which the next pass finds at the same place
+    of the lane.
 
-    S, and less tan(phi), fall with slip times the number of passes before. Listed multipass makes a bed firmer at
-    all slips, and slip-sinkage is there on fresh soil too.
+    S, and less tan(phi), fall with slip times the number of passes before. Listed multipass makes a
+    bed firmer at all slips, and slip-sinkage is there on fresh soil too.
     """
     loose = np.maximum(1.0 - s * 0.5 * (contact.passes - 1.0) * np.maximum(contact.slip, 0.0), 0.1)
     contact.stiffness = contact.stiffness * loose
@@ -64,16 +70,17 @@ def churned_rut(contact, s, side):
     "share of the friction that is lost at once [-]", 0.6, side=drawn("speed", drains=(0.5, 2.0))
 )
 def trapped_water(contact, s, side):
-    """Water of a wet bed that carries part of the pressure until it has drained, and gives no friction (Terzaghi 1925).
+    """Water of a wet bed that carries part of the pressure until it has drained, and gives no
+    friction (Terzaghi 1925).
 
-    Short contacts, by fast travel and shallow rows, lose friction at all slips; cohesion and pressure stay. Listed
-    rates gain strength or pressure with speed, the one for shear with the speed of sliding.
+    Short contacts, by fast travel and shallow rows, lose friction at all slips; cohesion and
+    pressure stay. Listed rates gain strength or pressure with speed, the one for shear with the
+    speed of sliding.
     """
 
     def hook(tau, arc):
-        drained = (
-            side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6
-        )  # time of contact over that to drain
+        # Time of contact over that to drain.
+        drained = side["drains"] * side["speed"] / contact.speed * arc.entry / 0.6
         lost = s / (1.0 + drained) * arc.sigma * contact.tan_phi
         return tau * (1.0 - lost / np.maximum(arc.limit, 1e-9))
 
@@ -87,10 +94,11 @@ def trapped_water(contact, s, side):
     side=drawn("load", "speed"),
 )
 def sagging_supply(contact, s, side):
-    """One supply for the motor and both bridges, whose voltage sags with the power that the motor takes.
+    """One supply for the motor and both bridges, whose voltage sags with the power that the motor
+    takes.
 
-    Pull and torque are read short by one factor, most in heavy, fast rows of much slip. A wrong gain is constant,
-    saturation knows no speed, and a hot motor knows the rows before.
+    Pull and torque are read short by one factor, most in heavy, fast rows of much slip. A wrong
+    gain is constant, saturation knows no speed, and a hot motor knows the rows before.
     """
     turning = contact.rows.speed / (contact.radius * np.maximum(1.0 - contact.slip, 0.05))[:, 0]
 
@@ -105,10 +113,12 @@ def sagging_supply(contact, s, side):
 
 @_fresh("share of the rut's depth [-]", 0.6, (SINKAGE,))
 def skid_in_the_rut(contact, s, side):
-    """A skid that feels the surface beside the wheel slides into the rut after the first pass, and lowers the zero.
+    """A skid that feels the surface beside the wheel slides into the rut after the first pass, and
+    lowers the zero.
 
-    Sinkage is read short by a share of the mean depth of the run before. Listed multipass changes pull and torque
-    with it; an offset of the sinkage is there on fresh soil and does not know the depth of ruts.
+    Sinkage is read short by a share of the mean depth of the run before. Listed multipass changes
+    pull and torque with it; an offset of the sinkage is there on fresh soil and does not know the
+    depth of ruts.
     """
     run = np.concatenate([[0], np.cumsum(np.diff(contact.rows.passes) != 0.0)])
 
@@ -128,10 +138,11 @@ def skid_in_the_rut(contact, s, side):
     side=lambda rng, bench: {"limit": float(rng.uniform(0.5, 0.75) * bench.base[2].max())},
 )
 def overloaded_shaft(contact, s, side):
-    """A torque shaft that yields: the highest torque so far leaves a lasting zero, a share of its excess over a limit.
+    """A torque shaft that yields: the highest torque so far leaves a lasting zero, a share of its
+    excess over a limit.
 
-    The zero is right at first and moves in steps, up only. A wrong zero is constant, warm motors and seals recover or
-    fade, and saturation leaves no trace.
+    The zero is right at first and moves in steps, up only. A wrong zero is constant, warm motors
+    and seals recover or fade, and saturation leaves no trace.
     """
 
     def read(out):
@@ -148,9 +159,11 @@ def overloaded_shaft(contact, s, side):
     side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()},
 )
 def beds_out_of_level(contact, s, side):
-    """Beds that are levelled by hand have each a slope that nobody records, whose weight component goes to pull.
+    """Beds that are levelled by hand have each a slope that nobody records, whose weight component
+    goes to pull.
 
-    Listed grades are in the table, and a tilted rig has one angle for all beds; uneven beds differ in density.
+    Listed grades are in the table, and a tilted rig has one angle for all beds; uneven beds differ
+    in density.
     """
     bed = np.concatenate([[0], np.cumsum(np.diff(contact.rows.passes) < 0.0)]) % 200
     take = contact.rows.load * np.tan(np.radians(s * np.asarray(side["beds"])[bed]))

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from benchmarks.discovery.world import Contact
-
-if TYPE_CHECKING:
-    from benchmarks.discovery.plan import Bench
+from benchmarks.discovery.world import Contact, Rows
 
 CHANNELS = ("sinkage", "drawbar_pull", "torque")
 SINKAGE, PULL, TORQUE = CHANNELS
-Side = Callable[[np.random.Generator, "Bench"], dict]
+
+
+class Situation(Protocol):
+    """What a form may know of the table that hides it: a part of `plan.Bench`."""
+
+    rows: Rows
+    radius: float  # of the wheel [m]
+    load: float  # geometric mean [N]
+    pressure: float  # mean, load over radius times width [Pa]
+    speed: float  # geometric mean [m/s]
+    time: float  # duration of the campaign [s]
+    base: np.ndarray  # noise-free table [3, N] without effects
+
+
+Side = Callable[[np.random.Generator, Situation], dict]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,16 +37,15 @@ class Form:
     name: str
     strength: str  # meaning of the strength, with its unit
     alter: Callable[[Contact, float, dict], None]
-    cap: Callable[[Bench], float]
+    cap: Callable[[Situation], float]
     channels: tuple[str, ...]  # that it moves
     side: Side = lambda rng, bench: {}
     freedom: int = 1  # parameters of the effect
     signs: tuple[int, ...] = (1,)
     floor: float = 0.0  # below it the form is another one
     order: int = 1  # forms alter the contact in this order: true slip first
-    scales_grade: bool = (
-        False  # the strength is the amplitude of the grades, not of the response to them
-    )
+    #: The strength is the amplitude of the grades, not of the response to them.
+    scales_grade: bool = False
 
     @property
     def source(self) -> str:
@@ -60,7 +70,8 @@ class Hidden:
 
 
 def enter(registry: list[Form], effect: str, strength: str, cap, channels=CHANNELS, **options):
-    """Add the decorated function to `registry` as a form of `effect`; `cap` is a number or a function of `plan.Bench`.
+    """Add the decorated function to `registry` as a form of `effect`; `cap` is a number or a
+    function of the `Situation`.
 
     An empty `effect` takes the name of the function.
     """
@@ -75,7 +86,7 @@ def enter(registry: list[Form], effect: str, strength: str, cap, channels=CHANNE
 
 
 def drawn(*known: str, **ranges: tuple[float, float]) -> Side:
-    """Side parameters: attributes of the `plan.Bench` by name, and uniform draws from ranges."""
+    """Side parameters: attributes of the `Situation` by name, and uniform draws from ranges."""
 
     def side(rng, bench):
         found = {name: float(rng.uniform(*span)) for name, span in ranges.items()}

@@ -1,11 +1,13 @@
-"""Soil, wheel and test plan of a case, and the size of an effect in units of its detection limit there.
+"""Soil, wheel and test plan of a case, and the size of an effect in units of its detection limit
+there.
 
-The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J'. C is the
-covariance of the table by law errors (`laws.covariance`), J the tangent space of the soil, P the covariance of its
-priors. d' V^-1 d is the noncentrality of the likelihood ratio of a method that knows the form of the effect and the
-size of all of these. The *size* is its root over that of the noncentrality at which a test at the 1 % level has a power
-of 95 % (`noncentrality`): 1 is the detection limit. Sizes grow with the strength, in proportion where the effect is
-small. What an effect adds is computed without the law errors, whose change by the effect is of second order.
+The change of a table by an effect, d, is judged against V = noise^2 + (law error)^2 C + J P J'. C
+is the covariance of the table by law errors (`laws.covariance`), J the tangent space of the soil, P
+the covariance of its priors. d' V^-1 d is the noncentrality of the likelihood ratio of a method
+that knows the form of the effect and the size of all of these. The *size* is its root over that of
+the noncentrality at which a test at the 1 % level has a power of 95 % (`noncentrality`): 1 is the
+detection limit. Sizes grow with the strength, in proportion where the effect is small. What an
+effect adds is computed without the law errors, whose change by the effect is of second order.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,13 +45,12 @@ SOILS = {
     "sandy loam": ((25, 33), (1000, 3500), (0.01, 0.04), (0.5, 0.9), (4000, 10000)),
     "clayey loam": ((22, 28), (2500, 5000), (0.005, 0.03), (0.5, 0.8), (7000, 14000)),
 }
-SHALLOWEST = 0.03  # sinkage of the base world over the radius
-DEEPEST = 0.35
-LEVEL = 0.01
-POWER = 0.95
-FREE = (
-    10.0  # standard deviation of the strength of another effect that is refitted, over its strength
-)
+SHALLOWEST = 0.03  # least sinkage of the base world over the radius
+DEEPEST = 0.35  # largest one
+LEVEL = 0.01  # of the chi-square test by which an effect is seen
+POWER = 0.95  # of that test at the least strength that is drawn
+#: Standard deviation of the strength of another effect that is refitted, over its strength.
+FREE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,9 @@ class Bench:
         return float(max(self.rows.time.max(), 1.0))
 
     def conditions(self, effects: Sequence[Hidden] = ()) -> Rows:
-        """Rows with the grades in degrees, set by the strength of a grade effect if there is one."""
+        """Rows with the grades in degrees, set by the strength of a grade effect if there is
+        one.
+        """
         scale = next((e.strength for e in effects if e.form.scales_grade), self.grade)
         return replace(self.rows, grade_deg=self.rows.grade_deg * scale)
 
@@ -179,8 +182,8 @@ def _noise(rng, radius: float, load: float) -> tuple[float, float, float]:
 def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     """Conditions and run labels; grades as a pattern in [-1, 1].
 
-    3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed. The rows of a run are
-    neighbours.
+    3 loads x 3 speeds x 3 passes x 6 or 7 slips, the grade by a Latin square of load and speed. The
+    rows of a run are neighbours.
     """
     loads = np.round(mean_load * rng.uniform(2.0, 3.0) ** np.array([-0.5, 0.0, 0.5]), 1)
     slowest = np.exp(rng.uniform(np.log(0.01), np.log(0.1)))
@@ -196,9 +199,8 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
     runs = []
     clock = 0.0
     for number, (load, speed, number_of_pass, grade) in enumerate(blocks, start=1):
-        clock += (
-            rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)
-        )  # preparing the soil
+        # Preparing the soil.
+        clock += rng.uniform(600, 1800) if number_of_pass == 1 else rng.uniform(60, 180)
         for slip in np.round(slips + rng.uniform(-0.015, 0.015, slips.size), 4):
             clock += rng.uniform(30, 90)
             rows.append((slip, load, speed, number_of_pass, grade, np.round(clock)))
@@ -208,7 +210,9 @@ def _plan(rng, mean_load: float) -> tuple[Rows, list[str]]:
 
 @cache
 def noncentrality(freedom: int) -> float:
-    """Noncentrality at which a chi-square test of `freedom` degrees at `LEVEL` has the power `POWER`."""
+    """Noncentrality at which a chi-square test of `freedom` degrees at `LEVEL` has the power
+    `POWER`.
+    """
     threshold = chi2.isf(LEVEL, freedom)
     return float(brentq(lambda nc: ncx2.sf(threshold, freedom, nc) - POWER, 1e-3, 500.0))
 
@@ -253,14 +257,18 @@ class Measure:
         return solve_triangular(self.factor, change.ravel(), lower=True, check_finite=False)
 
     def contribution(self, effect: Hidden, others: Sequence[Hidden] = ()) -> np.ndarray:
-        """Change of the table by an effect beside the others, whitened; NaN where the wheel finds no balance."""
+        """Change of the table by an effect beside the others, whitened; NaN where the wheel finds
+        no balance.
+        """
         return self.white(
             self.bench.truth([*others, effect])
             - (self.bench.truth(others) if others else self.bench.base)
         )
 
     def size(self, effect: Hidden, others: Sequence[Hidden] = ()) -> float:
-        """Size of an effect, the strengths of `others` refitted; infinite where the wheel finds no balance."""
+        """Size of an effect, the strengths of `others` refitted; infinite where the wheel finds no
+        balance.
+        """
         vector = self.contribution(effect, others)
         free = [self.contribution(e) for e in others]
         if not all(np.all(np.isfinite(v)) for v in (vector, *free)):
@@ -295,7 +303,9 @@ class Measure:
         return sign * best[0], best[1]
 
     def left(self, effect: Hidden) -> dict[str, float]:
-        """Size that the best form of each other mechanism leaves of an effect, the strengths fitted."""
+        """Size that the best form of each other mechanism leaves of an effect, the strengths
+        fitted.
+        """
         vector = self.contribution(effect)
         out = {}
         for name, cap, signed, change in self.listed:
@@ -312,7 +322,9 @@ class Measure:
 
     @cached_property
     def listed(self) -> list[tuple[str, float, bool, np.ndarray]]:
-        """(mechanism, largest multiple, negative ones count too, whitened change) of each listed form."""
+        """(mechanism, largest multiple, negative ones count too, whitened change) of each listed
+        form.
+        """
         rng = np.random.default_rng(0)
         bench = self.bench
         found = []
@@ -326,7 +338,9 @@ class Measure:
 
 
 def without(vector: np.ndarray, free: Sequence[np.ndarray]) -> np.ndarray:
-    """(1 + FREE^2 sum f f')^-1 vector: what is left of it where the amounts of `free` are unknown."""
+    """(1 + FREE^2 sum f f')^-1 vector: what is left of it where the amounts of `free` are
+    unknown.
+    """
     if not len(free):
         return vector
     f = FREE * np.stack(free, axis=1)

@@ -1,7 +1,9 @@
-"""Scores: every answer against its truth, shares with Wilson intervals, calibration of the stated probabilities.
+"""Scores: every answer against its truth, shares with Wilson intervals, calibration of the stated
+probabilities.
 
-A case *counts* for the targets where the hidden effect is at or above twice its detection limit; an unlisted mechanism,
-where what the best listed form would leave of it is. The calibration and the shares under `all` have every case.
+A case *counts* for the targets where the hidden effect is at or above twice its detection limit; an
+unlisted mechanism, where what the best listed form would leave of it is. The calibration and the
+shares under `all` have every case.
 """
 
 import json
@@ -18,8 +20,8 @@ from soil_env._io.document import Table
 from soil_env._io.loading import ParameterError
 
 ASSERTED = ("named", "partly")  # verdicts that assert a name
-MORE_LIKELY = 0.5
-BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+MORE_LIKELY = 0.5  # probability above which an answer states a name
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # edges of the probabilities that are judged together
 LEAST_IN_BIN = 20  # a bin with fewer answers has no deviation
 SENSORS = ("slip_bias", "sinkage_offset")  # of the catalogue, but not of the soil
 CALIBRATED = {"largest": 0.10, "mean": 0.03}  # deviation of stated probabilities that is asked for
@@ -44,13 +46,17 @@ class Record(NamedTuple):
 
 
 def stated(answer: Answer) -> dict[str, float]:
-    """Probability of each mechanism that an answer states; an asserted name without one counts as sure."""
+    """Probability of each mechanism that an answer states; an asserted name without one counts as
+    sure.
+    """
     asserted = answer.named if answer.verdict in ASSERTED else ()
     return {name: 1.0 for name in asserted} | dict(answer.probabilities)
 
 
 def contradicted(answer: Answer) -> bool:
-    """True if the verdict asserts a name that is stated at less than 50 %, or no name where one has more."""
+    """True if the verdict asserts a name that is stated at less than 50 %, or no name where one has
+    more.
+    """
     p = stated(answer)
     if answer.verdict in ASSERTED:
         return any(p[name] < MORE_LIKELY for name in answer.named)
@@ -191,7 +197,9 @@ def _firsts(records: list[Record]) -> list[tuple[float, bool]]:
 
 
 def _all(records: list[Record]) -> list[tuple[float, bool]]:
-    """(Probability, true if it is there) of every name in every answer; those left out count as 0."""
+    """(Probability, true if it is there) of every name in every answer; those left out count
+    as 0.
+    """
     answered = [r for r in records if r.answer.verdict != "error"]
     return [(stated(r.answer).get(name, 0.0), name in r.there) for r in answered for name in NAMES]
 

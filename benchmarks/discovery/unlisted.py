@@ -1,7 +1,7 @@
 """Mechanisms in no catalogue, and errors of the instrument that a table may hold besides the soil.
 
-Development may use these kinds; those of `fresh` are held back. Every kind says what separates it from the listed
-mechanisms.
+Development may use these kinds; those of `fresh` are held back. Every kind says what separates it
+from the listed mechanisms.
 """
 
 from dataclasses import replace
@@ -27,9 +27,11 @@ def _sensed(contact, **change):
     "tension over the mean contact pressure [-]", 0.6, side=drawn("pressure", arc=(0.2, 0.5))
 )
 def rim_adhesion(contact, s, side):
-    """Moist soil sticks to the rim and is torn off behind the bottom, with a tension (Fountaine 1954).
+    """Moist soil sticks to the rim and is torn off behind the bottom, with a tension (Fountaine
+    1954).
 
-    Listed effects carry load behind the bottom (rear contact); none pulls the wheel down and brakes it.
+    Listed effects carry load behind the bottom (rear contact); none pulls the wheel down and brakes
+    it.
     """
 
     def hook(entry):
@@ -42,7 +44,8 @@ def rim_adhesion(contact, s, side):
 
 @_unlisted("share of S that is lost below the crust [-]", 0.9, side=drawn(depth=(0.05, 0.12)))
 def soft_layer(contact, s, side):
-    """A crust bears on a softer layer: S falls to (1 - s) S beyond a depth (Meyerhof & Hanna 1978, two layers).
+    """A crust bears on a softer layer: S falls to (1 - s) S beyond a depth (Meyerhof & Hanna 1978,
+    two layers).
 
     Listed effects change S with slip, speed or pass; none with the depth.
     """
@@ -54,9 +57,11 @@ def soft_layer(contact, s, side):
 
 @_unlisted("gain of pressure at a depth of 0.1 r [-]", 10.0)
 def hard_floor(contact, s, side):
-    """The floor of a shallow bin stiffens the soil as the wheel nears it (Mandel & Salencon 1972, rigid base).
+    """The floor of a shallow bin stiffens the soil as the wheel nears it (Mandel & Salencon 1972,
+    rigid base).
 
-    Steeper in depth than any exponent of the priors; listed effects change S with slip, speed or pass only.
+    Steeper in depth than any exponent of the priors; listed effects change S with slip, speed or
+    pass only.
     """
     contact.pressure.append(lambda sigma, z: sigma * (1.0 + s * (z / (0.1 * contact.radius)) ** 3))
 
@@ -67,7 +72,8 @@ def hard_floor(contact, s, side):
     side=drawn("time", stiffness=(0.0, 0.15)),
 )
 def rising_moisture(contact, s, side):
-    """The bed takes up moisture through the campaign: c (1 + s t/T), and S falls by a part of it (Bekker 1969).
+    """The bed takes up moisture through the campaign: c (1 + s t/T), and S falls by a part of it
+    (Bekker 1969).
 
     Listed effects change with the pass, not with the time over all runs.
     """
@@ -82,7 +88,8 @@ def rising_moisture(contact, s, side):
     side=lambda rng, bench: {"beds": rng.standard_normal(200).tolist()},
 )
 def uneven_beds(contact, s, side):
-    """Every bed that is prepared differs in density, and so in S, and less in phi (ISTVS 1977 on soil bins).
+    """Every bed that is prepared differs in density, and so in S, and less in phi (ISTVS 1977 on
+    soil bins).
 
     No listed effect is random; the passes of one bed share their value.
     """
@@ -97,9 +104,11 @@ def uneven_beds(contact, s, side):
     "coefficient of friction times pressure of the wall over gamma z [-]", 40.0, (PULL, TORQUE)
 )
 def rut_sidewall(contact, s, side):
-    """From the second pass the wheel's sides rub on the walls of the rut, force s gamma z times the sunk segment.
+    """From the second pass the wheel's sides rub on the walls of the rut, force s gamma z times the
+    sunk segment.
 
-    The segment has area 2/3 chord x depth. Listed multipass firms the bed; none adds a thrust in a rut alone.
+    The segment has area 2/3 chord x depth. Listed multipass firms the bed; none adds a thrust in a
+    rut alone.
     """
 
     def hook(entry):
@@ -114,9 +123,11 @@ def rut_sidewall(contact, s, side):
 
 @_unlisted("thickness of the carried soil over the radius [-]", 0.3, side=drawn(slip=(0.1, 0.3)))
 def carried_soil(contact, s, side):
-    """Lugs carry soil up behind the wheel as it slips: its weight loads the axle, its lift takes torque (Bekker 1969).
+    """Lugs carry soil up behind the wheel as it slips: its weight loads the axle, its lift takes
+    torque (Bekker 1969).
 
-    A layer of s r fills as 1 - exp(-i/i0). Listed lugs push on the soil with the load; this does not know the load.
+    A layer of s r fills as 1 - exp(-i/i0). Listed lugs push on the soil with the load; this does
+    not know the load.
     """
     full = -np.expm1(-np.maximum(contact.slip, 0.0) / side["slip"])
     weight = s * contact.ground.unit_weight * contact.width * contact.radius**2 * full
@@ -127,9 +138,11 @@ def carried_soil(contact, s, side):
 
 @_unlisted("angle of toe [deg]", 30.0)
 def toed_wheel(contact, s, side):
-    """The wheel rolls at an angle to its plane: lateral shear j_y = r (1 - i)(theta1 - theta) tan(beta) takes strength.
+    """The wheel rolls at an angle to its plane: lateral shear j_y = r (1 - i)(theta1 - theta)
+    tan(beta) takes strength.
 
-    Ishigami et al. (2007). Listed softening falls with the displacement along the rim; this takes most at little slip.
+    Ishigami et al. (2007). Listed softening falls with the displacement along the rim; this takes
+    most at little slip.
     """
 
     def hook(tau, arc):
@@ -150,7 +163,8 @@ def toed_wheel(contact, s, side):
 
 @_unlisted("eccentricity over the radius [-]", 0.06)
 def wheel_out_of_round(contact, s, side):
-    """An eccentric wheel, read at one angle of its turn: radius and height of the axle swing with the way.
+    """An eccentric wheel, read at one angle of its turn: radius and height of the axle swing with
+    the way.
 
     No listed effect swings; the table has time and speed, and so the angle.
     """
@@ -184,7 +198,8 @@ def warming_seal(contact, s, side):
 
 @_unlisted("half width of the dead band over the mean load [-]", 0.25, (PULL,), side=drawn("load"))
 def slack_load_cell(contact, s, side):
-    """A slack joint of the load cell: pull is read as 0 within a dead band, and short by its half width outside.
+    """A slack joint of the load cell: pull is read as 0 within a dead band, and short by its half
+    width outside.
 
     Listed effects do not change sign with the pull.
     """
@@ -269,7 +284,9 @@ def torque_crosstalk(contact, s, side):
 
 @_instrument("load that is added for a unit of torque over radius [-]", 0.5, floor=0.1)
 def arm_load(contact, s, side):
-    """The wheel hangs on a swing arm that takes the torque of its drive too, and so presses it down or lifts it."""
+    """The wheel hangs on a swing arm that takes the torque of its drive too, and so presses it down
+    or lifts it.
+    """
 
     def hook(entry):
         _, tau, weight = contact.stresses(entry)

@@ -1,11 +1,13 @@
 """Hidden truth of the cases: a rigid wheel on loose soil, written apart from `soil_env`.
 
-Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Eqs. (1)-(10): normal stress of Wong
-& Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam = theta1/2, the sinkage from the vertical
-balance, the drawbar pull by Eq. (2). Nothing here comes from `soil_env`: own quadrature (trapezoidal rule after a
-smoothing change of variable, Sidi 1993), own root search, numpy only.
+Steady driving of one wheel, Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), Eqs. (1)-(10):
+normal stress of Wong & Reece (1967), shear stress of Janosi & Hanamoto (1961), theta2 = 0, thetam =
+theta1/2, the sinkage from the vertical balance, the drawbar pull by Eq. (2). Nothing here comes
+from `soil_env`: own quadrature (trapezoidal rule after a smoothing change of variable, Sidi 1993),
+own root search, numpy only.
 
-SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape [N, nodes].
+SI units, angles in rad unless a name says `deg`. N rows, one a steady point; stresses have shape
+[N, nodes].
 """
 
 from collections.abc import Callable
@@ -15,8 +17,8 @@ import numpy as np
 
 GRAVITY = 9.81  # [m/s2]
 NODES = 16  # intervals of the trapezoidal rule in each zone
-SHALLOWEST = 1e-3  # [rad] bracket of the entry angle
-DEEPEST = 1.5
+SHALLOWEST = 1e-3  # [rad] lower end of the bracket of the entry angle
+DEEPEST = 1.5  # [rad] upper end
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,8 @@ def column(values, count: int | None = None) -> np.ndarray:
 
 
 def _quadrature(intervals: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on (0, 1): trapezoidal rule in u with x = u^3 (10 - 15 u + 6 u^2), Sidi (1993).
+    """Nodes and weights on (0, 1): trapezoidal rule in u with x = u^3 (10 - 15 u + 6 u^2), Sidi
+    (1993).
 
     dx/du vanishes at both ends, so that (1 - x)^n there does not slow the convergence.
     """
@@ -123,18 +126,15 @@ class Contact:
     tan_phi: np.ndarray = field(init=False)
     shear_modulus: np.ndarray = field(init=False)  # K [m]
     shear_radius: np.ndarray = field(init=False)  # where the shear stress acts [m]
-    exit_angle: Callable = field(
-        default=lambda entry, radius: 0.0 * entry
-    )  # (theta1, r) -> theta2 <= 0
+    #: (theta1, r) -> theta2 <= 0.
+    exit_angle: Callable = field(default=lambda entry, radius: 0.0 * entry)
     mobilised: Callable = field(default=lambda ratio: -np.expm1(-ratio))  # of j/K >= 0
-    peak_shift: list = field(
-        default_factory=list
-    )  # theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
+    #: theta1 -> added to thetam = (theta1 + theta2)/2 [rad]
+    peak_shift: list = field(default_factory=list)
     pressure: list = field(default_factory=list)  # (sigma, depth) -> sigma
     strength: list = field(default_factory=list)  # (tau_max, sigma, theta) -> tau_max
-    deepening: list = field(
-        default_factory=list
-    )  # z -> z, after the balance; the stresses then scale down to the load
+    #: z -> z, after the balance; the stresses then scale down to the load.
+    deepening: list = field(default_factory=list)
     forces: list = field(default_factory=list)  # theta1 -> (dW, dDP, dT), each [N, 1]
     sensors: list = field(default_factory=list)  # Outcome -> Outcome
     normal: list = field(default_factory=list)  # (sigma, Arc) -> sigma, along the whole arc
@@ -175,7 +175,9 @@ class Contact:
         return np.arctan(self.tan_phi)
 
     def stresses(self, entry: np.ndarray, amplitude=1.0) -> tuple[Arc, np.ndarray, np.ndarray]:
-        """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude` multiplies S."""
+        """(arc with sigma, tau [Pa], weights of the quadrature [rad]), [N, nodes]; `amplitude`
+        multiplies S.
+        """
         r = self.radius
         exit_ = self.exit_angle(entry, self.radius)
         middle = 0.5 * (entry + exit_) + sum(shift(entry) for shift in self.peak_shift)
@@ -198,7 +200,9 @@ class Contact:
     def integrals(
         self, entry: np.ndarray, amplitude=1.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude` multiplies S."""
+        """W [N], DP [N] and T [N m], each [N, 1], of Eqs. (1)-(3) at the entry angle; `amplitude`
+        multiplies S.
+        """
         arc, tau, weight = self.stresses(entry, amplitude)
         cos = np.cos(arc.theta)
         sin = np.sin(arc.theta)
@@ -223,9 +227,8 @@ class Contact:
         r = self.shear_radius
         theta = arc.theta
         sigma = arc.sigma
-        start = np.arccos(
-            np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0)
-        )  # entry unless lugs reach further
+        # Entry unless lugs reach further.
+        start = np.arccos(np.clip((self.radius * np.cos(arc.entry)) / r, -1.0, 1.0))
         j = r * ((start - theta) - (1.0 - self.slip) * (np.sin(start) - np.sin(theta)))
         limit = self.cohesion + sigma * self.tan_phi
         for hook in self.strength:
@@ -274,7 +277,9 @@ class Contact:
 def _root(
     function, low: float, high: float, start: np.ndarray, tolerance=1e-10, rounds=60
 ) -> np.ndarray:
-    """Root [N, 1] of a function that rises across [low, high], by secants kept inside the bracket; NaN where none."""
+    """Root [N, 1] of a function that rises across [low, high], by secants kept inside the bracket;
+    NaN where none.
+    """
     a = np.full_like(start, low)
     b = np.full_like(start, high)
     x0 = start.copy()
@@ -303,7 +308,9 @@ def _root(
 
 
 def predict(ground: Ground, wheel: Wheel, rows: Rows, effects=()) -> Outcome:
-    """Steady state of every row; `effects` are functions that alter a `Contact`, applied in their order."""
+    """Steady state of every row; `effects` are functions that alter a `Contact`, applied in their
+    order.
+    """
     contact = Contact(rows, wheel, ground)
     for effect in effects:
         effect(contact)

@@ -1,4 +1,6 @@
-"""Reports: one table type for Markdown, HTML and the terminal, and self-contained HTML pages from templates."""
+"""Reports: one table type for Markdown, HTML and the terminal, and self-contained HTML pages from
+templates.
+"""
 
 import base64
 import re
@@ -17,7 +19,10 @@ _NUMBER = re.compile(r"[-+]?\.?\d|[-+]?(inf|nan)\b|-?$")  # how a cell of a colu
 
 @dataclass(frozen=True)
 class Table:
-    """A table whose cells are text or numbers as they are to be shown. Columns of numbers are set to the right."""
+    """A table whose cells are text or numbers as they are to be shown.
+
+    Columns of numbers are set to the right.
+    """
 
     header: Sequence[str]
     rows: Sequence[Sequence[object]]
@@ -49,7 +54,8 @@ class Table:
     __html__ = html  # a template takes {{ table }} as HTML
 
     def text(self, indent: int = 0) -> str:
-        """Aligned columns for the terminal, the caption above; every line begins with `indent` spaces.
+        """Aligned columns for the terminal, the caption above; every line begins with `indent`
+        spaces.
 
         The longest cells of text are cut where a line would be longer than `WIDTH`.
         """
@@ -61,7 +67,8 @@ class Table:
             longest = max(
                 (k for k, number in enumerate(numbers) if not number), key=widths.__getitem__
             )
-            most = widths[longest] = max(widths[longest] - over, len(lines[0][longest]), 12)
+            most = max(widths[longest] - over, len(lines[0][longest]), 12)
+            widths[longest] = most
             for line in lines:
                 cell = line[longest]
                 line[longest] = cell if len(cell) <= most else cell[: most - 3] + "..."
@@ -90,7 +97,9 @@ def _markdown_row(cells: Sequence[object]) -> str:
 
 
 def html_page(title: str, body: str | Sequence[str], style: str = "") -> str:
-    """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after that of all pages."""
+    """A self-contained HTML page: `body` is HTML, in one or several parts, and `style` CSS after
+    that of all pages.
+    """
     return render(
         "page.html", title=title, body=[body] if isinstance(body, str) else body, style=style
     )
@@ -105,7 +114,8 @@ def html_image(content: bytes, caption: str = "", kind: str = "png") -> str:
 
 
 def render(template: str, **values: object) -> str:
-    """Fill in a template: "page.html" of soil_env/_io/templates, or "package:page.html" of that package's own folder.
+    """Fill in a template: "page.html" of soil_env/_io/templates, or "package:page.html" of that
+    package's own folder.
 
     Values are escaped in templates whose name ends in .html; a name that is not given is an error.
     """

@@ -1,4 +1,6 @@
-"""Atomic file writes: a file is whole, or as it was; a failed write leaves nothing beside it. Text is UTF-8.
+"""Atomic file writes: a file is whole, or as it was; a failed write leaves nothing beside it.
+
+Text is UTF-8.
 
 Errors are `OSError` whose `filename` and `strerror` make a sentence.
 """
@@ -20,7 +22,9 @@ def replace_file(path: str | Path, content: bytes | str) -> None:
 
 
 def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
-    """Write files into `folder`, made if need be: all of them are on the disk before the first replaces another."""
+    """Write files into `folder`, made if need be: all of them are on the disk before the first
+    replaces another.
+    """
     Path(folder).mkdir(parents=True, exist_ok=True)
     _replace({Path(folder) / name: content for name, content in contents.items()})
 
@@ -42,12 +46,16 @@ def _replace(contents: Mapping[Path, bytes | str]) -> None:
 
 
 def write_json(path: str | Path, content, indent: int | None = 1) -> None:
-    """Write nested plain values, arrays and numbers of numpy as JSON; NaN and infinities become null."""
+    """Write nested plain values, arrays and numbers of numpy as JSON; NaN and infinities become
+    null.
+    """
     replace_file(path, json.dumps(plain(content), indent=indent, allow_nan=False) + "\n")
 
 
 def plain(value):
-    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities None, -0.0 0.0."""
+    """Nested values as JSON has them: arrays and tuples as lists, keys as text, NaN and infinities
+    None, -0.0 0.0.
+    """
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -68,13 +76,16 @@ def is_unused(folder: str | Path) -> bool:
 
 
 def make_folder(folder: str | Path) -> None:
-    """Make a folder where there is none, and see that files can be put into it: OSError now, not after the work."""
+    """Make a folder where there is none, and see that files can be put into it: OSError now, not
+    after the work.
+    """
     check_outputs(folder)
     Path(folder).mkdir(parents=True, exist_ok=True)
 
 
 def check_outputs(folder: str | Path, names: Iterable[str] = ()) -> None:
-    """OSError where files of these names could not be written into `folder`, made if need be; makes nothing.
+    """OSError where files of these names could not be written into `folder`, made if need be; makes
+    nothing.
 
     A name may have one folder in it, "plots/a.png".
     """

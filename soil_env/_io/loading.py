@@ -1,8 +1,8 @@
 """Strict loading: dataclass fields with units and bounds, and YAML into dataclasses.
 
-Every physical number of the package is a field made by `quantity`, which carries its unit and its admissible range. A
-value outside the range, an unknown key or a wrong type raises `ParameterError`: one line with key, value and what was
-expected.
+Every physical number of the package is a field made by `quantity`, which carries its unit and its
+admissible range. A value outside the range, an unknown key or a wrong type raises `ParameterError`:
+one line with key, value and what was expected.
 """
 
 import dataclasses
@@ -32,7 +32,9 @@ class ParameterError(ValueError):
 
 
 class FieldError(ParameterError):
-    """A field of a dataclass has a wrong value; `load` replaces the name of the class by the place in the file."""
+    """A field of a dataclass has a wrong value; `load` replaces the name of the class by the place
+    in the file.
+    """
 
     def __init__(self, owner: object, name: str, problem: str) -> None:
         self.name = name
@@ -48,12 +50,16 @@ def quantity(
     default=dataclasses.MISSING,
     doc: str = "",
 ):
-    """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of such numbers."""
+    """A dataclass field holding a number in [low, high] of the given unit, or a (low, high) pair of
+    such numbers.
+    """
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 
 def check(instance) -> None:
-    """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is allowed."""
+    """Raise `FieldError` if a `quantity` field of `instance` is not finite or out of range; None is
+    allowed.
+    """
     for f in (f for f in dataclasses.fields(instance) if "unit" in f.metadata):
         value = getattr(instance, f.name)
         low = f.metadata["low"]
@@ -96,7 +102,9 @@ def _choices(cls: type) -> dict[str, tuple]:
 
 
 class Checked:
-    """Base of the parameter classes: every `quantity` and every choice is checked on construction."""
+    """Base of the parameter classes: every `quantity` and every choice is checked on
+    construction.
+    """
 
     def __post_init__(self) -> None:
         check(self)
@@ -121,7 +129,9 @@ def unknown_value(value, known, where: str = "") -> ParameterError:
 
 
 class UnknownKeyword(ParameterError, TypeError):
-    """A keyword argument that does not exist: the `TypeError` that Python raises, and names the nearest known one."""
+    """A keyword argument that does not exist: the `TypeError` that Python raises, and names the
+    nearest known one.
+    """
 
     def __init__(self, key, known=()) -> None:
         text = f"unexpected keyword argument {key!r}{nearest(key, known)} (known: {_sorted(known)})"
@@ -141,8 +151,9 @@ def _sorted(known) -> str:
 def load(cls, mapping, where: str = ""):
     """Build dataclass `cls` from a mapping; nested dataclasses from nested mappings.
 
-    Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The message begins with
-    `where` the mapping came from, a file as a rule, and the path of keys in it: "setup.yaml: wheel.radius = 150: ...".
+    Raises `ParameterError` for unknown or missing keys, wrong types and values out of range. The
+    message begins with `where` the mapping came from, a file as a rule, and the path of keys in it:
+    "setup.yaml: wheel.radius = 150: ...".
     """
     where = where or cls.__name__
     if not isinstance(mapping, dict):
@@ -220,15 +231,16 @@ def _convert(hint, value, where: str):
     if hint in (float, int):
         return number(hint, value, where)
     if hint not in (bool, str):
-        raise TypeError(
-            f"{where}: no rule to load a {hint!r}"
-        )  # a programming error, not the user's
+        # A programming error, not the user's.
+        raise TypeError(f"{where}: no rule to load a {hint!r}")
     expect(isinstance(value, hint), "true or false" if hint is bool else "text")
     return value
 
 
 def number(kind: type, value, where: str):
-    """`value` as float or int (`kind`); ParameterError with `where` where it is no number nor text of one."""
+    """`value` as float or int (`kind`); ParameterError with `where` where it is no number nor text
+    of one.
+    """
     if isinstance(value, str):  # YAML 1.1 reads 1e6 as text
         try:
             value = float(value)
@@ -248,7 +260,9 @@ def number(kind: type, value, where: str):
 
 
 def merge(base: dict, changes: dict) -> dict:
-    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is modified."""
+    """`base` with the values of `changes`, nested mappings merged key by key; neither argument is
+    modified.
+    """
     out = dict(base)
     for key, value in changes.items():
         out[key] = (
@@ -272,16 +286,18 @@ def to_dict(instance: object) -> dict[str, typing.Any]:
     return plain(instance)
 
 
-MOST_BYTES = 1_000_000  # of a YAML file; shipped ones are far below
-MOST_VALUES = 20_000
-DEEPEST = 40
+MOST_BYTES = 1_000_000  # of a YAML file; shipped ones are far below, here and in the next two
+MOST_VALUES = 20_000  # scalars, lists and mappings of a file
+DEEPEST = 40  # levels of nesting
 _TOO_MUCH = f"more than {MOST_VALUES} values, or nested deeper than {DEEPEST} levels"
 
 
 class _Strict(yaml.SafeLoader):
-    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files made to be a burden.
+    """SafeLoader that refuses a key given twice, of which YAML would keep the last, and files made
+    to be a burden.
 
-    Aliases are counted as often as they are used: ten lines of them can stand for more values than memory holds.
+    Aliases are counted as often as they are used: ten lines of them can stand for more values than
+    memory holds.
     """
 
     values = 0  # counted so far
@@ -294,7 +310,9 @@ class _Strict(yaml.SafeLoader):
         return node
 
     def _check(self, node: yaml.Node, above: tuple[yaml.Node, ...]) -> None:
-        """Refuse a node that stands for too much, contains itself or has a key twice; `above` are those around it."""
+        """Refuse a node that stands for too much, contains itself or has a key twice; `above` are
+        those around it.
+        """
         self.values += 1
         if self.values > MOST_VALUES or len(above) >= DEEPEST:
             raise yaml.constructor.ConstructorError(None, None, _TOO_MUCH, node.start_mark)
@@ -308,7 +326,8 @@ class _Strict(yaml.SafeLoader):
         for item in node.value:
             for part in item if isinstance(item, tuple) else (item,):
                 self._check(part, (*above, node))
-            if isinstance(item, tuple) and isinstance(key := item[0], yaml.ScalarNode):
+            key = item[0] if isinstance(item, tuple) else None
+            if isinstance(key, yaml.ScalarNode):
                 if key.value in keys:
                     twice = f"key {key.value!r} appears twice"
                     raise yaml.constructor.ConstructorError(None, None, twice, key.start_mark)
@@ -366,6 +385,8 @@ def config_dir() -> Path:
 
 
 def shipped_dir(name: str) -> Path:
-    """A folder that comes with the package: inside it where it is installed, else beside it in the clone."""
+    """A folder that comes with the package: inside it where it is installed, else beside it in the
+    clone.
+    """
     here = Path(__file__).resolve().parents[1]  # soil_env/
     return next((p for p in (here / name, here.parent / name) if p.is_dir()), here.parent / name)

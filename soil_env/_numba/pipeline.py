@@ -133,6 +133,10 @@ class _Remembered(types.Function):
         super().__init__(templates)
         self._signatures = {}
 
+    def augment(self, other):
+        """With the templates of `other`, as numba's own: another library registers more of them."""
+        return types.Function(self.templates).augment(other)
+
     def get_call_type(self, context, args, kws):
         key = (tuple(args), tuple(kws.items()))
         if key not in self._signatures:

@@ -1,4 +1,7 @@
-"""Command `soil-env`, a subcommand a task. Modules are imported when their subcommand is asked for."""
+"""Command `soil-env`, a subcommand a task.
+
+Modules are imported when their subcommand is asked for.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -10,9 +13,8 @@ import click
 from soil_env._io.loading import nearest
 from soil_env.cli.running import leave, run
 
-_AGENTS = (
-    "soil_env_agents" if find_spec("soil_env_agents") else "agents"
-)  # its name in a clone without installation
+#: Its name in a clone without installation.
+_AGENTS = "soil_env_agents" if find_spec("soil_env_agents") else "agents"
 #: Module of each subcommand, with the summary that `soil-env --help` shows without importing it.
 _COMMANDS = {
     "drive": (f"{_AGENTS}.drive", "Drive one course and save a picture or a video."),

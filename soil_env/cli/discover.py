@@ -32,8 +32,8 @@ from soil_env.discrepancy.workflow import run
 def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: bool) -> None:
     """Locate where model and measurement disagree, name the missing effect, show the gap shrink.
 
-    Calibrates the base model to the table, refits every effect of the catalogue with the soil, and judges it on
-    held-out conditions. The verdict is named, partly, ambiguous, unlisted,
+    Calibrates the base model to the table, refits every effect of the catalogue with the soil, and
+    judges it on held-out conditions. The verdict is named, partly, ambiguous, unlisted,
     none or undetermined.
     """
     report = run(data, setup, out, seed=seed, next_runs=runs, progress=_stages(quiet))
@@ -47,11 +47,14 @@ def command(data: Path, setup: Path, out: Path, seed: int, runs: int, quiet: boo
 
 
 def _stages(quiet: bool) -> Callable[[str], None]:
-    """Function that prints each stage of the work once, on stderr, but the reading of the files, which may refuse."""
+    """Function that prints each stage of the work once, on stderr, but the reading of the files,
+    which may refuse.
+    """
     said = {"reading"}
 
     def say(text: str) -> None:
-        if (stage := text.partition(":")[0]) not in said and not quiet:
+        stage = text.partition(":")[0]
+        if stage not in said and not quiet:
             said.add(stage)
             print(f"soil-env discover: {stage}", file=sys.stderr)
 

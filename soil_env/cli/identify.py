@@ -25,8 +25,9 @@ FILES = ("identification.json", "identification.png")
 def command(data: Path, setup: Path, out: Path | None) -> None:
     """Identify a soil from a table of steady points.
 
-    Fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and cohesion, as far as
-    they are not known. Prints estimates with 95 % intervals, correlations, and what the data cannot determine.
+    Fits friction angle, shear deformation modulus K, sinkage coefficient S, sinkage exponent n and
+    cohesion, as far as they are not known. Prints estimates with 95 % intervals, correlations, and
+    what the data cannot determine.
     """
     known = read_setup(setup)
     table = read_table(data, known.wheel, known.ignore_columns)

@@ -29,8 +29,8 @@ from soil_env.logs.steady import FILES, steady_windows
 def command(recording: Path, map_file: Path, out: Path) -> None:
     """Identify the soil along the log of a rover.
 
-    RECORDING is a ROS 2 bag (folder, .mcap or .db3), an MCAP file with JSON messages, or a CSV or Parquet file with a
-    column of time stamps.
+    RECORDING is a ROS 2 bag (folder, .mcap or .db3), an MCAP file with JSON messages, or a CSV or
+    Parquet file with a column of time stamps.
 
     \b
     MAP.yaml:
@@ -39,10 +39,11 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
           wheel_speed:  {topic: /joint_states, field: "velocity[front_left]", unit: rad/s}
           speed:        {topic: /odom, field: twist.twist.linear.x}
           drawbar_pull: {topic: /wheel/wrench, field: wrench.force.x, unit: N}
-          motor_torque: {topic: /motor, field: "effort[0]", unit: A, motor_constant: 0.05, gear: 246}
+          motor_torque: {topic: /motor, field: "effort[0]", unit: A,
+                         motor_constant: 0.05, gear: 246}
 
-    wheel_speed, and speed or slip, are required. A table takes `column: NAME` in place of topic and field, and
-    `time: {column: t, unit: s}` at the top. All keys: docs/guide/logs.md.
+    wheel_speed, and speed or slip, are required. A table takes `column: NAME` in place of topic and
+    field, and `time: {column: t, unit: s}` at the top. All keys: docs/guide/logs.md.
     """
     log_map = read_map(map_file)
     check_outputs(out, (*ALWAYS, "steady.csv", "setup.yaml"))
@@ -53,9 +54,8 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     report = report_of(recording.name, log, log_map, found, steady, out)
     replace_files(out, report.files)
     for place in out.iterdir():
-        if (
-            FILES.fullmatch(place.name) and place.name not in report.files and place.is_file()
-        ):  # of an earlier run
+        # Of an earlier run.
+        if FILES.fullmatch(place.name) and place.name not in report.files and place.is_file():
             place.unlink()
     print(report.text, end="")
 

@@ -1,4 +1,6 @@
-"""Run a command: errors as one line, interrupts, exit status; types of options that several commands share."""
+"""Run a command: errors as one line, interrupts, exit status; types of options that several
+commands share.
+"""
 
 import os
 import signal
@@ -15,9 +17,9 @@ import click
 from soil_env._io.loading import ParameterError
 
 BAD_INPUT = 2  # exit status
-INTERRUPTED = 130  # exit statuses, 128 + the number of SIGINT, SIGTERM, SIGPIPE
-TERMINATED = 143
-UNREAD = 141
+INTERRUPTED = 130  # exit status after SIGINT: 128 + 2
+TERMINATED = 143  # after SIGTERM: 128 + 15
+UNREAD = 141  # after SIGPIPE: 128 + 13
 _LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
 
 
@@ -26,10 +28,10 @@ def run(
 ) -> int:
     """Run a click command, or that which a function imports, and return its exit status.
 
-    Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`) and too little memory
-    print one line on stderr and return `BAD_INPUT`. Ctrl-C and SIGTERM return `INTERRUPTED` and `TERMINATED`; the text
-    of the `KeyboardInterrupt`, for instance how to continue, is part of the line. If the reader of the output has gone
-    the status is `UNREAD`.
+    Bad input (`ParameterError`, a usage error), a file that cannot be read or written (`OSError`)
+    and too little memory print one line on stderr and return `BAD_INPUT`. Ctrl-C and SIGTERM return
+    `INTERRUPTED` and `TERMINATED`; the text of the `KeyboardInterrupt`, for instance how to
+    continue, is part of the line. If the reader of the output has gone the status is `UNREAD`.
     """
     received: list[int] = []
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -89,8 +91,8 @@ def _drop_output() -> None:
 def leave(status: int) -> NoReturn:
     """End the process with this exit status.
 
-    After an interrupt the interpreter's own clean-up is skipped: a `KeyboardInterrupt` that passed through `exec` makes
-    it die by signal although the interrupt was handled.
+    After an interrupt the interpreter's own clean-up is skipped: a `KeyboardInterrupt` that passed
+    through `exec` makes it die by signal although the interrupt was handled.
     """
     if status not in (INTERRUPTED, TERMINATED):
         sys.exit(status)
@@ -102,11 +104,13 @@ def leave(status: int) -> NoReturn:
 
 @contextmanager
 def _stoppable(received: list[int], name: str) -> Iterator[None]:
-    """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended to `received`.
+    """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended
+    to `received`.
 
-    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but right after. During an
-    import the process ends at once: a half initialised C extension may turn the exception into another one. Handlers
-    that somebody else has set stay, and outside the main thread nothing changes.
+    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but
+    right after. During an import the process ends at once: a half initialised C extension may turn
+    the exception into another one. Handlers that somebody else has set stay, and outside the main
+    thread nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

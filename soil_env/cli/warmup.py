@@ -1,4 +1,5 @@
-"""`soil-env warmup`: compilation of everything that environments, online identifier, commands and examples use.
+"""`soil-env warmup`: compilation of everything that environments, online identifier, commands and
+examples use.
 
 For an image, or before many processes start at once.
 """
@@ -10,7 +11,7 @@ import gymnasium
 import numpy as np
 
 from soil_env._numba.cache import place
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
 from soil_env.terramechanics.effects import excavation_rate, sliding_speed
@@ -36,10 +37,11 @@ def _drive(env_id: str, action: float, **options: object) -> None:
 
 
 def warm_up() -> None:
-    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the source paper."""
-    from soil_env.paper import (
-        compare,
-    )  # with its printed values; here so that importing this file reads none
+    """Run once what is compiled: environments, identifier, tables, logs, controllers, views, the
+    source paper.
+    """
+    # With its printed values; here so that importing this file reads none.
+    from soil_env.paper import compare
 
     model = WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["lete_sand"], {"bulldozing": {"rankine": 1.0}}

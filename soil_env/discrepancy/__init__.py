@@ -1,4 +1,6 @@
-"""The discrepancy workflow: where simulation and measurement disagree, and which effect is missing."""
+"""The discrepancy workflow: where simulation and measurement disagree, and which effect is
+missing.
+"""
 
 from soil_env.discrepancy.result import Report
 from soil_env.discrepancy.workflow import run

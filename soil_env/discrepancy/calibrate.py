@@ -1,13 +1,14 @@
-"""Fit of the model, with or without effects, to a measurement table: the most probable parameters under the priors.
+"""Fit of the model, with or without effects, to a measurement table: the most probable parameters
+under the priors.
 
 Priors of the soil and the least squares are those of `soil_env.identification.table`, with noise of
 slip and load as noise of the channels. The whitened unknowns u minimise
 
     J(u) = e'C^-1 e + |u|^2,    e = (y - f(u)) / sigma,    C = I + B B'
 
-with the form errors B of `identification.table.form_error`: of the base law, in the stresses, and of each effect, a
-smooth factor on what it adds to each channel. Priors of the setup are widened (`PRIOR_WIDTH`), since a soil a little
-off its prior must not be taken for a missing effect.
+with the form errors B of `identification.table.form_error`: of the base law, in the stresses, and
+of each effect, a smooth factor on what it adds to each channel. Priors of the setup are widened
+(`PRIOR_WIDTH`), since a soil a little off its prior must not be taken for a missing effect.
 """
 
 from __future__ import annotations
@@ -56,18 +57,21 @@ from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, slid
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
-PRIOR_WIDTH = 1.5
-ANY_FORM = 10.0  # form error of an effect that is named by its place, in all channels alike, over that of others
+PRIOR_WIDTH = 1.5  # factor of the sd of the setup's priors
+#: Form error of an effect that is named by its place, in all channels alike, over that of others.
+ANY_FORM = 10.0
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
-_LAW = 24  # functions of a process at most: law, form of an effect, anonymous contribution
-_EFFECT = 24
-_FREE = 40
-#: Correlation lengths of the error of the base law, one as probable as another. The shortest is about the step between
-#: two slips of a table, for laws that are right at some slips alone: soil flows in two zones below a driven wheel, and
-#: in one at large slip (Wong 1967, J. Agric. Eng. Res. 12:257-269).
+_LAW = 24  # most functions of the process of the law's error
+_EFFECT = 24  # of that of the form of an effect
+_FREE = 40  # of an anonymous contribution
+#: Correlation lengths of the error of the base law, one as probable as another. The shortest is
+#: about the step between two slips of a table, for laws that are right at some slips alone: soil
+#: flows in two zones below a driven wheel, and in one at large slip (Wong 1967, J. Agric. Eng. Res.
+#: 12:257-269).
 LAW_LENGTHS = (*form_error.LAW_LENGTHS, LENGTHS | {"slip": 0.1})
-_LONGER = 1.6  # correlation lengths of an anonymous contribution of all conditions over those of a form error
-GRAVITY = 9.81
+#: Correlation lengths of an anonymous contribution of all conditions over those of a form error.
+_LONGER = 1.6
+GRAVITY = 9.81  # [m/s2]
 
 
 class Sizes(NamedTuple):
@@ -75,14 +79,13 @@ class Sizes(NamedTuple):
 
     law: float = 0.0  # alpha, relative, of the stresses of the base law
     effect: float = 0.0  # beta, relative to what an effect adds
-    free: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # of an anonymous contribution, relative to the channel's rms
+    #: Of an anonymous contribution, relative to the channel's rms.
+    free: tuple[float, float, float] = (0.0, 0.0, 0.0)
     span: int = 0  # of `LAW_LENGTHS`, that of the base law's error
-    scatter: float = 1.0  # of every value by itself about the model, over the noise: more than 1 if soils vary by row
-    #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their relative sizes.
+    #: Of every value by itself about the model, over the noise: more than 1 if soils vary by row.
+    scatter: float = 1.0
+    #: Anonymous contributions of one condition in one place (`evidence.patterns`), and their
+    #: relative sizes.
     patterns: tuple[tuple[str, float], ...] = ()
     rig: float = 0.0  # of the nuisances of the instrument, over their standard deviations
 
@@ -106,9 +109,8 @@ class Fit:
     added: tuple[np.ndarray, ...]  # [N, 3] what each effect adds to them
     residual: np.ndarray  # [M] whitened (y - f) of the values in use
     jacobian: np.ndarray  # [M, p] d(f)/d(u), whitened
-    law: tuple[
-        np.ndarray, ...
-    ]  # [M, R] whitened form error of the base law at the size 1, over each of the spans
+    #: [M, R] whitened form error of the base law at the size 1, over each of the spans.
+    law: tuple[np.ndarray, ...]
     effect: np.ndarray  # [M, R] of the effects
     free: tuple[np.ndarray, ...]  # [M, R] of an anonymous contribution to each channel
     rig: np.ndarray  # [M, R] of the nuisances of the instrument
@@ -137,10 +139,11 @@ class Fit:
         )
 
     def linearised(self, sizes: Sizes | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the last p rows.
+        """(A [M + p, k], e [M + p]): the whitened problem about its solution, the priors as the
+        last p rows.
 
-        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at a bound do not
-        move.
+        Unknowns come first, then the form errors, of the sizes that it was fitted with. Unknowns at
+        a bound do not move.
         """
         sizes = self.sizes if sizes is None else sizes
         extra = self.columns(sizes)
@@ -172,7 +175,8 @@ class Problem:
         self.density: float = 1500.0 if setup.soil.density is None else setup.soil.density.value
         self.digging: tuple[float, float] = known_digging(setup)
         self.bench: Bench = self._bench()
-        #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig sets them.
+        #: Prior (sd, low, high) and neutral value or centre of the parameters for which the rig
+        #: sets them.
         self.scales = {
             f"{e.name}_{k}": v for e in LISTED.values() for k, v in e.priors(self.bench).items()
         }
@@ -207,7 +211,8 @@ class Problem:
         speed = rows.conditions[:, 0]
         z = self.data.y[:, 0]
         sinkage = float(np.nanmedian(np.abs(z))) if np.any(np.isfinite(z)) else USUAL_SINKAGE * r
-        middle = sliding = 0.0
+        middle = 0.0
+        sliding = 0.0
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
             slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
@@ -273,7 +278,8 @@ class Problem:
         rows: Rows | None = None,
         more: Mapping[str, float] | None = None,
     ) -> np.ndarray:
-        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if given.
+        """Model values [N, 3] of a set of parameters, at other `rows` than those of the table if
+        given.
 
         `guess` [N] of the sinkage is renewed; `more` is added to parameters of effects.
         """
@@ -317,7 +323,9 @@ class Problem:
         return rest
 
     def restricted(self, fit: Fit, used: np.ndarray) -> Fit:
-        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem uses."""
+        """A fit to the values `used` [N, 3], with its whitened rows for those that this problem
+        uses.
+        """
         keep = self.used[used]
         rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect", "rig")}
         more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
@@ -332,9 +340,9 @@ class Problem:
     ) -> Fit:
         """Most probable parameters of the model with the given effects.
 
-        `start`: parameters by name; effects that it does not name start a little off neutral. With `near`, a fit to
-        the same table, the covariance holds its form errors at these `sizes`; without, that of the noise alone, times
-        the scatter.
+        `start`: parameters by name; effects that it does not name start a little off neutral. With
+        `near`, a fit to the same table, the covariance holds its form errors at these `sizes`;
+        without, that of the noise alone, times the scatter.
         """
         unknowns = self.unknowns(choices)
         low, high = (np.array([k.bounds[end] for k in unknowns]) for end in (0, 1))
@@ -372,7 +380,9 @@ class Problem:
 
     @staticmethod
     def _first(unknown: Unknown) -> float:
-        """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a little off it."""
+        """Start of an unknown: the prior mean; strengths that are bounded at their neutral value a
+        little off it.
+        """
         bounded = not unknown.log and unknown.low >= unknown.mean and "_" in unknown.name
         return 0.3 if bounded else 0.0
 
@@ -463,7 +473,8 @@ class Problem:
         added: Sequence[np.ndarray],
         at: Mapping[str, np.ndarray] | None = None,
     ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`: other conditions.
+        """Form errors [N, 3, R] at the size 1 of the base law, by span, and of the effects; `at`:
+        other conditions.
 
         Of what `stresses` and `added` change.
         """
@@ -485,7 +496,9 @@ class Problem:
         return laws, np.concatenate(blocks, axis=2)
 
     def effect_process(self, choice: Choice) -> Process:
-        """Form error of an effect: it goes with what the base law knows and with what the effect is about."""
+        """Form error of an effect: it goes with what the base law knows and with what the effect is
+        about.
+        """
         return self.effect_processes[LAWS[choice.effect].conditions]
 
     def block(self, errors: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""A measurement table made ready for the search: its conditions as factors with levels, groups to hold out."""
+"""A measurement table made ready for the search: its conditions as factors with levels, groups to
+hold out.
+"""
 
 import math
 from dataclasses import dataclass
@@ -12,18 +14,14 @@ from soil_env.terramechanics.model import ModelWheel, Rows, rows_of
 
 CHANNELS = MEASURED  # sinkage, drawbar_pull, torque
 UNKNOWN_HEIGHT = 0.08  # [radii] lug height where the setup gives none
-LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, beyond which the unit is wrong
-MOST_PRESSURE = 1e7
+LEAST_PRESSURE = 20.0  # [Pa] load over radius times width, below which the unit is wrong
+MOST_PRESSURE = 1e7  # [Pa] above which it is
 MOST_FORCE = 5.0  # pull over load, torque over load times radius, beyond which the unit is wrong
-LOGARITHMIC = (
-    "load",
-    "speed",
-    "pass",
-    "wheel_radius",
-    "wheel_width",
-)  # conditions that are compared by their ratio
+#: Conditions that are compared by their ratio.
+LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width")
 WHEEL = ("wheel_radius", "wheel_width", "grouser_height")
-#: Difference below which two values of a condition are one level; relative where it is compared by its ratio.
+#: Difference below which two values of a condition are one level; relative where it is compared by
+#: its ratio.
 _SAME = {
     "slip": 0.005,
     "grade_deg": 0.1,
@@ -31,12 +29,14 @@ _SAME = {
     "wheel_radius": 0.005,
     "wheel_width": 0.005,
 }
-_SAME_RATIO = 0.02
+_SAME_RATIO = 0.02  # of the conditions that are not named above
 
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A condition that varies in the table: its values [N], its levels [N] int, its values scaled to [-1, 1]."""
+    """A condition that varies in the table: its values [N], its levels [N] int, its values scaled
+    to [-1, 1].
+    """
 
     name: str
     value: np.ndarray
@@ -51,7 +51,9 @@ class Factor:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """The table as the fits take it; arrays [N] or [N, 3] with the channels in the order of `CHANNELS`."""
+    """The table as the fits take it; arrays [N] or [N, 3] with the channels in the order of
+    `CHANNELS`.
+    """
 
     table: Table
     setup: Setup
@@ -60,9 +62,8 @@ class Data:
     y: np.ndarray  # [N, 3] measured, nan where not
     varied: dict[str, Factor]  # slip first
     cell: np.ndarray  # [N] int, rows of one cell are repeats
-    relative_sd: (
-        np.ndarray
-    )  # [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own
+    #: [N, 3] noise of a value over that of its channel; [1, 3] ones where no row has its own.
+    relative_sd: np.ndarray
 
     @property
     def measured(self) -> np.ndarray:
@@ -86,15 +87,19 @@ class Data:
 
     @property
     def beds(self) -> np.ndarray:
-        """[N] number of the bed of soil of each row: of its run, or of the last run before it on fresh soil."""
+        """[N] number of the bed of soil of each row: of its run, or of the last run before it on
+        fresh soil.
+        """
         fresh = np.where(self.rows.conditions[:, 1] <= 1.0, np.arange(len(self.table)), 0)
-        return np.unique(self.table.run[np.maximum.accumulate(fresh)], return_inverse=True)[
-            1
-        ].ravel()
+        runs = self.table.run[np.maximum.accumulate(fresh)]
+        _, number = np.unique(runs, return_inverse=True)
+        return number.ravel()
 
     @property
     def elapsed(self) -> dict[str, np.ndarray]:
-        """{"elapsed": time [N] over its span}; empty where the table does not have it or it does not vary."""
+        """{"elapsed": time [N] over its span}; empty where the table does not have it or it does
+        not vary.
+        """
         time = self.table.time
         known = "time" in self.table.given and np.all(np.isfinite(time)) and np.ptp(time) > 0.0
         return {"elapsed": (time - time.min()) / np.ptp(time)} if known else {}
@@ -115,7 +120,10 @@ def conditions_of(rows: Rows) -> dict[str, np.ndarray]:
 
 
 def prepare(table: Table, setup: Setup) -> Data:
-    """`Data` of a table and its setup. Raises `ParameterError` where nothing could be learned from it."""
+    """`Data` of a table and its setup.
+
+    Raises `ParameterError` where nothing could be learned from it.
+    """
     height = setup.wheel.grouser_height
     wheel = ModelWheel(
         setup.wheel.radius,
@@ -127,15 +135,16 @@ def prepare(table: Table, setup: Setup) -> Data:
     if height is None and np.any(bare) and not np.all(bare):
         k = int(np.flatnonzero(bare)[0])
         raise ParameterError(
-            f"{table.source}: row {table.row[k]}, grouser_height is empty: expected it in every row, or "
-            "wheel.grouser_height in the setup"
+            f"{table.source}: row {table.row[k]}, grouser_height is empty: expected it in every "
+            "row, or wheel.grouser_height in the setup"
         )
     if "speed" not in table.given or not np.any(np.isfinite(table.speed)):
         rows.conditions[:, 0] = 0.0
     elif np.any(np.isnan(table.speed)):
         k = int(np.flatnonzero(np.isnan(table.speed))[0])
         raise ParameterError(
-            f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in none"
+            f"{table.source}: row {table.row[k]}, speed is empty: expected it in every row or in "
+            "none"
         )
     y = np.stack([getattr(table, name) for name in CHANNELS], axis=1)
     _refuse_units(table, rows, y)
@@ -168,7 +177,10 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
     load = rows.load
     size = rows.wheels[:, 0]
     pressure = float(np.median(load / (size * rows.wheels[:, 1])))
-    shown = f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius times width"
+    shown = (
+        f"load is {np.median(load):.3g} N in the middle of the rows, {pressure:.3g} Pa on radius "
+        "times width"
+    )
     refuse(pressure < LEAST_PRESSURE, f"{shown}: expected newtons (if it is kN, multiply by 1000)")
     refuse(pressure > MOST_PRESSURE, f"{shown}: expected newtons")
     for j, name, unit, over in (
@@ -181,7 +193,8 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
             times = "the load" if j == 1 else "load times radius"
             refuse(
                 True,
-                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: expected {unit}",
+                f"{name} is {np.median(ratio):.3g} times {times} in the middle of the rows: "
+                f"expected {unit}",
             )
     z = y[:, 0]
     if np.any(np.isfinite(z)) and np.nanmax(z) < 0.0:
@@ -193,12 +206,14 @@ def _refuse_units(table: Table, rows: Rows, y: np.ndarray) -> None:
         )
         refuse(
             slope <= 0.0,
-            "sinkage is negative in every row: expected metres below the surface, positive downward",
+            "sinkage is negative in every row: expected metres below the surface, positive "
+            "downward",
         )
     driven = y[(rows.slip > 0.05) & np.isfinite(y[:, 2]), 2]
     refuse(
         driven.size > 2 and np.max(driven, initial=-math.inf) < 0.0,
-        "torque is negative in every row with slip > 0.05: expected the driving torque, positive where it drives",
+        "torque is negative in every row with slip > 0.05: expected the driving torque, positive "
+        "where it drives",
     )
 
 
@@ -220,9 +235,11 @@ def _factor(name: str, value: np.ndarray, log: bool) -> Factor:
 
 
 def folds(data: Data) -> list[list[np.ndarray]]:
-    """Cross-validation folds: ways to cut the table into groups that are held out one at a time, each [N] bool.
+    """Cross-validation folds: ways to cut the table into groups that are held out one at a time,
+    each [N] bool.
 
-    One way holds out every slip; where other conditions vary too, a second holds out every combination of those.
+    One way holds out every slip; where other conditions vary too, a second holds out every
+    combination of those.
     """
     slip = data.varied["slip"]
     ways = [[slip.level == k for k in range(slip.levels)]]

@@ -1,11 +1,12 @@
 """Doubts about a table: mistakes of sign and unit, and single rows that decide what is named.
 
-Two things speak for a mistake. The base model fits the table far better when it is read otherwise, for instance with
-the sign of the drawbar pull turned. Or the table breaks a physical limit of a wheel on soil. Where both hold the table
-is refused; one of them alone is a doubt that a report states first.
+Two things speak for a mistake. The base model fits the table far better when it is read otherwise,
+for instance with the sign of the drawbar pull turned. Or the table breaks a physical limit of a
+wheel on soil. Where both hold the table is refused; one of them alone is a doubt that a report
+states first.
 
-The measured values of a row are checked by the rows beside it (`noise`). A row at a slip or load that no other row
-comes near is checked by none, and a mistyped condition makes such a row.
+The measured values of a row are checked by the rows beside it (`noise`). A row at a slip or load
+that no other row comes near is checked by none, and a mistyped condition makes such a row.
 """
 
 import dataclasses
@@ -26,14 +27,17 @@ from soil_env.measurement.table import in_radians
 from soil_env.terramechanics.model import Rows
 
 LARGE = 3.0  # [noise] rms of what the base model leaves, below which no mistake is looked for
-BETTER = 10.0  # times smaller that its mean square above the noise has to get where the table is read otherwise
+#: Times smaller that its mean square above the noise has to get where the table is read otherwise.
+BETTER = 10.0
 FALLS = 0.8  # share of the groups of rows in which the drawbar pull falls with slip
-LOW_SLIP = 0.2  # slip below which a group must begin, and its span, for that to say anything
-LEAST_SPAN = 0.15
+LOW_SLIP = 0.2  # slip below which a group must begin for a fall to say anything
+LEAST_SPAN = 0.15  # of the slips of a group, for the same
 SURE = 4.0  # [sd] beyond the setup's value at which a soil parameter is not sought
 STEEPEST = 50.0  # [deg] friction angle where the setup says nothing
 FEW = 20  # rows for each one that may stand alone; in a smaller table most of them do
-WEAK = 2e-3  # share of the load, largest in a table, below which a force is in another unit: rolling takes more
+#: Share of the load, largest in a table, below which a force is in another unit: rolling takes
+#: more.
+WEAK = 2e-3
 
 
 class Reinterpretation(NamedTuple):
@@ -46,7 +50,9 @@ class Reinterpretation(NamedTuple):
 
 
 def of_table(problem: Problem) -> tuple[str, ...]:
-    """Return doubts about signs and units, none as a rule; raise `ParameterError` where the table cannot be right."""
+    """Return doubts about signs and units, none as a rule; raise `ParameterError` where the table
+    cannot be right.
+    """
     load = load_doubt(problem.data.table, problem.data.setup)
     always = (*filter(None, (load,)), *problem.data.setup.doubts(), *_grades_doubted(problem.data))
     dead = _channels_doubted(problem)
@@ -62,8 +68,8 @@ def of_table(problem: Problem) -> tuple[str, ...]:
     if better:
         other, reading = min(better, key=lambda f: f[0])
         text = (
-            f"{reading.words}, the base model misses the table by {other:.2g} times the noise instead of {rms:.2g}: "
-            f"{reading.remedy}"
+            f"{reading.words}, the base model misses the table by {other:.2g} times the noise "
+            f"instead of {rms:.2g}: {reading.remedy}"
         )
         broken = {"pull": _pull_falls, "load": _beyond_strength}.get(
             reading.name, lambda problem: ""
@@ -88,12 +94,13 @@ def _grades_doubted(data: Data) -> tuple[str, ...]:
 
 
 def _channels_doubted(problem: Problem) -> tuple[str, ...]:
-    """Doubts of channels that hold one value at all slips, or forces that are far too small for newtons."""
+    """Doubts of channels that hold one value at all slips, or forces that are far too small for
+    newtons.
+    """
     data = problem.data
     out = []
-    free = (
-        data.setup.load == "vertical" or "grade_deg" in data.varied
-    )  # a wheel that climbs freely pulls nothing
+    # A wheel that climbs freely pulls nothing.
+    free = data.setup.load == "vertical" or "grade_deg" in data.varied
     size = data.rows.load * data.rows.wheels[:, 0]
     for j, name, unit, over in (
         (0, "sinkage", "", data.rows.wheels[:, 0]),
@@ -108,12 +115,14 @@ def _channels_doubted(problem: Problem) -> tuple[str, ...]:
         largest = float(np.max(np.abs(y) / over[known]))
         if np.ptp(y) == 0.0:
             out.append(
-                f"{name} is {y[0]:g} in every row: expected measured values, which change with slip."
+                f"{name} is {y[0]:g} in every row: expected measured values, which change with "
+                "slip."
             )
         elif unit and largest < WEAK:
             against = "the load" if j == 1 else "load times radius"
             out.append(
-                f"{name} is at most {largest:.2g} times {against}: expected {unit} (if it is kilo{unit}, times 1000)."
+                f"{name} is at most {largest:.2g} times {against}: expected {unit} (if it is "
+                f"kilo{unit}, times 1000)."
             )
     return tuple(out)
 
@@ -159,9 +168,8 @@ def _reinterpretations(problem: Problem) -> list[Reinterpretation]:
         )
     if problem.used[:, 1:].any(axis=0).all():
         swapped = [0, 2, 1]
-        of_table = math.isfinite(
-            problem.freedom
-        )  # else the setup gives it by the name of the channel
+        # Else the setup gives it by the name of the channel.
+        of_table = math.isfinite(problem.freedom)
         scale = problem.noise[swapped] / problem.noise if of_table else np.ones(3)
         add(
             "columns",
@@ -204,7 +212,9 @@ def _resized(rows: Rows, radius: float) -> Rows:
 
 
 def _pull_falls(problem: Problem) -> str:
-    """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups of rows."""
+    """The drawbar pull falls with slip from low slip on, below 0 at much slip, in nearly all groups
+    of rows.
+    """
     data = problem.data
     falls = []
     first = []
@@ -236,13 +246,15 @@ def _pull_falls(problem: Problem) -> str:
         else f"in {100.0 * np.mean(falls):.0f} % of the groups of rows"
     )
     return (
-        f"drawbar_pull falls with slip {where} that differ in slip alone, from {np.median(first):.3g} N at the least "
-        f"to {np.median(last):.3g} N at the largest slip"
+        f"drawbar_pull falls with slip {where} that differ in slip alone, from "
+        f"{np.median(first):.3g} N at the least to {np.median(last):.3g} N at the largest slip"
     )
 
 
 def _beyond_strength(problem: Problem) -> str:
-    """The thrust is larger than a soil within the priors can bear at that load: c A + W tan(phi) on the contact."""
+    """The thrust is larger than a soil within the priors can bear at that load: c A + W tan(phi) on
+    the contact.
+    """
     data = problem.data
     priors = problem.data.setup.soil
     if priors.cohesion is None:
@@ -263,8 +275,8 @@ def _beyond_strength(problem: Problem) -> str:
         share = (force / bearable)[problem.used[:, j] & (data.rows.slip > 0.15)]
         if share.size > 2 and np.median(share) > 1.0:
             return (
-                f"{name} is {np.median(share):.2g} times the strength that the setup's soil has under this load, in "
-                "the middle of the rows with slip above 0.15"
+                f"{name} is {np.median(share):.2g} times the strength that the setup's soil has "
+                "under this load, in the middle of the rows with slip above 0.15"
             )
     return ""
 
@@ -272,7 +284,9 @@ def _beyond_strength(problem: Problem) -> str:
 def of_lone_rows(
     problem: Problem, noise: NoiseEstimate, finding: Finding, say: Callable[[str], None]
 ) -> tuple[str, ...]:
-    """Return a doubt where rows that stand alone in their conditions decide what is named, none as a rule."""
+    """Return a doubt where rows that stand alone in their conditions decide what is named, none as
+    a rule.
+    """
     table = problem.data.table
     alone = np.flatnonzero(noise.alone)
     if not 0 < alone.size <= len(table) // FEW:
@@ -291,7 +305,9 @@ def of_lone_rows(
     named = " and ".join(LISTED[name].title for name in found.names) or "nothing"
     one = alone.size == 1
     return (
-        f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} conditions and "
-        f"{'decides' if one else 'decide'} what is named: without {'it' if one else 'them'} that is {named}. Check "
-        f"slip and load there.",
+        (
+            f"Line {rows} {'stands' if one else 'stand'} alone in {'its' if one else 'their'} "
+            f"conditions and {'decides' if one else 'decide'} what is named: without "
+            f"{'it' if one else 'them'} that is {named}. Check slip and load there."
+        ),
     )

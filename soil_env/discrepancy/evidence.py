@@ -1,15 +1,20 @@
-"""Evidence of a model: its probability of the table, with the sizes of the form errors marginalised.
+"""Evidence of a model: its probability of the table, with the sizes of the form errors
+marginalised.
 
-About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so under given sizes the
-table has a normal density (Laplace; `form_error.marginals`). Sizes are on a grid with the priors below. Noise that is
-estimated from few values has its own scale on the grid. A strength that may not be negative has a truncated prior, and
-its evidence the ratio of the posterior to the prior probability of being allowed.
+About a fit the model is linear in the unknowns and in the form errors, all with unit priors, so
+under given sizes the table has a normal density (Laplace; `form_error.marginals`). Sizes are on a
+grid with the priors below. Noise that is estimated from few values has its own scale on the grid. A
+strength that may not be negative has a truncated prior, and its evidence the ratio of the posterior
+to the prior probability of being allowed.
 
-Beside a fitted model there may be an *anonymous contribution*, which no catalogue lists. Three kinds are equally
-probable. *Smooth*: a function of all conditions and of the time in one channel or more.
-*Patterns*: a function of one condition, or of one and the slip, in a single place: one channel, or one of the stresses
-(`form_error.stress_changes`), as most mechanisms work, or a value for each bed of soil; a stress may not change with
-what the base law knows, which is its form error. *Scatter*: every value by itself, as where each row has its own soil.
+Beside a fitted model there may be an *anonymous contribution*, which no catalogue lists. Three
+kinds are equally probable.
+
+* *Smooth*: a function of all conditions and of the time in one channel or more.
+* *Patterns*: a function of one condition, or of one and the slip, in a single place: one channel,
+  or one of the stresses (`form_error.stress_changes`), as most mechanisms work, or a value for each
+  bed of soil. A stress may not change with what the base law knows, which is its form error.
+* *Scatter*: every value by itself, as where each row has its own soil.
 """
 
 import math
@@ -38,10 +43,11 @@ from soil_env.identification.table.form_error import (
 from soil_env.identification.table.priors import Unknown
 from soil_env.identification.table.problem import finite
 
-#: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to 30 % of it.
+#: Size beta of an effect's form error, relative to what it adds: published forms differ by 10 to
+#: 30 % of it.
 EFFECT_SIZES = (0.03, 0.12, 0.3)
-EFFECT_PRIOR = (0.35, 0.5, 0.15)
-_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+EFFECT_PRIOR = (0.35, 0.5, 0.15)  # probability of each of them
+_NOISE_QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of estimated noise, equally probable
 ALIKE_SIZES = (0.6, 1.0)  # of what resembles an effect and is not it
 _ROUNDS = 2  # of fit and sizes in turn
 _SLIGHT = 1e-3  # posterior share below which a size of the form error does not count
@@ -80,7 +86,9 @@ class Grid(NamedTuple):
 
 
 def grid(names: tuple[str, ...]) -> tuple[list[Sizes], np.ndarray]:
-    """(sizes of the form errors of the base law and of effects, log prior of each); an instrument's laws are exact."""
+    """(sizes of the form errors of the base law and of effects, log prior of each); an instrument's
+    laws are exact.
+    """
     effect = list(zip(EFFECT_SIZES, EFFECT_PRIOR, strict=True)) if names else [(0.0, 1.0)]
     if names and {*names} <= {*INSTRUMENT}:
         effect = [(EFFECT_SIZES[0], 1.0)]
@@ -100,7 +108,9 @@ def plain_grid(fit: Fit) -> Grid:
 
 
 def noise_scales(freedom: float) -> np.ndarray:
-    """Noise over its estimate, equally probable values, where the estimate has so many degrees of freedom."""
+    """Noise over its estimate, equally probable values, where the estimate has so many degrees of
+    freedom.
+    """
     if not math.isfinite(freedom):
         return np.ones(1)
     scales: np.ndarray = np.sqrt(freedom / chi2.ppf(_NOISE_QUANTILES, freedom))
@@ -140,7 +150,9 @@ def weigh(problem: Problem, fit: Fit, over: Grid | None = None) -> Evidence:
 
 
 def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """[S] log of the posterior over the prior probability that every unknown is within its bounds."""
+    """[S] log of the posterior over the prior probability that every unknown is within its
+    bounds.
+    """
     sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     out = np.zeros(len(mean))
     for k, unknown in enumerate(fit.unknowns):
@@ -152,10 +164,9 @@ def _allowed(fit: Fit, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """log(Phi(b) - Phi(a)), a < b."""
-    turn = a > 0.0
-    a, b = np.where(turn, -b, a), np.where(turn, -a, b)
-    upper: np.ndarray = log_ndtr(b)
-    lower: np.ndarray = log_ndtr(a)
+    turn = a > 0.0  # there by the other tail, where the difference of two ones would vanish
+    upper: np.ndarray = log_ndtr(np.where(turn, -a, b))
+    lower: np.ndarray = log_ndtr(np.where(turn, -b, a))
     between: np.ndarray = upper + np.log1p(-np.exp(np.minimum(lower - upper, -1e-12)))
     return between
 
@@ -166,7 +177,8 @@ def settle(
     near: Evidence | None = None,
     start: dict[str, float] | None = None,
 ) -> Evidence:
-    """Evidence of a model, fitted under the form errors that are most probable with it, and linearised there.
+    """Evidence of a model, fitted under the form errors that are most probable with it, and
+    linearised there.
 
     `near`, a model of the same table, is where the first fit takes its form errors from.
     """
@@ -187,10 +199,11 @@ def settle(
 
 
 class _Further:
-    """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size of the law's error.
+    """Strengths of further effects beside a fitted model as linear unknowns [M, K], under each size
+    of the law's error.
 
-    Under the covariance of noise and form errors, the model's unknowns free, the strengths x have the normal matrix
-    `normal` [K, K] and the pull `pull` [K] of the table.
+    Under the covariance of noise and form errors, the model's unknowns free, the strengths x have
+    the normal matrix `normal` [K, K] and the pull `pull` [K] of the table.
     """
 
     def __init__(self, problem: Problem, first: Evidence, choices: list[Choice]) -> None:
@@ -224,7 +237,9 @@ class _Further:
         self.own_along = self.columns.T @ first.fit.residual
 
     def under(self, sizes: Sizes) -> tuple[float, np.ndarray, np.ndarray]:
-        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error, and scatter."""
+        """(log evidence of the model alone, normal [K, K], pull [K]) at a size of the law's error,
+        and scatter.
+        """
         fit = self.fit
         noise = sizes.scatter
         d = np.repeat([1.0, *sizes.laws, self.effect, 1.0], self.width) / noise
@@ -246,7 +261,9 @@ class _Further:
 
 
 def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[float]:
-    """Log evidence that a further effect promises in each of its forms beside those of `first`, to first order."""
+    """Log evidence that a further effect promises in each of its forms beside those of `first`, to
+    first order.
+    """
     further = _Further(problem, first, choices)
     one_sided = np.array([u.low >= u.mean for u in further.unknowns])
     of = [np.flatnonzero(np.array(further.owner) == k) for k in range(len(choices))]
@@ -259,7 +276,9 @@ def promised(problem: Problem, first: Evidence, choices: list[Choice]) -> list[f
 
 
 def _gain(normal: np.ndarray, pull: np.ndarray, one_sided: np.ndarray) -> float:
-    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0 where they would."""
+    """Gain of log evidence by unknowns with unit priors; those that may not be negative stay at 0
+    where they would.
+    """
     if pull.size == 1:  # most forms: numbers are quicker than arrays
         x = float(pull[0])
         n = 1.0 + float(normal[0, 0])
@@ -290,8 +309,9 @@ def detectable(
 ) -> Detectable:
     """`Detectable` of an effect, in the form of `choices` that shows best.
 
-    A strength of x prior standard deviations with the normal n under the form errors of the base model is expected to
-    gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the `threshold` that its prior sets.
+    A strength of x prior standard deviations with the normal n under the form errors of the base
+    model is expected to gain x^2 n/2 - ln(1 + n)/2 nats; it is seen where that exceeds the
+    `threshold` that its prior sets.
     """
     further = _Further(problem, base, choices)
     normal = sum(
@@ -311,7 +331,9 @@ def detectable(
 
 
 def _beyond(unknown: Unknown, x: float) -> float:
-    """Prior probability of a strength further than x standard deviations from its mean, within its bounds."""
+    """Prior probability of a strength further than x standard deviations from its mean, within its
+    bounds.
+    """
     low, high = unknown.bounds
     inside = ndtr(high) - ndtr(low)
     return float(
@@ -320,8 +342,8 @@ def _beyond(unknown: Unknown, x: float) -> float:
     )
 
 
-#: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable as another, and each
-#: set of channels as another.
+#: Sizes of a smooth contribution to a channel, relative to its root mean square; each as probable
+#: as another, and each set of channels as another.
 FREE_SIZES = (0.03, 0.15, 0.5)
 #: Sizes of a pattern, relative to the stress or to the root mean square of the channel.
 PATTERN_SIZES = (0.05, 0.15, 0.4)
@@ -334,19 +356,20 @@ _STRESSES = (
     "place of the shear stress",
 )
 Pattern = tuple[str, float]  # where and with what, and its size
-#: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes with the pass, the
-#: size of a stress with the speed, the pull with the grade, a friction with the speed, a zero that drifts.
+#: What a listed effect is about, in whatever form, and so no anonymous contribution: all that goes
+#: with the pass, the size of a stress with the speed, the pull with the grade, a friction with the
+#: speed, a zero that drifts.
 _OWNED = {
     **dict.fromkeys((*_STRESSES, *CHANNELS), ("pass",)),
     **dict.fromkeys((*_STRESSES[:2], "torque"), ("pass", "speed")),
     "drawbar_pull": ("pass", "grade_deg"),
     "sinkage": ("pass", "elapsed"),
 }
-FEWEST_BEDS = 4  # of a table that can show that each has a soil of its own
-MOST_BEDS = 60
+FEWEST_BEDS = 4  # beds of soil of a table that can show that each has a soil of its own
+MOST_BEDS = 60  # the same: more are rows, which scatter says better
 _FUNCTIONS = 12  # of a pattern at most
 _LIKELY = 2  # sizes of the other form errors that are tried beside it
-_COARSE = (0.02, 0.1)
+_COARSE = (0.02, 0.1)  # sizes of the law's error that are tried with it, too
 
 
 def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
@@ -390,9 +413,11 @@ def patterns(problem: Problem, fit: Fit) -> dict[str, np.ndarray]:
 def anonymous_grid(
     problem: Problem, plain: Evidence, fit: Fit, beside: Pattern | None = None
 ) -> Grid:
-    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that `plain` has likely.
+    """Sizes of anonymous contributions about a fit, beside sizes of the other form errors that
+    `plain` has likely.
 
-    With `beside`, a pattern of a first round, those of a second: with that pattern, another or a smooth contribution.
+    With `beside`, a pattern of a first round, those of a second: with that pattern, another or a
+    smooth contribution.
     """
     likely = sorted(plain.share, key=lambda s: -plain.share[s])
     likely = list(
@@ -407,9 +432,8 @@ def anonymous_grid(
     free = [f for f in product(*options) if any(f)]
     by = patterns(problem, fit)
     first = () if beside is None else (beside,)
-    kinds: list[
-        list[tuple[dict[str, Any], float]]
-    ] = [  # (sizes, log of their probability up to a constant)
+    # (sizes, log of their probability up to a constant).
+    kinds: list[list[tuple[dict[str, Any], float]]] = [
         [
             ({"free": f, "patterns": first}, -math.log(len(FREE_SIZES)) * np.count_nonzero(f))
             for f in free
@@ -435,10 +459,11 @@ def anonymous_grid(
 
 
 def resembling(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of an anonymous law of the same freedom as a fitted effect: what it adds, in another form.
+    """Evidence of an anonymous law of the same freedom as a fitted effect: what it adds, in another
+    form.
 
-    It moves the same channels under the same conditions by as much, with an error of its form that is as large as it
-    is: a shape that no published form has.
+    It moves the same channels under the same conditions by as much, with an error of its form that
+    is as large as it is: a shape that no published form has.
     """
     usual = plain_grid(plain.fit)
     rows = [k for k, s in enumerate(usual.sizes) if s.effect == EFFECT_SIZES[0]]
@@ -453,10 +478,12 @@ def resembling(problem: Problem, plain: Evidence) -> Evidence:
 
 
 def anonymous(problem: Problem, plain: Evidence) -> Evidence:
-    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is scatter.
+    """Evidence of a model with an anonymous contribution beside it; fitted anew where that is
+    scatter.
 
-    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit with scatter. What
-    no single pattern is, two may be: beside the most probable one a second is tried, as probable before as none.
+    The parameters of a fit without scatter are bent to explain it, and lie far from those of a fit
+    with scatter. What no single pattern is, two may be: beside the most probable one a second is
+    tried, as probable before as none.
     """
     free = weigh(problem, plain.fit, anonymous_grid(problem, plain, plain.fit))
     if free.sizes.scatter > 1.0:

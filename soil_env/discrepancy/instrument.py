@@ -1,8 +1,10 @@
-"""Errors of the rig and its sensors: candidates beside the effects of the catalogue, and nuisances of every table.
+"""Errors of the rig and its sensors: candidates beside the effects of the catalogue, and nuisances
+of every table.
 
-A rig is level, its wheel measured and its sensors calibrated to the standard deviations of `Setup.calibration`. Errors
-of that size are in the covariance of every fit (`nuisances`), so that no effect is named for them. A larger one is a
-candidate with a name, in `INSTRUMENT`. The simulated world has none of these, and model.yaml holds none.
+A rig is level, its wheel measured and its sensors calibrated to the standard deviations of
+`Setup.calibration`. Errors of that size are in the covariance of every fit (`nuisances`), so that
+no effect is named for them. A larger one is a candidate with a name, in `INSTRUMENT`. The simulated
+world has none of these, and model.yaml holds none.
 """
 
 import math
@@ -30,7 +32,7 @@ from soil_env.terramechanics.effects.entry import (
 from soil_env.terramechanics.model import Rows
 
 OFFSET = 0.05  # [mean load, times the radius] sd of a zero error: a candidate's, a nuisance's
-LEAST_OFFSET = 0.003
+LEAST_OFFSET = 0.003  # [the same] sd of the smallest zero error that is told apart
 PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
 
 
@@ -59,7 +61,9 @@ def _entry(
 def _within(
     name: str, sd: float, most: float, size: Callable[[Bench], float]
 ) -> Callable[[Bench], dict]:
-    """Prior (sd, low, high) of a parameter that goes with a size of the rig, both over that size."""
+    """Prior (sd, low, high) of a parameter that goes with a size of the rig, both over that
+    size.
+    """
     return lambda bench: {name: (sd * size(bench), -most * size(bench), most * size(bench))}
 
 
@@ -252,7 +256,8 @@ def exact(setup: Setup) -> dict[str, str]:
 def odds(setup: Setup, bench: Bench) -> dict[str, float]:
     """Prior odds by name of the errors of a rig, over those of one whose setup states nothing.
 
-    A rig that is known five times better than usual is wrong a fifth as often, since somebody looked.
+    A rig that is known five times better than usual is wrong a fifth as often, since somebody
+    looked.
     """
     own = _spread(setup.calibration, bench)
     usual = _spread(Calibration(), bench)
@@ -284,8 +289,8 @@ def in_balance(
 ) -> np.ndarray:
     """[N, 3] outcome of rows under the load that an arm or a spring leaves of the stated one.
 
-    The load follows from the outcome: it is the limit of three loads, each from the one before (Aitken 1926, Proc.
-    R. Soc. Edinb. 46:289-305).
+    The load follows from the outcome: it is the limit of three loads, each from the one before
+    (Aitken 1926, Proc. R. Soc. Edinb. 46:289-305).
     """
     arm = values.get("arm_load_share", 0.0)
     spring = values.get("spring_load_rate", 0.0)
@@ -321,7 +326,9 @@ def reading(out: np.ndarray, values: Mapping[str, float], radius: np.ndarray) ->
 def nuisances(
     setup: Setup, bench: Bench, rows: Rows, output: np.ndarray, named: tuple[str, ...]
 ) -> np.ndarray:
-    """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not named."""
+    """[N, 3, R] change of the readings [N, 3] by one sd of each error of one sensor that is not
+    named.
+    """
     spread = _spread(setup.calibration, bench)
     out = []
     for name, effect in INSTRUMENT.items():

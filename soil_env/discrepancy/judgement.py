@@ -41,7 +41,9 @@ class Gap(NamedTuple):
 
     @property
     def remainder(self) -> tuple[float, float | None]:
-        """(error after, beyond the noise; its share of the mean square before, beyond the noise, None if none)."""
+        """(error after, beyond the noise; its share of the mean square before, beyond the noise,
+        None if none).
+        """
         before, after = (max(x**2 - self.noise_floor**2, 0.0) for x in (self.before, self.after))
         return math.sqrt(after), after / before if before > 0.0 else None
 
@@ -49,8 +51,9 @@ class Gap(NamedTuple):
 def intervals(finding: Finding, own: Evidence) -> dict[str, Interval]:
     """Posterior mean and 95 % interval of every unknown, from the same posterior as the names.
 
-    Of the soil over all hypotheses and sizes of form errors, each with its probability; of the effects over the sizes
-    in `own`, their model. In the logarithm where the unknown is fitted in it; never beyond the bounds.
+    Of the soil over all hypotheses and sizes of form errors, each with its probability; of the
+    effects over the sizes in `own`, their model. In the logarithm where the unknown is fitted in
+    it; never beyond the bounds.
     """
     p = len(finding.best().evidence.fit.unknowns)
     parts = [
@@ -78,19 +81,23 @@ def _interval(unknown: Unknown, u: float, sd: float) -> Interval:
 
 
 def groups(problem: Problem) -> tuple[np.ndarray, int]:
-    """([F, M] which of the values in use each held-out group has, number of ways to cut the table into groups)."""
+    """([F, M] which of the values in use each held-out group has, number of ways to cut the table
+    into groups).
+    """
     ways = folds(problem.data)
     rows = np.nonzero(problem.used)[0]
     return np.stack([group[rows] for way in ways for group in way]), len(ways)
 
 
 def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
-    """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it; NaN where not in use.
+    """[N, 3] what the model predicts of each value, its unknowns fitted to the groups without it;
+    NaN where not in use.
 
-    The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml has them. Refits are
-    linearised about the fit to all. Mean over the ways to cut the table.
+    The fit gives the covariance its form errors; the prediction is that of the laws, as model.yaml
+    has them. Refits are linearised about the fit to all. Mean over the ways to cut the table.
     """
-    (a, e), (member, ways) = fit.linearised(), groups(problem)
+    a, e = fit.linearised()
+    member, ways = groups(problem)
     top = a[: fit.residual.size]
     normal = a.T @ a
     r = e[: fit.residual.size]
@@ -101,9 +108,8 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
         moved = np.linalg.solve(normal - j.T @ j, a.T @ e - j.T @ r[out])
         error[out] += fit.sizes.scatter * (r[out] - j[:, :laws] @ moved[:laws]) / ways
     predicted = np.full(problem.used.shape, math.nan)
-    scale = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)[
-        problem.used
-    ]
+    noise = np.broadcast_to(problem.noise * problem.data.relative_sd, problem.used.shape)
+    scale = noise[problem.used]
     predicted[problem.used] = problem.data.y[problem.used] - error * scale
     return predicted
 
@@ -121,7 +127,9 @@ def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, G
 
 
 def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
-    """Share of the held-out mean square above the noise that is gone, over all values; None where there was none."""
+    """Share of the held-out mean square above the noise that is gone, over all values; None where
+    there was none.
+    """
     count = {name: int(problem.used[:, CHANNELS.index(name)].sum()) for name in gap}
     before, after = (
         sum(n * max(gap[name].over_noise[k] ** 2 - 1.0, 0.0) for name, n in count.items())
@@ -133,19 +141,20 @@ def closed(problem: Problem, gap: dict[str, Gap]) -> float | None:
 def closed_interval(
     problem: Problem, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float] | None:
-    """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a gap.
+    """95 % interval of `closed`, from held-out predictions [N, 3]; None where hardly any draw has a
+    gap.
 
-    Values of one slip share the error of that slip, and values of one combination of the other conditions share
-    another: both are drawn with replacement, and a row counts as often as its slip times as often as its combination
-    (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411; conservative). The models are not refitted, since
-    each value was predicted without its own group.
+    Values of one slip share the error of that slip, and values of one combination of the other
+    conditions share another: both are drawn with replacement, and a row counts as often as its slip
+    times as often as its combination (pigeonhole bootstrap, Owen 2007, Ann. Appl. Stat. 1:386-411;
+    conservative). The models are not refitted, since each value was predicted without its own
+    group.
     """
     weight = np.ones((_CLOSED_DRAWS, problem.data.rows.slip.size))
     for way in folds(problem.data):
         group = np.argmax(np.stack(way), axis=0)
-        weight *= rng.multinomial(len(way), np.full(len(way), 1.0 / len(way)), size=_CLOSED_DRAWS)[
-            :, group
-        ]
+        equal = np.full(len(way), 1.0 / len(way))
+        weight *= rng.multinomial(len(way), equal, size=_CLOSED_DRAWS)[:, group]
     total = []
     for held in (before, after):
         square = np.where(problem.used, ((problem.data.y - held) / problem.noise) ** 2, 0.0)
@@ -163,9 +172,11 @@ def closed_interval(
 def shares(
     problem: Problem, before: np.ndarray, held: dict[tuple[str, ...], np.ndarray]
 ) -> dict[str, float | None]:
-    """Share of the gap above the noise that each named effect closes, from held-out predictions of its sets.
+    """Share of the gap above the noise that each named effect closes, from held-out predictions of
+    its sets.
 
-    Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley value).
+    Of two effects the mean of what one closes alone and of what it closes beside the other (Shapley
+    value).
     """
     if not held:
         return {}

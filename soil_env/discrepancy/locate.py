@@ -1,12 +1,14 @@
-"""Location of disagreements between a table and a fitted model: channel, region of the conditions, size, p value.
+"""Location of disagreements between a table and a fitted model: channel, region of the conditions,
+size, p value.
 
-Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in every channel. What
-the fit's own parameters would absorb is projected out, so under the null the statistic of a box is standard normal
+Every box of one or two conditions (intervals of levels of one, half-lines of two) is looked at in
+every channel. What the fit's own parameters would absorb is projected out, so under the null the
+statistic of a box is standard normal
 
     t = v'e / sqrt(v'P v),    e = P n,    P = I - A (A'A)^-1 A',    n ~ N(0, I),
 
-v being 1 in the box and A the Jacobian of the fit with its priors as further rows. The p value is that of the largest
-|t| over all boxes and channels; its null distribution is simulated through P.
+v being 1 in the box and A the Jacobian of the fit with its priors as further rows. The p value is
+that of the largest |t| over all boxes and channels; its null distribution is simulated through P.
 """
 
 import math
@@ -21,14 +23,13 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.evidence import Evidence
 
 SIGNIFICANT = 0.01  # p value above which a disagreement is not reported
-LAW = 0.1  # relative errors of the laws and of an effect's form that `structure` allows
-EFFECT = 0.12
+LAW = 0.1  # relative error of the laws that `structure` allows
+EFFECT = 0.12  # relative error of an effect's form that it allows
 MOST = 4  # disagreements reported
 LEAST_VALUES = 3  # in a box
 _DRAWS = 400  # of the noise, for the distribution of the largest |t|
-_TAIL = (
-    0.95  # quantile of the simulated maxima at which the number of independent looks is read off
-)
+#: Quantile of the simulated maxima at which the number of independent looks is read off.
+_TAIL = 0.95
 _SHOWS = 2.0  # least |t| of the plain mean residual of a box
 _OPEN = 0.02  # share of a box's variance that the parameters must leave for it to be looked at
 
@@ -38,9 +39,8 @@ class Disagreement:
     """One box in which a channel leaves the model."""
 
     channel: str
-    region: dict[
-        str, tuple[float, float]
-    ]  # condition -> (low, high) in its unit; what is not named is not limited
+    #: condition -> (low, high) in its unit; what is not named is not limited.
+    region: dict[str, tuple[float, float]]
     size: float  # [m, N or N m] mean of measured - model in the box
     size_sd: float  # the same in standard deviations of the noise of one value
     p_value: float  # of anything as large anywhere
@@ -48,14 +48,18 @@ class Disagreement:
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes of the conditions: members [R, N] bool and, for each, condition -> (first, last) level."""
+    """Boxes of the conditions: members [R, N] bool and, for each, condition -> (first, last)
+    level.
+    """
 
     member: np.ndarray
     limits: tuple[dict[str, tuple[int, int]], ...]
 
 
 def boxes(problem: Problem) -> Boxes:
-    """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows once."""
+    """All boxes: the whole table, intervals of one condition, half-lines of two; each set of rows
+    once.
+    """
     varied = problem.data.varied
     limits: list[dict[str, tuple[int, int]]] = [{}]
     for name, c in varied.items():
@@ -84,8 +88,8 @@ def _half_lines(levels: int) -> list[tuple[int, int]]:
 def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...]:
     """Significant disagreements, the most certain first; none where the model explains the table.
 
-    After each, the box is given to the model as a further parameter, so that the next one says something new; in one
-    channel the boxes do not overlap.
+    After each, the box is given to the model as a further parameter, so that the next one says
+    something new; in one channel the boxes do not overlap.
     """
     found = boxes(problem)
     if not found.limits:
@@ -134,10 +138,11 @@ def locate(problem: Problem, fit: Fit, seed: int = 0) -> tuple[Disagreement, ...
 
 
 def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
-    """p value of the pattern that a model leaves in a channel, over slip, load and the other conditions.
+    """p value of the pattern that a model leaves in a channel, over slip, load and the other
+    conditions.
 
-    A posterior predictive check: beyond the noise, laws that are off by `LAW`, and an effect whose form is off by
-    `EFFECT`. Unlike the evidence it needs no other model to compare with.
+    A posterior predictive check: beyond the noise, laws that are off by `LAW`, and an effect whose
+    form is off by `EFFECT`. Unlike the evidence it needs no other model to compare with.
     """
     effect = max(model.sizes.effect, EFFECT) if model.fit.choices else 0.0
     sizes = Sizes(LAW, effect, span=model.sizes.span, scatter=model.sizes.scatter, rig=1.0)
@@ -148,7 +153,9 @@ def structure(problem: Problem, model: Evidence, seed: int = 0) -> float:
 
 
 def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(unit columns of v without the directions q, which of them keep a part of their length `total`)."""
+    """(unit columns of v without the directions q, which of them keep a part of their length
+    `total`).
+    """
     v = v - q @ (q.T @ v)
     length = np.sqrt(np.einsum("mr,mr->r", v, v))
     left = length > math.sqrt(_OPEN) * total
@@ -156,7 +163,9 @@ def _project(v: np.ndarray, q: np.ndarray, total: np.ndarray) -> tuple[np.ndarra
 
 
 def _looks(v: np.ndarray, channel: np.ndarray, freedom: float, rng: np.random.Generator) -> float:
-    """Number of independent looks whose largest |t| is as large as that over the columns of v, each of a channel."""
+    """Number of independent looks whose largest |t| is as large as that over the columns of v, each
+    of a channel.
+    """
     t = np.abs(rng.standard_normal((_DRAWS, v.shape[0]), dtype=np.float32) @ v.astype(np.float32))
     if math.isfinite(freedom):
         noise = np.sqrt(rng.chisquare(freedom, (_DRAWS, 3)) / freedom)

@@ -1,14 +1,16 @@
 """Design of the next runs: those that are expected to say most about which candidate is right.
 
-Every candidate predicts a grid of conditions that the rig can make, jointly normal: mean and covariance follow from its
-fit and its form errors. The information that a set of runs is expected to give about the candidates i of probability
-P_i is at least
+Every candidate predicts a grid of conditions that the rig can make, jointly normal: mean and
+covariance follow from its fit and its form errors. The information that a set of runs is expected
+to give about the candidates i of probability P_i is at least
 
-    I = -sum_i P_i ln sum_j P_j exp(-B_ij),   B_ij the Bhattacharyya distance of what i and j predict there together
+    I = -sum_i P_i ln sum_j P_j exp(-B_ij)
 
-(Kolchinsky & Tracey 2017, Entropy 19:361). exp(-B_ij) is also the factor by which the odds of j against i are expected
-to change if i is right, under the square root of the evidence; `search` tempers it a little less. Runs are chosen one
-after the other, each by the information that it adds to those before it for its cost.
+(Kolchinsky & Tracey 2017, Entropy 19:361). B_ij is the Bhattacharyya distance of what i and j
+predict there together. exp(-B_ij) is also the factor by which the odds of j
+against i are expected to change if i is right, under the square root of the evidence; `search`
+tempers it a little less. Runs are chosen one after the other, each by the information that it adds
+to those before it for its cost.
 """
 
 import math
@@ -30,14 +32,17 @@ MOST = 4  # runs proposed
 LEAST = 1e-3  # [nat] of information below which no run is proposed
 LEAST_OF_CHECK = 0.2  # the same of a check: what errors of 5 % together are worth
 WITHIN_REACH = 0.01  # least probability of a candidate
-CANDIDATES = 14
+CANDIDATES = 14  # at most, the most probable ones
+#: Of the runs to choose from, where the setup says nothing of the rig.
 SLIPS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 BASE = "base model"
 _LARGEST = 3000  # points of a grid
 
 
 class Check(NamedTuple):
-    """A reading of the instrument without soil, which finds the errors that it `decides` or rules them out."""
+    """A reading of the instrument without soil, which finds the errors that it `decides` or rules
+    them out.
+    """
 
     name: str
     work: str  # to do
@@ -53,18 +58,20 @@ CHECKS = (
     ),
     Check(
         "plate",
-        "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage and slip "
-        "have to read 0",
+        "roll the wheel on a hard plate without pull, under each load and at each speed: sinkage "
+        "and slip have to read 0",
         ("sinkage_offset", "slip_bias", "wheel_radius"),
     ),
     Check(
         "weights",
-        "hang known weights on the load cell and on a lever at the wheel, and read both sensors each time",
+        "hang known weights on the load cell and on a lever at the wheel, and read both sensors "
+        "each time",
         ("force_gain", "torque_gain", "force_crosstalk", "torque_crosstalk"),
     ),
     Check(
         "scale",
-        "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to stay",
+        "stand the wheel on a scale, raise it, and turn the wheel against a block: the load has to "
+        "stay",
         ("arm_load", "spring_load"),
     ),
 )
@@ -88,7 +95,9 @@ class NextTest:
     separates: tuple[str, str]  # candidates that it separates most
     channel: str  # in which
     expected_sigma: float  # difference of their predictions there over its standard deviation
-    sure: float  # least probability of the right candidate, on average, once this run and those before it are made
+    #: Least probability of the right candidate, on average, once this run and those before it are
+    #: made.
+    sure: float
     cost: float
     information: float  # [nat] expected at least, beyond the runs before it
     repeat: bool = False  # of the run that the model misses most
@@ -102,7 +111,9 @@ class Grid(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Candidates and their joint predictions [G, C] of the measured channels on a grid, in units of the noise."""
+    """Candidates and their joint predictions [G, C] of the measured channels on a grid, in units of
+    the noise.
+    """
 
     names: tuple[str, ...]
     share: np.ndarray  # [K] probability
@@ -111,8 +122,11 @@ class Candidates(NamedTuple):
     own: np.ndarray  # [K, G, C] further variance of every value by itself, the noise with it
 
     def joint(self, chosen: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
-        """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the grid."""
-        (count, points, channels), chosen = self.mean.shape, list(chosen)
+        """(mean [K, G, m], covariance [K, G, m, m]) of the chosen runs followed by each run of the
+        grid.
+        """
+        count, points, channels = self.mean.shape
+        chosen = list(chosen)
         before = len(chosen) * channels
         mean = np.empty((count, points, before + channels))
         cov = np.zeros((count, points, before + channels, before + channels))
@@ -121,18 +135,20 @@ class Candidates(NamedTuple):
             mean[k, :, :before] = self.mean[k, chosen].ravel()
             mean[k, :, before:] = self.mean[k]
             cov[k, :, :before, :before] = first @ first.T + np.diag(self.own[k, chosen].ravel())
-            cov[k, :, before:, :before] = cross = root @ first.T
+            cross = root @ first.T
+            cov[k, :, before:, :before] = cross
             cov[k, :, :before, before:] = cross.transpose(0, 2, 1)
-            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + self.own[k][
-                :, :, None
-            ] * np.eye(channels)
+            own = self.own[k][:, :, None] * np.eye(channels)
+            cov[k, :, before:, before:] = root @ root.transpose(0, 2, 1) + own
         return mean, cov
 
 
 def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[NextTest, ...]:
-    """At most `most` runs that would tell the sets of effects within reach apart, in the order to make them.
+    """At most `most` runs that would tell the sets of effects within reach apart, in the order to
+    make them.
 
-    Effects whose condition the table does not vary, and the rig could, are within reach with their prior odds.
+    Effects whose condition the table does not vary, and the rig could, are within reach with their
+    prior odds.
     """
     share = _shares(finding)
     found = {h.names: h.evidence for h in finding.hypotheses if not h.free}
@@ -151,7 +167,9 @@ def next_tests(problem: Problem, finding: Finding, most: int = MOST) -> tuple[Ne
 
 
 def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]:
-    """Checks that are expected to say more about which candidate is right than any of these runs."""
+    """Checks that are expected to say more about which candidate is right than any of these
+    runs.
+    """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
     names = [*share, ()]  # no check knows what is in no catalogue
@@ -175,7 +193,9 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
 
 
 def _shares(finding: Finding) -> dict[tuple[str, ...], float]:
-    """Probability of each set of effects, but of something unlisted alone, which predicts nothing."""
+    """Probability of each set of effects, but of something unlisted alone, which predicts
+    nothing.
+    """
     share: dict[tuple[str, ...], float] = {}
     for h in finding.hypotheses:
         if h.names or not h.free:
@@ -190,7 +210,9 @@ def proposed(
     most: int = MOST,
     repeat: bool = False,
 ) -> tuple[NextTest, ...]:
-    """The runs for candidates of these probabilities; `repeat`: the run that the first one misses most comes first."""
+    """The runs for candidates of these probabilities; `repeat`: the run that the first one misses
+    most comes first.
+    """
     if len(evidence) < 2 and not repeat:
         return ()
     grid = conditions(problem, evidence)
@@ -240,7 +262,9 @@ def _said(
     problem: Problem, of: Candidates, g: int
 ) -> tuple[tuple[Predicted, ...], tuple[str, str], str, float]:
     """Predictions of a run, and what it separates, as in `NextTest`."""
-    seen, mean, sd = problem.used.any(axis=0), *np.full((2, len(of.names), 3), np.nan)
+    seen = problem.used.any(axis=0)
+    mean = np.full((len(of.names), 3), np.nan)
+    sd = mean.copy()
     mean[:, seen] = of.mean[:, g]
     sd[:, seen] = np.sqrt(
         [np.sum(root[g] ** 2, axis=1) + own[g] for root, own in zip(of.root, of.own, strict=True)]
@@ -254,7 +278,9 @@ def _said(
 
 
 def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov` [K, G, m, m]."""
+    """[K, K, G] of exp(-Bhattacharyya distance) between normal predictions, `mean` [K, G, m], `cov`
+    [K, G, m, m].
+    """
     count, points = mean.shape[:2]
     out = np.ones((count, count, points))
     size = np.linalg.slogdet(cov)[1]
@@ -266,7 +292,8 @@ def overlaps(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
             distance = square / 8.0 + 0.5 * (
                 np.linalg.slogdet(middle)[1] - 0.5 * (size[i] + size[j])
             )
-            out[i, j] = out[j, i] = np.exp(-np.maximum(distance, 0.0))
+            out[i, j] = np.exp(-np.maximum(distance, 0.0))
+            out[j, i] = out[i, j]
     return out
 
 
@@ -277,7 +304,9 @@ def information(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
 
 
 def sureness(share: np.ndarray, overlap: np.ndarray) -> np.ndarray:
-    """[G] least probability that the right candidate has afterwards, on average (by Jensen's inequality)."""
+    """[G] least probability that the right candidate has afterwards, on average (by Jensen's
+    inequality).
+    """
     out: np.ndarray = share**2 @ (1.0 / np.einsum("j,ijg->ig", share, overlap))
     return out
 
@@ -289,7 +318,9 @@ def decided(names: Sequence[tuple[str, ...]], check: Check) -> np.ndarray:
 
 
 def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
-    """[G] cost of each run after the last chosen one, or the last of the table, by the setup's rig."""
+    """[G] cost of each run after the last chosen one, or the last of the table, by the setup's
+    rig.
+    """
     rig = problem.data.setup.rig
     table = problem.data.conditions
     last = {n: x[chosen[-1]] if chosen else table[n][-1] for n, x in grid.value.items()}
@@ -297,9 +328,8 @@ def _costs(problem: Problem, grid: Grid, chosen: Sequence[int]) -> np.ndarray:
         n: np.abs(x - last[n]) > 1e-6 * max(1.0, abs(last[n])) for n, x in grid.value.items()
     }
     changed["wheel"] = np.any([changed[n] for n in WHEEL], axis=0)
-    changed["pass"] = np.maximum(
-        grid.value["pass"] - 1.0, 0.0
-    )  # on fresh soil they have to be made first
+    # On fresh soil they have to be made first.
+    changed["pass"] = np.maximum(grid.value["pass"] - 1.0, 0.0)
     cost = np.full(grid.value["slip"].size, rig.cost.get("run", 1.0))
     return cost + sum(
         (price * changed[name] for name, price in rig.cost.items() if name != "run"),
@@ -341,10 +371,11 @@ def _could_show(problem: Problem, name: str) -> bool:
 
 
 def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
-    """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or about the table.
+    """Slips and loads, wheels, and the speeds, passes and grades that matter, by the setup's rig or
+    about the table.
 
-    What no candidate knows is the middle speed, the first pass and the least grade of the table, or what the rig has
-    nearest to them.
+    What no candidate knows is the middle speed, the first pass and the least grade of the table, or
+    what the rig has nearest to them.
     """
     column = problem.data.conditions
     varied = problem.data.varied
@@ -387,7 +418,9 @@ def conditions(problem: Problem, candidates: Sequence[Evidence]) -> Grid:
 
 
 def _around(x: np.ndarray, below: float, above: float) -> list[float]:
-    """The ends and the middle of the values, and beyond by the two factors, in two digits where the table has none."""
+    """The ends and the middle of the values, and beyond by the two factors, in two digits where the
+    table has none.
+    """
     low = float(x.min())
     high = float(x.max())
     middle = _round((low * high) ** 0.5) if high > 1.1 * low else low

@@ -1,9 +1,9 @@
 """Noise of the channels and outliers, before any effect is known.
 
-The reference is a *smooth surface* through the data: the calibrated base model plus polynomials of the conditions in
-every channel. Whatever effect is missing, it is smooth in the conditions; single values that leave the surface are not
-an effect. (`identification.table.problem` estimates noise from what its own fit leaves: there the model is taken to
-be right, here it is in question.)
+The reference is a *smooth surface* through the data: the calibrated base model plus polynomials of
+the conditions in every channel. Whatever effect is missing, it is smooth in the conditions; single
+values that leave the surface are not an effect. (`identification.table.problem` estimates noise
+from what its own fit leaves: there the model is taken to be right, here it is in question.)
 """
 
 import dataclasses
@@ -19,9 +19,12 @@ from soil_env.discrepancy.data import CHANNELS, LOGARITHMIC, WHEEL, Data
 from soil_env.terramechanics.model import Rows
 
 OUTLIER = 4.5  # [sd] distance from the smooth surface beyond which a value is left out
-COMMON = 3.8  # [sd over root of their number] median of the others at a slip from which a deviation is no outlier
+#: [sd over root of their number] median of the others at a slip from which a deviation is no
+#: outlier.
+COMMON = 3.8
 ALONE = 0.8  # leverage on the smooth surface above which a value is checked by no other
-LEAST_NOISE = 1e-5  # scatter over the size of the values below which they are rounded or computed, not measured
+#: Scatter over the size of the values below which they are rounded or computed, not measured.
+LEAST_NOISE = 1e-5
 LEAST_GIVEN = 1e-6  # the same of noise that the setup gives; less leaves no digits to fit with
 STEPS = {"slip": 0.005, "load": 0.01}  # of a slope: absolute, relative
 REPEAT_SLIP = 0.02  # largest difference of slip within repeats
@@ -41,10 +44,11 @@ class NoiseEstimate:
 
 
 def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
-    """`NoiseEstimate` from the setup, else from repeats, else from the scatter about the surface through the data.
+    """`NoiseEstimate` from the setup, else from repeats, else from the scatter about the surface
+    through the data.
 
-    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further than `OUTLIER` sd
-    from the surface are left out one after the other.
+    `model` [N, 3]: the calibrated base model, to which the surface adds polynomials. Values further
+    than `OUTLIER` sd from the surface are left out one after the other.
     """
     given = _given(data)
     repeat_sd, repeat_freedom = repeat_noise(data, model)
@@ -65,8 +69,8 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
         if values - basis.shape[1] < 3:
             if origin[j] == "scatter":
                 raise ParameterError(
-                    f"{data.table.source}: noise of {name}: cannot be estimated from {values} values without repeats; "
-                    "expected noise in the setup, or repeated points"
+                    f"{data.table.source}: noise of {name}: cannot be estimated from {values} "
+                    "values without repeats; expected noise in the setup, or repeated points"
                 )
             continue
         relative = data.relative_sd[:, j]
@@ -89,7 +93,9 @@ def find_noise(data: Data, model: np.ndarray) -> NoiseEstimate:
 
 
 def _given(data: Data) -> list[float | None]:
-    """[3] noise of the channels as the setup or the rows give it; `ParameterError` where it is none."""
+    """[3] noise of the channels as the setup or the rows give it; `ParameterError` where it is
+    none.
+    """
     given = [data.table.channel_sd(data.setup, name) for name in CHANNELS]
     for j, name in enumerate(CHANNELS):
         values = data.y[data.measured[:, j], j]
@@ -97,8 +103,8 @@ def _given(data: Data) -> list[float | None]:
         sd = given[j]
         if sd is not None and sd < least:
             raise ParameterError(
-                f"{data.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}, a millionth of the "
-                "values; leave it out where it is not known"
+                f"{data.setup.source}: noise.{name} = {sd:g}: expected at least {least:.2g}, a "
+                "millionth of the values; leave it out where it is not known"
             )
     return given
 
@@ -106,11 +112,13 @@ def _given(data: Data) -> list[float | None]:
 def with_noise_of_conditions(
     data: Data, predict: Callable[[Rows], np.ndarray]
 ) -> tuple[Data, tuple[str, ...]]:
-    """The data with the noise of slip and load, where the setup gives it, as noise of what was measured; their names.
+    """The data with the noise of slip and load, where the setup gives it, as noise of what was
+    measured; their names.
 
-    An error of the slip moves a value along the surface through the data. The effective variance (Orear 1982, Am. J.
-    Phys. 50:912-916) adds that to the noise of a channel, where the setup or the table gives it; noise that is taken
-    from the scatter has it already. `predict`: values [N, 3] of the calibrated base model at rows.
+    An error of the slip moves a value along the surface through the data. The effective variance
+    (Orear 1982, Am. J. Phys. 50:912-916) adds that to the noise of a channel, where the setup or
+    the table gives it; noise that is taken from the scatter has it already. `predict`: values [N,
+    3] of the calibrated base model at rows.
     """
     noise = {name: getattr(data.setup.noise, name) for name in STEPS}
     known = _given(data)
@@ -136,7 +144,9 @@ def with_noise_of_conditions(
 
 
 def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.ndarray:
-    """[N, 3] change per unit of slip or load of the smooth surface: the base model and polynomials of the rest."""
+    """[N, 3] change per unit of slip or load of the smooth surface: the base model and polynomials
+    of the rest.
+    """
     value = getattr(data.rows, name)
     step = STEPS[name] * (value if name in LOGARITHMIC else np.ones_like(value))
     ends = [predict(data.rows._replace(**{name: value + sign * step})) for sign in (1.0, -1.0)]
@@ -164,9 +174,11 @@ def _slopes(data: Data, predict: Callable[[Rows], np.ndarray], name: str) -> np.
 def _without_outliers(
     basis: np.ndarray, e: np.ndarray, used: np.ndarray, sd: float | None, slip: np.ndarray
 ) -> np.ndarray:
-    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their scatter.
+    """[N] which of the values `used` of a channel stay; their noise is `sd`, or taken from their
+    scatter.
 
-    A value stays if the others at its level of `slip` [N] leave the surface the same way: that is no outlier.
+    A value stays if the others at its level of `slip` [N] leave the surface the same way: that is
+    no outlier.
     """
     keep = used.copy()
     for _ in range(max(1, int(0.06 * keep.sum())) + 1):
@@ -201,16 +213,17 @@ def _refuse_no_scatter(data: Data, used: np.ndarray, sd: np.ndarray, origin: lis
         y = data.y[used[:, j], j]
         if np.ptp(y) == 0.0 or sd[j] <= LEAST_NOISE * float(np.sqrt(np.mean(y**2))):
             raise ParameterError(
-                f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be taken from them; "
-                "expected noise in the setup"
+                f"{data.table.source}: noise of {name}: the values hardly scatter, so it cannot be "
+                "taken from them; expected noise in the setup"
             )
 
 
 def smooth_basis(data: Data) -> np.ndarray:
-    """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the others, and products.
+    """[N, B] polynomials of the varied conditions: up to the third power of slip, second of the
+    others, and products.
 
-    Sizes of the wheel multiply all of these: two wheels have a surface each. Of those columns none is taken that the
-    columns before it make up. Never more columns than half the cells.
+    Sizes of the wheel multiply all of these: two wheels have a surface each. Of those columns none
+    is taken that the columns before it make up. Never more columns than half the cells.
     """
     s = data.varied["slip"].scaled
     columns = [np.ones_like(s), s]
@@ -238,9 +251,11 @@ def smooth_basis(data: Data) -> np.ndarray:
 
 
 def repeat_noise(data: Data, model: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within cells.
+    """(sd [3], degrees of freedom [3]) of the scatter of measured minus `model` [N, 3] within
+    cells.
 
-    The model takes up the small differences of slip and load that repeats have; cells with larger ones do not count.
+    The model takes up the small differences of slip and load that repeats have; cells with larger
+    ones do not count.
     """
     left = (data.y - model) / data.relative_sd
     total = np.zeros(3)

@@ -1,7 +1,9 @@
-"""Posterior predictions of a candidate at any conditions: what a proposal of further runs needs of the search.
+"""Posterior predictions of a candidate at any conditions: what a proposal of further runs needs of
+the search.
 
-`Finding.hypotheses` are the candidates with their probabilities, each with its `Evidence`: the fitted parameters and
-the posterior of the sizes of its form errors. `predicted` carries the posterior of one to other conditions.
+`Finding.hypotheses` are the candidates with their probabilities, each with its `Evidence`: the
+fitted parameters and the posterior of the sizes of its form errors. `predicted` carries the
+posterior of one to other conditions.
 """
 
 import copy
@@ -57,9 +59,11 @@ def _conditions(there: Problem) -> dict[str, np.ndarray]:
 def predicted(
     problem: Problem, there: Problem, candidate: Evidence
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a candidate.
+    """(mean [G, 3], root [G, 3, R] and own variance [G, 3] as in `next_tests`, feasible [G]) of a
+    candidate.
 
-    In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical sizes.
+    In units of the noise, at the rows of `there`, from `problem_at`. Form errors have their typical
+    sizes.
     """
     fit = candidate.fit
     p = candidate.fit.u.size
@@ -119,7 +123,9 @@ def predicted(
 def _within_bounds(
     fit: Fit, off: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one after the other."""
+    """Mean [k], from the fit, and covariance [k, k] of unknowns that are within their bounds, one
+    after the other.
+    """
     for k, unknown in enumerate(fit.unknowns):
         mean = fit.u[k] + off[k]
         sd = math.sqrt(covariance[k, k])

@@ -1,4 +1,6 @@
-"""The result of the workflow: what is missing, how sure that is, the corrected model, and what they follow from."""
+"""The result of the workflow: what is missing, how sure that is, the corrected model, and what they
+follow from.
+"""
 
 from dataclasses import dataclass
 
@@ -61,9 +63,8 @@ class Report:
     fit: Fit  # of `model`, whose soil is `soil`
     base_model: WheelSoilModel
     model: WheelSoilModel
-    held_before: (
-        np.ndarray
-    )  # [N, 3] held-out predictions of the base model, NaN where no value is in use
+    #: [N, 3] held-out predictions of the base model, NaN where no value is in use.
+    held_before: np.ndarray
     held_after: np.ndarray  # [N, 3] of the corrected model
     doubts: tuple[str, ...]  # mistakes of sign or unit that the table looks like
     settings: Settings
@@ -72,8 +73,9 @@ class Report:
     def verdict(self) -> str:
         """named, partly, ambiguous, unlisted, none or undetermined.
 
-        The verdict of the probabilities, with one exception. Named effects are `partly` what is missing if they leave a
-        held-out error of more than `LEFT` times the noise, or one a tenth larger than the base model's.
+        The verdict of the probabilities, with one exception. Named effects are `partly` what is
+        missing if they leave a held-out error of more than `LEFT` times the noise, or one a tenth
+        larger than the base model's.
         """
         said = self.finding.verdict
         return "partly" if said == "named" and any(map(self.remains, self.gap)) else said
@@ -90,7 +92,9 @@ class Report:
 
     @property
     def law_error(self) -> float:
-        """Relative error of the stress laws that the table suggests, root mean square over its probabilities."""
+        """Relative error of the stress laws that the table suggests, root mean square over its
+        probabilities.
+        """
         return self.finding.stated.evidence.typical("law")
 
     @property
@@ -105,7 +109,9 @@ class Report:
         )
 
     def is_free(self, effect: str, parameter: str) -> bool:
-        """True if a parameter of a named effect was fitted; without an interval it is then at a bound of its range."""
+        """True if a parameter of a named effect was fitted; without an interval it is then at a
+        bound of its range.
+        """
         return f"{effect}_{parameter}" in {unknown.name for unknown in self.fit.unknowns}
 
     @property

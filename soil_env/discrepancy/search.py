@@ -1,9 +1,11 @@
-"""Search for the missing effects: the probability of every hypothesis about what the base model lacks.
+"""Search for the missing effects: the probability of every hypothesis about what the base model
+lacks.
 
-A hypothesis is a set of no, one or two effects of the catalogue, with or without an anonymous contribution that no
-listed effect explains. Its probability is its prior (below) times the tempered evidence of its model, in which the law
-of the base model and of each effect may be wrong (`evidence`). The verdict, the names and their alternatives follow
-from these probabilities alone (`Finding`).
+A hypothesis is a set of no, one or two effects of the catalogue, with or without an anonymous
+contribution that no listed effect explains. Its probability is its prior (below) times the tempered
+evidence of its model, in which the law of the base model and of each effect may be wrong
+(`evidence`). The verdict, the names and their alternatives follow from these probabilities alone
+(`Finding`).
 """
 
 from __future__ import annotations
@@ -32,21 +34,24 @@ from soil_env.discrepancy.evidence import (
 from soil_env.discrepancy.instrument import INSTRUMENT, LISTED, Choice, exact, odds
 from soil_env.discrepancy.unnamed import UNNAMED
 
-#: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has a listed error, each
-#: independent of the others: none is there with 32 %. An error is less probable where the setup states that the rig is
-#: known better than usual (`instrument.odds`). No single name has odds of its own.
-ODDS = 0.06
-RIG_ODDS = 0.04
-#: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to matter.
+#: Prior odds that a listed effect of the soil or the drive is missing, and that the instrument has
+#: a listed error, each independent of the others: none is there with 32 %. An error is less
+#: probable where the setup states that the rig is known better than usual (`instrument.odds`). No
+#: single name has odds of its own.
+ODDS = 0.06  # of the soil or the drive
+RIG_ODDS = 0.04  # of the instrument
+#: Prior odds of an anonymous contribution: the catalogue holds what the literature has found to
+#: matter.
 UNLISTED_ODDS = 0.05
 #: Prior odds of each anonymous law of few numbers (`unnamed`), half of those of a listed effect.
 UNNAMED_ODDS = 0.03
-#: Odds that what moves the channels of listed effects under their conditions is none of them, but resembles them
-#: (`evidence.resembling`).
+#: Odds that what moves the channels of listed effects under their conditions is none of them, but
+#: resembles them (`evidence.resembling`).
 ALIKE = 0.17
-#: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil keeps to, so that
-#: evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen 2017, Bayesian Anal. 12:1069-1103).
-#: Chosen on the development seed 136101 of `benchmarks.discovery`; what other values of these four give is in
+#: Log evidences are divided by this. The form errors have assumed shapes and lengths, which no soil
+#: keeps to, so that evidence is less certain than it says (generalised Bayes: Grunwald & van Ommen
+#: 2017, Bayesian Anal. 12:1069-1103). Chosen on the development seed 136101 of
+#: `benchmarks.discovery`; what other values of these four give is in
 #: docs/results/discovery_development.json.
 TEMPERATURE = 1.75
 NAMED = 0.5  # probability from which a hypothesis, or a name, is stated
@@ -66,9 +71,8 @@ class Hypothesis:
     probability: float
     score: float  # log odds of the data for it against the base model
     evidence: Evidence  # in the most probable of the forms
-    like: tuple[
-        str, ...
-    ] = ()  # listed effects that an unlisted one resembles: in place and conditions, not in form
+    #: Listed effects that an unlisted one resembles: in place and conditions, not in form.
+    like: tuple[str, ...] = ()
 
     @property
     def law(self) -> str:
@@ -80,7 +84,9 @@ class Rank(NamedTuple):
     """One effect among the candidates."""
 
     name: str
-    score: float  # log odds of the data for the best hypothesis with it against the best without a listed effect
+    #: Log odds of the data for the best hypothesis with it against the best without a listed
+    #: effect.
+    score: float
     probability: float
 
 
@@ -91,15 +97,16 @@ class Finding:
     hypotheses: tuple[Hypothesis, ...]
     untestable: dict[str, str]
     detectable: dict[str, Detectable]
-    refuted: tuple[
-        tuple[str, ...], ...
-    ] = ()  # sets of effects that held-out rows or a pattern speak against
+    #: Sets of effects that held-out rows or a pattern speak against.
+    refuted: tuple[tuple[str, ...], ...] = ()
 
     def without(self, names: tuple[str, ...], alone: bool = False) -> Finding:
-        """The finding once these effects, together, are refuted: what is left, with probabilities that sum to 1.
+        """The finding once these effects, together, are refuted: what is left, with probabilities
+        that sum to 1.
 
-        `alone`: these effects and no other; sets with more may explain what they leave. So is the base model, without
-        names. What is refuted alone stays as a hypothesis, as what the others are compared with.
+        `alone`: these effects and no other; sets with more may explain what they leave. So is the
+        base model, without names. What is refuted alone stays as a hypothesis, as what the others
+        are compared with.
         """
         alone = alone or not names
 
@@ -138,12 +145,16 @@ class Finding:
 
     @property
     def remainder(self) -> float:
-        """Probability that something is missing that no listed effect explains, with or without a listed one."""
+        """Probability that something is missing that no listed effect explains, with or without a
+        listed one.
+        """
         return sum(h.probability for h in self.hypotheses if h.free)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Effects that are stated: the most that are missing together with a probability of `NAMED`."""
+        """Effects that are stated: the most that are missing together with a probability of
+        `NAMED`.
+        """
         named: tuple[str, ...] = ()
         for name in sorted(self.tried, key=lambda n: -self.share(n)):
             if self.share(*named, name) >= NAMED:
@@ -152,7 +163,9 @@ class Finding:
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Effects with at least `TOLD` that are missing, or resembled by what is missing; none beside a stated one."""
+        """Effects with at least `TOLD` that are missing, or resembled by what is missing; none
+        beside a stated one.
+        """
         near = {
             n: max(self.share(n), sum(h.probability for h in self.hypotheses if n in h.like))
             for n in self.tried
@@ -191,13 +204,17 @@ class Finding:
 
     @property
     def blind(self) -> bool:
-        """True if a listed effect, had one been missing, would more probably have been overlooked than seen."""
+        """True if a listed effect, had one been missing, would more probably have been overlooked
+        than seen.
+        """
         return not self.detectable or sum(d.power for d in self.detectable.values()) < NAMED * len(
             self.detectable
         )
 
     def alternatives(self, name: str) -> tuple[str, ...]:
-        """Effects that stand in the place of a stated one with a probability of `TOLD` or more, best first."""
+        """Effects that stand in the place of a stated one with a probability of `TOLD` or more,
+        best first.
+        """
         share = {n: self.share(n, without=(name,)) for n in self.tried if n not in self.names}
         return tuple(sorted((n for n, p in share.items() if p >= TOLD), key=lambda n: -share[n]))
 
@@ -208,7 +225,9 @@ class Finding:
 
     @property
     def scatter(self) -> float:
-        """Scatter of the values about the model over their noise, root mean square over the probabilities."""
+        """Scatter of the values about the model over their noise, root mean square over the
+        probabilities.
+        """
         return math.sqrt(
             sum(h.probability * h.evidence.typical("scatter") ** 2 for h in self.hypotheses)
         )
@@ -260,7 +279,8 @@ def forms(problem: Problem, name: str) -> list[Choice]:
     return [Choice(name, k) for k, f in enumerate(LISTED[name].forms) if speed or not f.needs_speed]
 
 
-#: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log of the prior odds.
+#: Effects, effects that it resembles, with an anonymous contribution, evidence, its logarithm, log
+#: of the prior odds.
 Entry = tuple[tuple[str, ...], tuple[str, ...], bool, Evidence, float, float]
 
 
@@ -344,7 +364,9 @@ def search(problem: Problem, say: Callable[[str], None] = lambda text: None) -> 
 
 
 def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list[Entry]:
-    """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains most."""
+    """Entries of the anonymous laws of few numbers; `nearest`: the listed effect that explains
+    most.
+    """
     seen = {k for k, used in zip(CHANNELS, problem.used.T, strict=True) if used.any()}
     laws = [
         law
@@ -358,7 +380,8 @@ def _unnamed(problem: Problem, base: Evidence, nearest: tuple[str, ...]) -> list
 def log_prior(
     names: tuple[str, ...], free: bool = False, of_rig: Mapping[str, float] = MappingProxyType({})
 ) -> float:
-    """Log prior odds of a set of effects, with an anonymous contribution or without, against the base model.
+    """Log prior odds of a set of effects, with an anonymous contribution or without, against the
+    base model.
 
     `of_rig`: odds of errors of the instrument over the usual ones.
     """
@@ -367,7 +390,9 @@ def log_prior(
 
 
 def _pairs(problem: Problem, names: list[str], sets: _Sets, say: Callable[[str], None]) -> None:
-    """Pairs: all beside the best single effects screened to first order, the most promising refitted in their forms."""
+    """Pairs: all beside the best single effects screened to first order, the most promising
+    refitted in their forms.
+    """
     say("screening pairs")
     promise: dict[tuple[Choice, ...], float] = {}
     for name in sorted(names, key=lambda n: -sets.best((n,)).log)[:_FIRST]:

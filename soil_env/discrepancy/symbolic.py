@@ -1,13 +1,15 @@
 """Symbolic regression of a misfit that no listed effect explains, in dimensionless groups.
 
-The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any channel. Terms are chosen
-one after the other, each fitted jointly with the fit's own parameters (to first order, so that the soil may move): a
-term must lower the objective by more than its price, that of a parameter under BIC and of the choice among all laws as
-simple; of those that do, the one is taken that gains most by the mean of that and of the likelihood of held-out
-conditions. Then law and soil are refitted in turn. The form errors of the fit stay in the covariance, so that a law is
+The law is a sum of at most `TERMS` products of powers of the groups of `residual.py`, in any
+channel. Terms are chosen one after the other, each fitted jointly with the fit's own parameters (to
+first order, so that the soil may move): a term must lower the objective by more than its price,
+that of a parameter under BIC and of the choice among all laws as simple; of those that do, the one
+is taken that gains most by the mean of that and of the likelihood of held-out conditions. Then law
+and soil are refitted in turn. The form errors of the fit stay in the covariance, so that a law is
 sought only for what is more than that.
 
-What the law does to held-out values is found by choosing it anew without each group (`held_out_predictions`).
+What the law does to held-out values is found by choosing it anew without each group
+(`held_out_predictions`).
 """
 
 from __future__ import annotations
@@ -32,14 +34,14 @@ from soil_env.terramechanics.residual import (
     residual_law,
 )
 
-TERMS = 3
-POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)
+TERMS = 3  # of a law at most
+POWERS = (1.0, 2.0, 0.5, -1.0, -0.5, 3.0)  # of a group in a product
 POWERS_OF_THREE = (1.0, 2.0, 0.5)  # where three groups are multiplied
 LEAST_SPREAD = 0.05  # relative spread of a group below which it does not vary
 WIDTH = 0.5  # prior sd of a term's rms over that of the channel
-_SWAPS = 3
-FURTHER_GROUP = 4.0  # added to the price of a term
-ODD_POWER = 0.5
+_SWAPS = 3  # rounds in which each term may be exchanged
+FURTHER_GROUP = 4.0  # added to the price of a term for each group after the first
+ODD_POWER = 0.5  # added for each power other than 1
 _ROUNDS = 5  # of law and soil in turn
 HELD_OUT = 4  # groups of a way, at most, without which a law is chosen anew
 _HELD_OUT = 24  # terms whose held-out likelihood is looked at
@@ -112,7 +114,9 @@ class Library:
 
 
 def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
-    """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns` times at most."""
+    """The simplest law for what `fit` leaves; choice of law and refit of the soil alternate `turns`
+    times at most.
+    """
     best = ResidualFit(
         (), fit, np.zeros_like(problem.data.y), 0.0, np.zeros((fit.residual.size, 0)), np.zeros(0)
     )
@@ -134,10 +138,11 @@ def symbolic(problem: Problem, fit: Fit, turns: int = 2) -> ResidualFit:
 
 
 def held_out_predictions(problem: Problem, fit: Fit, say: Callable[[str], None]) -> np.ndarray:
-    """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN where not in use.
+    """[N, 3] predictions of each value by a law that is chosen and fitted without its group; NaN
+    where not in use.
 
-    Soil, effects, terms and coefficients all come from the other groups, of which at most `HELD_OUT` are made of the
-    groups of a way. Mean over the ways to cut the table.
+    Soil, effects, terms and coefficients all come from the other groups, of which at most
+    `HELD_OUT` are made of the groups of a way. Mean over the ways to cut the table.
     """
     total = np.zeros_like(problem.data.y)
     ways = [_bundled(way) for way in folds(problem.data)]
@@ -159,7 +164,9 @@ def _bundled(way: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
-    """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are `offset`."""
+    """[N, 7] values of `GROUPS`; the sinkage is that of the model without the law, whose values are
+    `offset`.
+    """
     rows = problem.data.rows
     soil = problem.state(fit.parameters())
     sinkage = fit.output[:, 0] - offset[:, 0]
@@ -244,7 +251,9 @@ def at_groups(
 
 
 def choose(problem: Problem, fit: Fit, offset: np.ndarray, found: Library) -> Library:
-    """The terms worth their price, added one after the other; after each, all are reconsidered beside the others."""
+    """The terms worth their price, added one after the other; after each, all are reconsidered
+    beside the others.
+    """
     picked: list[int] = []
     for _ in range(TERMS):
         k = _next(problem, fit, offset, found, picked)
@@ -271,9 +280,8 @@ def _next(
     q = np.linalg.qr(a)[0]
     m = found.column.shape[0]
     whole = np.einsum("mc,mc->c", found.column, found.column)
-    length = whole - np.sum(
-        (q[:m].T @ found.column) ** 2, axis=0
-    )  # of what the parameters do not absorb
+    # Of what the parameters do not absorb.
+    length = whole - np.sum((q[:m].T @ found.column) ** 2, axis=0)
     along = found.column.T @ (e - q @ (q.T @ e))[:m]
     fall = along**2 / (length + 1.0)
     worth = _likelihood(problem, fall) - math.log(m) - found.price
@@ -290,15 +298,16 @@ def _next(
         - found.price[k]
         for k in best
     ]
-    gain = 0.5 * (
-        np.array(gain) + worth[best]
-    )  # held-out values alone do not mind an implausible soil
+    # Held-out values alone do not mind an implausible soil.
+    gain = 0.5 * (np.array(gain) + worth[best])
     k = int(np.argmax(gain))
     return int(best[k]) if gain[k] > 0.0 else None
 
 
 def _likelihood(problem: Problem, fall: np.ndarray) -> np.ndarray:
-    """Fall of the objective as a log-likelihood ratio, the noise being known to some degrees of freedom only."""
+    """Fall of the objective as a log-likelihood ratio, the noise being known to some degrees of
+    freedom only.
+    """
     f = problem.freedom
     return fall if math.isinf(f) else f * np.log1p(fall / f)
 
@@ -319,10 +328,12 @@ def with_terms(a: np.ndarray, e: np.ndarray, column: np.ndarray) -> tuple[np.nda
 
 
 def held_out(member: np.ndarray, a: np.ndarray, e: np.ndarray) -> float:
-    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others by the linear model A x = e.
+    """Log-likelihood of groups of values, `member` [F, M], each predicted from the others by the
+    linear model A x = e.
 
-    With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the predictive covariance
-    of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and its error S r.
+    With the residuals r [M] of the fit to all, J the rows of A that are held out and N = A'A: the
+    predictive covariance of what is held out is S = (I - J N^-1 J')^-1 = I + J (N - J'J)^-1 J', and
+    its error S r.
     """
     normal = a.T @ a
     m = member.shape[1]

@@ -1,17 +1,20 @@
 """Anonymous laws with few numbers: laws of no catalogue that listed effects are held against.
 
-A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the conditions
-(`evidence.patterns`). So a name must explain a table better than these laws do. W, z0 and V0 are the middle load,
-sinkage and speed of the table, N is the pass number; every parameter is a pure number:
+A mechanism that nobody has listed is likelier to have few numbers than to be a free function of the
+conditions (`evidence.patterns`). So a name must explain a table better than these laws do. W, z0
+and V0 are the middle load, sinkage and speed of the table, N is the pass number; every parameter is
+a pure number:
 
-    force        DP - a W (z/z0)^m,  T + b W r (z/z0)^m        soil at the sides of the wheel, or that sticks to it
-    rut_force    the same times 1 - 1/N                        the same in a rut
-    slip_force   DP - a W q,  T + b W r q,  q = 1 - exp(-i/k)  soil that the wheel moves as it slips
-    slip_load    W + a W q                                     the same, where it loads or lifts the wheel
-    torque_curve, pull_curve    y/(1 + s |y|/y0)               a sensor that is not linear; y0 = W r/2, W/5
-    soft_wheel   r (1 + a W_row/W),  T on the lever r          a wheel that yields to its load
-    friction_pass, cohesion_pass, modulus_pass                 tan(phi), c or K alone, times N^p
-    friction_speed, cohesion_speed, modulus_speed              the same times (V/V0)^p
+    force                     DP - a W (z/z0)^m,  T + b W r (z/z0)^m  soil beside or on the wheel
+    rut_force                 the same times 1 - 1/N                  the same in a rut
+    slip_force                DP - a W q,  T + b W r q                soil moved by slip
+    slip_load                 W + a W q                               it loads or lifts the wheel
+    torque_curve, pull_curve  y/(1 + s |y|/y0)                        a sensor that is not linear
+    soft_wheel                r (1 + a W_row/W),  T on the lever r    a wheel that its load deforms
+    {friction,cohesion,modulus}_pass     tan(phi), c or K alone, times N^p
+    {friction,cohesion,modulus}_speed    the same times (V/V0)^p
+
+with q = 1 - exp(-i/k), and y0 = W r/2 of the torque and W/5 of the pull.
 """
 
 import math
@@ -114,7 +117,7 @@ UNNAMED: Mapping[str, Effect] = MappingProxyType(
             ),
             _law(
                 "soft_wheel",
-                "a wheel that yields to its load",
+                "a wheel that its load deforms",
                 (SINKAGE, PULL, TORQUE),
                 _p("gain", 0.5, -0.4, 4.0),
             ),
@@ -142,7 +145,9 @@ def _flatter(rows: Rows, values: Mapping[str, float], load: float) -> np.ndarray
 
 
 def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
-    """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle one."""
+    """Rows with the load and the wheel of the anonymous law among `values`; `load`: the middle
+    one.
+    """
     if "soft_wheel_gain" in values:
         wheels = rows.wheels.copy()
         wheels[:, 0] *= _flatter(rows, values, load)
@@ -157,7 +162,9 @@ def loaded(rows: Rows, values: Mapping[str, float], load: float) -> Rows:
 def soils(
     rows: Rows, values: Mapping[str, float], soil: dict[str, float], bench: Bench
 ) -> Iterator[tuple[np.ndarray | slice, dict[str, float]]]:
-    """Rows with their soil, one for each level of what a soil parameter goes with by the law among `values`."""
+    """Rows with their soil, one for each level of what a soil parameter goes with by the law among
+    `values`.
+    """
     law = next((name for name in _SOIL if f"{name}_power" in values), "")
     if not law:
         yield slice(None), soil

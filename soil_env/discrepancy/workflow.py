@@ -1,4 +1,6 @@
-"""The whole workflow: from a measurement table and its setup to the missing effect and the corrected model."""
+"""The whole workflow: from a measurement table and its setup to the missing effect and the
+corrected model.
+"""
 
 import hashlib
 import os
@@ -38,11 +40,13 @@ def run(
     next_runs: int = MOST,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Find where table and model disagree, name the missing effect, add it, and report how far the gap closes.
+    """Find where table and model disagree, name the missing effect, add it, and report how far the
+    gap closes.
 
-    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html and model.yaml,
-    written at the end, all of them or none; `seed` of the simulated null distributions; `next_runs`, how many are
-    proposed; `progress` is called with what is being done, "stage: step".
+    Parameters: `table` and `setup`, read or as files; `out`, a folder for report.json, report.html
+    and model.yaml, written at the end, all of them or none; `seed` of the simulated null
+    distributions; `next_runs`, how many are proposed; `progress` is called with what is being done,
+    "stage: step".
 
     Raises `ParameterError` with one line for bad input, and where `out` cannot be written.
     """
@@ -64,9 +68,8 @@ def run(
         None if isinstance(table, Table) else _digest(table),
         None if isinstance(setup, Setup) else _digest(setup),
     )
-    with threadpool_limits(
-        1
-    ):  # the matrices are small: threads of the BLAS cost more than they give
+    # The matrices are small: threads of the BLAS cost more than they give.
+    with threadpool_limits(1):
         report = _conclude(rows, read, settings, say, next_runs)
     if out is not None:
         say("writing")
@@ -157,15 +160,16 @@ def _that_predicts(
 ) -> tuple[Finding, tuple[Fit, Fit], Held]:
     """The finding without sets of effects that held-out rows speak against.
 
-    With it the fits of the base model and of the named effects, and the held-out predictions of the base model, of the
-    named effects and, where there are two, of each alone.
+    With it the fits of the base model and of the named effects, and the held-out predictions of the
+    base model, of the named effects and, where there are two, of each alone.
 
-    Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in another way, it may
-    be sure of effects that are not there. Refuted are effects that predict rows worse to which they were not fitted
-    than the base model does (95 % interval), and a second effect that closes nothing of the gap beside the first. So is
-    the most probable set behind a name, without those that have a further effect, if it needs a soil far from the
-    setup's, or leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an anonymous law;
-    and the base model with a pattern where nothing would be missing.
+    Evidence is as certain as the shapes that form errors are assumed to have. Where the law errs in
+    another way, it may be sure of effects that are not there. Refuted are effects that predict rows
+    worse to which they were not fitted than the base model does (95 % interval), and a second
+    effect that closes nothing of the gap beside the first. So is the most probable set behind a
+    name, without those that have a further effect, if it needs a soil far from the setup's, or
+    leaves a pattern in a channel (`structure`) and is not, by itself, more probable than an
+    anonymous law; and the base model with a pattern where nothing would be missing.
     """
     while True:
         own = finding.stated.evidence
@@ -183,8 +187,9 @@ def _that_predicts(
             ):
                 finding = finding.without(behind, alone=True)
                 continue
-        # Names and intervals follow from fits with form errors. What predicts best with a law as it is, without the
-        # form error that this table shows, is its fit under noise alone (White 1982, Econometrica 50:1-25).
+        # Names and intervals follow from fits with form errors. What predicts best with a law as it
+        # is, without the form error that this table shows, is its fit under noise alone (White
+        # 1982, Econometrica 50:1-25).
         noise_alone = EXACT._replace(scatter=own.sizes.scatter)
         fits = {}
         for some in dict.fromkeys(((), *((n,) for n in names), names)):
@@ -203,7 +208,9 @@ def _that_predicts(
 def _worse(
     problem: Problem, some: tuple[str, ...], before: np.ndarray, after: np.ndarray, seed: int
 ) -> bool:
-    """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base model's, for sure."""
+    """True if held-out predictions [N, 3] are worse than those of fewer effects; than the base
+    model's, for sure.
+    """
     share = judgement.closed(problem, judgement.gaps(problem, before, after))
     if share is None or share >= 0.0 or some:
         return share is not None and share < 0.0
@@ -212,7 +219,9 @@ def _worse(
 
 
 def _far(problem: Problem, model: Evidence) -> bool:
-    """True if a soil parameter is further from the setup's value than a soil that is like the setup's can be."""
+    """True if a soil parameter is further from the setup's value than a soil that is like the
+    setup's can be.
+    """
     given = [
         getattr(problem.data.setup.soil, unknown.name, None) is not None for unknown in problem.soil
     ]
@@ -232,9 +241,8 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
     values = {name: float(soil[name]) for name in names}
     acting = [c for c in fit.choices if c.effect not in INSTRUMENT]
     effects = {c.effect: _parameters(problem, c, fit.parameters()) for c in acting}
-    if (
-        problem.data.setup.load == "vertical"
-    ):  # the load of a model presses normal to the ground but for this share
+    # The load of a model presses normal to the ground but for this share.
+    if problem.data.setup.load == "vertical":
         grade = effects.get("grade", {})
         effects["grade"] = grade | {"share": 1.0 + grade.get("share", 0.0)}
     wheel = problem.data.wheel
@@ -252,7 +260,9 @@ def model_of(problem: Problem, fit: Fit, terms: tuple[ResidualTerm, ...] = ()) -
 
 
 def _parameters(problem: Problem, choice: Choice, values: dict[str, float]) -> dict[str, float]:
-    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the table set."""
+    """Parameters of an effect: what its form frees, what it sets, and the reference speed that the
+    table set.
+    """
     if choice.effect in INSTRUMENT:
         return {name[len(choice.effect) + 1 :]: values[name] for name in choice.free}
     numbers = problem.effects((choice,), values)

@@ -1,5 +1,7 @@
-"""Identification of a soil: `online`, a filter of the readings of driven wheels; `table`, the fit of a table."""
+"""Identification of a soil: `online`, a filter of the readings of driven wheels; `table`, the fit
+of a table.
+"""
 
-from soil_env.identification.online.status import Status
+from soil_env.identification.status import Status
 
 __all__ = ["Status"]

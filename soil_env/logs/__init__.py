@@ -1,8 +1,9 @@
 """Logs of rovers: recordings to time-aligned wheel readings, steady points, and the soil over time.
 
-`mapping` names topic, field or column of each reading. `recordings` opens the file, which `bags` or `tables` read.
-`align` puts all readings on one time axis. `replay` runs the online identifier, `steady` finds the steady stretches by
-ground, and `report` makes the files. `soil-env logs --help` describes these.
+`mapping` names topic, field or column of each reading. `recordings` opens the file, which `bags` or
+`tables` read. `align` puts all readings on one time axis. `replay` runs the online identifier,
+`steady` finds the steady stretches by ground, and `report` makes the files. `soil-env logs --help`
+describes these.
 """
 
 from soil_env.logs.align import Aligned

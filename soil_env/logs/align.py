@@ -1,8 +1,9 @@
 """Readings of a recording on one time axis.
 
-The axis has steps of one period and begins at the first reading of the wheel speed. A step has the mean of the readings
-of a channel within half a period of it. Where a slow channel has none, its value is interpolated between neighbours
-that are at most `max_gap` apart; elsewhere it is missing (NaN).
+The axis has steps of one period and begins at the first reading of the wheel speed. A step has the
+mean of the readings of a channel within half a period of it. Where a slow channel has none, its
+value is interpolated between neighbours that are at most `max_gap` apart; elsewhere it is missing
+(NaN).
 """
 
 import math
@@ -43,9 +44,8 @@ class Aligned:
 
     start: int  # [ns] of time 0, in the clock of the recording
     time: np.ndarray  # [N] s, rising in whole periods, with jumps where nothing was read
-    readings: dict[
-        str, np.ndarray
-    ]  # [N] each, by the names of `soil_env.online.Readings`; NaN = missing
+    #: [N] each, by the names of `soil_env.online.Readings`; NaN = missing.
+    readings: dict[str, np.ndarray]
     channels: dict[str, Channel]
     period: float  # [s]
     notes: list[str] = field(default_factory=list)
@@ -74,7 +74,9 @@ class Aligned:
         )
 
     def travelled(self, radius: float) -> np.ndarray:
-        """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of the wheel."""
+        """Distance [N] in m from the beginning, without what was travelled in gaps; `radius` [m] of
+        the wheel.
+        """
         rim, speed, _ = self.motion(radius)
         steps = np.minimum(np.diff(self.time, prepend=self.time[:1]), self.period)
         return np.cumsum(np.abs(np.nan_to_num(np.where(np.isnan(speed), rim, speed))) * steps)
@@ -83,7 +85,9 @@ class Aligned:
 def align(
     channels: dict[str, Channel], constants: dict[str, float], period: float, max_gap: float
 ) -> Aligned:
-    """Readings from the first to the last of the wheel speed; `constants` by the name of the reading, in SI units."""
+    """Readings from the first to the last of the wheel speed; `constants` by the name of the
+    reading, in SI units.
+    """
     ns = round(period * 1e9)
     measured = {n: c for n, c in channels.items() if n not in constants}
     turning = np.frombuffer(channels["wheel_speed"].times, np.int64)
@@ -121,7 +125,9 @@ def _bridged(steps: np.ndarray, most: int) -> np.ndarray:
 def interpolated(
     time: np.ndarray, values: np.ndarray, max_gap: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`values` [N] with NaN filled linearly between neighbours at most `max_gap` apart; True [N] where filled."""
+    """`values` [N] with NaN filled linearly between neighbours at most `max_gap` apart; True [N]
+    where filled.
+    """
     known = np.flatnonzero(~np.isnan(values))
     if known.size < 2:
         return values, np.zeros(values.size, bool)

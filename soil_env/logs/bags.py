@@ -1,8 +1,9 @@
 """Messages of ROS 2 bags and MCAP files, one by one, without ROS, and the numbers in them.
 
-MCAP is read by the library `mcap`, a bag in SQLite by Python's own module. Messages in CDR are decoded by `rosbags`
-with the definitions that the recording bears, or those of the current ROS 2. Files are read from front to end with no
-more than a chunk in memory. An MCAP file that was cut off gives all that is whole.
+MCAP is read by the library `mcap`, a bag in SQLite by Python's own module. Messages in CDR are
+decoded by `rosbags` with the definitions that the recording bears, or those of the current ROS 2.
+Files are read from front to end with no more than a chunk in memory. An MCAP file that was cut off
+gives all that is whole.
 """
 
 import dataclasses
@@ -52,7 +53,9 @@ class Notes:
 
 
 def bag_files(path: Path) -> list[Path]:
-    """The files of a bag in their order: of its metadata.yaml, or, where a recording ended without one, by name."""
+    """The files of a bag in their order: of its metadata.yaml, or, where a recording ended without
+    one, by name.
+    """
     if path.is_file():
         return [path]
     found = sorted(p for p in path.iterdir() if p.suffix in SUFFIXES)
@@ -71,7 +74,9 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> Iterator[Message]:
-    """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order of recording."""
+    """The messages on the topics `wanted` of a bag (a folder) or of one of its files, in the order
+    of recording.
+    """
     try:
         import mcap  # noqa: F401
         import rosbags  # noqa: F401
@@ -82,7 +87,8 @@ def messages(path: Path, wanted: set[str], notes: Notes, progress: Progress) -> 
     for k, file in enumerate(files):
         if not file.is_file():
             notes.add(
-                f"{file.name} is named in metadata.yaml and is not there: its part of the recording is missing"
+                f"{file.name} is named in metadata.yaml and is not there: its part of the "
+                "recording is missing"
             )
             continue
 
@@ -113,7 +119,9 @@ class _Decoder:
             self._own.register(new)
 
     def cdr(self, kind: str, where: str, data: bytes) -> Any:
-        """The message of this type, compressed or not; `ParameterError` for a type that nothing defines."""
+        """The message of this type, compressed or not; `ParameterError` for a type that nothing
+        defines.
+        """
         if data[:4] == b"\x28\xb5\x2f\xfd":  # zstd; CDR begins with 00
             import zstandard
 
@@ -127,7 +135,9 @@ class _Decoder:
 
 
 def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> Iterator[Any]:
-    """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left out."""
+    """Records of an MCAP file up to its index, those in chunks one by one; damaged chunks are left
+    out.
+    """
     from mcap.exceptions import EndOfFile, InvalidMagic, McapError
     from mcap.records import Chunk, DataEnd, Footer, Message as Record
     from mcap.stream_reader import StreamReader, breakup_chunk
@@ -168,7 +178,8 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
                 Exception
             ) as error:  # checksum, decompression: each library has errors of its own
                 notes.add(
-                    f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out ({error})"
+                    f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out "
+                    f"({error})"
                 )
                 continue
             for r in inside:
@@ -205,7 +216,9 @@ def _mcap(
 
 
 def _decoding(decoder: _Decoder, where: str, channel, schema) -> Callable[[bytes], Any]:
-    """Function that decodes the messages of a channel; `ParameterError` for an encoding that is not read."""
+    """Function that decodes the messages of a channel; `ParameterError` for an encoding that is not
+    read.
+    """
     if channel.message_encoding == "json":
         return partial(json.loads, object_hook=lambda d: SimpleNamespace(**d))
     if (
@@ -239,7 +252,10 @@ def _sqlite(
             notes.topics |= dict(topics.values())
             _define(base, decoder, {kind for name, kind in topics.values() if name in wanted})
             ids = [i for i, (name, _) in topics.items() if name in wanted]
-            query = f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(ids))})"
+            query = (
+                "SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN "
+                f"({','.join('?' * len(ids))})"
+            )
             for number, topic, time, data in base.execute(query + " ORDER BY id", ids):
                 name, kind = topics[topic]
                 yield Message(name, time, kind, decoder.cdr(kind, f"{file}: topic {name}", data))
@@ -252,7 +268,9 @@ def _sqlite(
 
 
 def _check_size(file: Path, size: int) -> None:
-    """Refuse an SQLite file that is shorter than its header says: missing parts of a page would be read as zeros."""
+    """Refuse an SQLite file that is shorter than its header says: missing parts of a page would be
+    read as zeros.
+    """
     with file.open("rb") as stream:
         header = stream.read(32)
     page, pages = struct.unpack(">16xH10xI", header) if len(header) == 32 else (0, 0)
@@ -266,7 +284,10 @@ def _check_size(file: Path, size: int) -> None:
 
 def _define(base: sqlite3.Connection, decoder: _Decoder, kinds: set[str]) -> None:
     """Take the definitions of message types where the bag has them; older ones do not."""
-    query = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg'"
+    query = (
+        "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = "
+        "'ros2msg'"
+    )
     with suppress(sqlite3.DatabaseError):
         for kind, text in base.execute(query):
             if kind in kinds:
@@ -278,7 +299,9 @@ class NotHere(LookupError):
 
 
 def parse(field: str, where: str) -> tuple[str | int, ...]:
-    """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for indices."""
+    """Steps of a path: names of attributes, "[name]" for the index of a name, numbers for
+    indices.
+    """
     steps: list[str | int] = []
     for step in field.split("."):
         found = _STEP.match(step)
@@ -295,8 +318,8 @@ def number(
 ) -> float:
     """The number at a path of a message, or the uphill pitch [rad] of the orientation there.
 
-    Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where only this message
-    lacks it. Then a list is too short, or a name is not in it.
+    Raises `ParameterError` for a path that messages of this type do not have, and `NotHere` where
+    only this message lacks it. Then a list is too short, or a name is not in it.
     """
     value = message
     for step in steps:
@@ -341,7 +364,9 @@ def _item(message: Any, values: Any, step: str | int, where: str) -> Any:
 
 
 def uphill(x: float, y: float, z: float, w: float) -> float:
-    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no orientation."""
+    """Pitch [rad] of a body with axes x forward and z up (REP 103), uphill positive; NaN for no
+    orientation.
+    """
     norm = x * x + y * y + z * z + w * w
     return (
         math.nan if norm < 1e-6 else -math.asin(min(max(2.0 * (w * y - z * x) / norm, -1.0), 1.0))
@@ -372,4 +397,7 @@ def _near(message: Any, steps: tuple[str | int, ...]) -> str:
     """The most similar path of a message, and the others."""
     asked = ".".join(str(s) for s in steps if not isinstance(s, int) and not s.startswith("["))
     known = _paths(message)
-    return f"{nearest(asked, known)} (fields: {', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
+    return (
+        f"{nearest(asked, known)} (fields: "
+        f"{', '.join(known[:24])}{', ...' if len(known) > 24 else ''})"
+    )

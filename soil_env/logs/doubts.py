@@ -1,9 +1,10 @@
 """Implausible readings: another unit, sign, field or mass than the map says.
 
-Each reading is compared with what the map says of the wheel, or with another reading of the same quantity. Rim speed is
-compared with travel speed and slip, a force with the weight, torque with weight times radius, and pitch with the
-gravity in accelerometer or pull. Where the load is doubtful, so is the mass: other forces are not compared then. All
-values are medians over the steps that drive. A doubt is one line: what, where, what was expected.
+Each reading is compared with what the map says of the wheel, or with another reading of the same
+quantity. Rim speed is compared with travel speed and slip, a force with the weight, torque with
+weight times radius, and pitch with the gravity in accelerometer or pull. Where the load is
+doubtful, so is the mass: other forces are not compared then. All values are medians over the steps
+that drive. A doubt is one line: what, where, what was expected.
 """
 
 import math
@@ -17,16 +18,14 @@ from soil_env.online import slips
 
 _STANDS = 0.13  # [rad/s] wheel speed, or travel speed over radius, below which a wheel stands
 _LEAST = 10  # steps that drive, below which nothing is compared
-_SLIPS = (
-    0.05,
-    0.3,
-)  # difference between the slip measured and that of the speeds: least of another sign, most
+#: Differences between the slip measured and that of the speeds: least of another sign, most.
+_SLIPS = (0.05, 0.3)
 _HILL = 0.02  # [of gravity] rms over the steps, below which the sign of a pitch cannot be seen
-_AGAINST = -0.5  # slope of the gravity felt by that of the pitch; size of their correlation
-_ALIKE = 0.5
-_INTERVAL = (5e-4, 5.0)  # [s] between rows; the usual; length of a short table
-_USUAL = (2e-3, 2.0)
-_SHORT = 10.0
+_AGAINST = -0.5  # slope of the gravity felt by that of the pitch, below which its sign is wrong
+_ALIKE = 0.5  # size of the correlation of both, from which that counts
+_INTERVAL = (5e-4, 5.0)  # [s] between rows; a doubt beyond
+_USUAL = (2e-3, 2.0)  # [s] between rows, usual
+_SHORT = 10.0  # [s] length of a short table
 
 
 class Range(NamedTuple):
@@ -43,9 +42,8 @@ class Range(NamedTuple):
         return f"{self.low:g} to {self.high:g}"
 
 
-_RIM = Range(
-    0.65, 6.0
-)  # rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long
+#: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
+_RIM = Range(0.65, 6.0)
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD = Range(0.2, 5.0)  # of weight, or of weight times radius
 _PULL = Range(1e-3, 2.0)
@@ -56,7 +54,9 @@ _SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
 def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
-    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not known."""
+    """A doubt where rows of a table are `interval` [s] apart and take `length` [s] in all; NaN: not
+    known.
+    """
     brief = interval < _USUAL[0] and length < _SHORT
     if (
         log_map.time is None
@@ -72,8 +72,10 @@ def time_doubts(interval: float, length: float, log_map: LogMap) -> list[str]:
     ]
     likely = " or ".join(u for u in usual if u != now) or "another"
     return [
-        f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s in all: expected "
-        f"{_USUAL[0]:g} to {_USUAL[1]:g} s apart: unit {likely}, not {now}?"
+        (
+            f"time: column {log_map.time.column}: rows are {interval:.3g} s apart, {length:.3g} s "
+            f"in all: expected {_USUAL[0]:g} to {_USUAL[1]:g} s apart: unit {likely}, not {now}?"
+        )
     ]
 
 
@@ -168,7 +170,9 @@ class _Doubts:
         return slip is None or self._slip(slip, both)
 
     def _slip(self, slip: np.ndarray, both: np.ndarray) -> bool:
-        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is doubtful."""
+        """Compare the measured slip with that of the speeds in the steps `both`; True if nothing is
+        doubtful.
+        """
         of_speeds = slips(self.rim, self.speed)
         away, opposite = (_median(np.abs(slip - sign * of_speeds)[both]) for sign in (1.0, -1.0))
         if away > _SLIPS[1] or away > max(_SLIPS[0], 2.0 * opposite):
@@ -180,7 +184,10 @@ class _Doubts:
         return True
 
     def _sizes(self) -> bool:
-        """Compare readings with sizes of the wheel; True if nothing is doubtful. Forces wait for a doubtful load."""
+        """Compare readings with sizes of the wheel; True if nothing is doubtful.
+
+        Forces wait for a doubtful load.
+        """
         weight = self.map.weight
         radius = self.map.wheel.radius
         gravity = self.map.gravity
@@ -191,11 +198,8 @@ class _Doubts:
             "pitch": ((1.0, "rad", "a radian"), 0.5, _PITCH),
             "sinkage": ((radius, "m", "the radius"), 1.0, _SINKAGE),
             "load": (of_weight, 0.5, _LOAD),
-            "drawbar_pull": (
-                of_weight,
-                0.75,
-                _PULL,
-            ),  # may be small for a while, as the torque of a wheel that rolls
+            # May be small for a while, as the torque of a wheel that rolls.
+            "drawbar_pull": (of_weight, 0.75, _PULL),
             "torque": (of_twist, 0.75, _TORQUE),
             "motor_torque": (of_twist, 0.75, _TORQUE),
         }
@@ -221,7 +225,9 @@ class _Doubts:
         return len(self.lines) == before
 
     def _pitch(self) -> None:
-        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g sin(pitch)."""
+        """Compare the sign of the pitch: an accelerometer along the course reads dv/dt + g
+        sin(pitch).
+        """
         log = self.log
         gravity = self.map.gravity
         if "pitch" not in log.readings:

@@ -27,8 +27,9 @@ _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
 _TURNING = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, "rev/s": 2.0 * math.pi}
 _FORCE = {"N": 1.0, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605}
 _TORQUE = {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "lbf ft": 1.3558179483314004}
-#: Units of each reading, the first being the one that readings are turned into. An ampere is one of a motor's current,
-#: a quaternion the orientation of the body, x forward and z up as in ROS (REP 103), of which the uphill pitch is taken.
+#: Units of each reading, the first being the one that readings are turned into. An ampere is one of
+#: a motor's current, a quaternion the orientation of the body, x forward and z up as in ROS (REP
+#: 103), of which the uphill pitch is taken.
 UNITS: dict[str, dict[str, float]] = {
     "wheel_speed": _TURNING,
     "speed": _SPEED,
@@ -44,29 +45,26 @@ UNITS: dict[str, dict[str, float]] = {
 #: Seconds of each unit of a time column; "iso" is text as 2026-05-04T09:30:00.25
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "iso": 1.0}
 _GEARED = ("wheel_speed", "torque", "motor_torque")
-UNKNOWN_INERTIA = (
-    1e5  # [kg m2] of a map that has none; a motor torque, which needs it, is left out then
-)
-_WHEEL = {
-    "inertia": UNKNOWN_INERTIA,
-    "stall_torque": 1e6,
-    "no_load_speed": 10.0,
-}  # that limit nothing
-_BORDER = 2.0  # [wheel radii] length of a border between soils, where the belief of the map says nothing of it
+#: [kg m2] of a map that has none; a motor torque, which needs it, is left out then.
+UNKNOWN_INERTIA = 1e5
+#: That limit nothing.
+_WHEEL = {"inertia": UNKNOWN_INERTIA, "stall_torque": 1e6, "no_load_speed": 10.0}
+#: [wheel radii] length of a border between soils, where the belief of the map says nothing of it.
+_BORDER = 2.0
 
 
 @dataclass(frozen=True)
 class Source(Checked):
     """Source of a reading: `topic` and `field` of a bag, or `column` of a table, or a `constant`.
 
-    The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of the motor to one
-    turn of the wheel, for a speed, a torque or a current measured at the motor; a torque also gets `efficiency`.
+    The reading is sign x number x unit (x motor_constant of a current) + offset. `gear` is turns of
+    the motor to one turn of the wheel, for a speed, a torque or a current measured at the motor; a
+    torque also gets `efficiency`.
     """
 
     topic: str = ""
-    field: str = (
-        ""  # twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names
-    )
+    #: twist.twist.linear.x, velocity[2], velocity[front_left] by the message's list of names.
+    field: str = ""
     column: str = ""
     constant: float | None = quantity("", default=None)  # in `unit`
     unit: str | None = None  # None = the SI unit
@@ -121,13 +119,11 @@ class LogMap(Checked):
     """Contents of a recording, and how it is read."""
 
     wheel: Wheel
-    channels: dict[
-        str, Source
-    ]  # by the name of the reading (`soil_env.online.Readings`); others are not measured
+    #: By the name of the reading (`soil_env.online.Readings`); others are not measured.
+    channels: dict[str, Source]
     time: TimeColumn | None = None  # of a table
-    clock: Literal["header", "log"] = (
-        "header"  # of a bag: time stamp in the message, or that of its recording
-    )
+    #: Of a bag: time stamp in the message, or that of its recording.
+    clock: Literal["header", "log"] = "header"
     period: float = quantity(
         "s", 1e-3, 1.0, default=0.1, doc="of the common time axis and of the identifier"
     )
@@ -142,9 +138,8 @@ class LogMap(Checked):
         "wheel radii", 0.05, 50.0, default=2.0, doc="distance in which sinkage adapts"
     )
     belief: Belief = Belief()  # noqa: RUF009 (frozen)
-    soil: dict[str, Any] = dataclasses.field(
-        default_factory=dict
-    )  # what is known of it, for setup.yaml
+    #: What is known of it, for setup.yaml.
+    soil: dict[str, Any] = dataclasses.field(default_factory=dict)
     windows: Windows = Windows()  # noqa: RUF009
 
     def __post_init__(self) -> None:
@@ -168,7 +163,8 @@ class LogMap(Checked):
         self.noise()
         if self.windows.duration < 4.0 * self.period:
             raise ParameterError(
-                f"windows: duration = {self.windows.duration:g} s: expected at least four periods of {self.period:g} s"
+                f"windows: duration = {self.windows.duration:g} s: expected at least four periods "
+                f"of {self.period:g} s"
             )
 
     def _check_source(self, name: str, s: Source) -> None:
@@ -215,7 +211,9 @@ class LogMap(Checked):
 
 
 def read_map(path: str | Path) -> LogMap:
-    """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    """The map in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out
+    of range.
+    """
     mapping = read_yaml(Path(path))
     where = str(path)
     wheel = with_preset(mapping.get("wheel"), where)

@@ -20,10 +20,12 @@ _SLOW = 0.3  # share of interpolated steps beyond which the report says so
 def read_recording(
     path: str | Path, log_map: LogMap, progress: Progress = lambda done, size: None
 ) -> Aligned:
-    """The readings of a bag (a folder, .mcap, .db3), a CSV or a Parquet file, as `log_map` describes it.
+    """The readings of a bag (a folder, .mcap, .db3), a CSV or a Parquet file, as `log_map`
+    describes it.
 
-    `progress` is called with the bytes read so far and those in all. Raises `ParameterError` for a recording of another
-    format, a topic, field or column that it does not have, and one without a single reading of the wheel speed.
+    `progress` is called with the bytes read so far and those in all. Raises `ParameterError` for a
+    recording of another format, a topic, field or column that it does not have, and one without a
+    single reading of the wheel speed.
     """
     path = Path(path)
     table = _check_kind(path, log_map)
@@ -43,7 +45,9 @@ def read_recording(
 
 
 def _check_kind(path: Path, log_map: LogMap) -> bool:
-    """True for a table, False for a bag; `ParameterError` for neither, or where the map is for the other kind."""
+    """True for a table, False for a bag; `ParameterError` for neither, or where the map is for the
+    other kind.
+    """
     if not path.exists():
         raise ParameterError(
             f"{path}: is not there: expected a bag, an .mcap, .db3, .csv or .parquet file"
@@ -67,15 +71,18 @@ def _check_kind(path: Path, log_map: LogMap) -> bool:
 
 
 class _Clock:
-    """Time stamps of a table or of a topic; those that go back by more than `gap` [ns] are left out.
+    """Time stamps of a table or of a topic; those that go back by more than `gap` [ns] are left
+    out.
 
-    Readings that are a little late, as of a recorder with several threads, still belong where their time says.
+    Readings that are a little late, as of a recorder with several threads, still belong where their
+    time says.
     """
 
     def __init__(self, source: str, gap: int) -> None:
         self._source = source
         self._gap = gap
-        self._back = self._left_out = 0
+        self._back = 0
+        self._left_out = 0
         self._first = ""
         self.begin()
 
@@ -100,8 +107,9 @@ class _Clock:
         """Add a note where time went back."""
         if self._back:
             notes.add(
-                f"{self._source}: time goes back {self._back} times, first in {self._first}: {self._left_out} of them, "
-                f"more than {self._gap * 1e-9:g} s (max_gap) late, left out"
+                f"{self._source}: time goes back {self._back} times, first in {self._first}: "
+                f"{self._left_out} of them, more than {self._gap * 1e-9:g} s (max_gap) late, left "
+                "out"
             )
 
 
@@ -118,15 +126,15 @@ class _Reader:
         }
         self.sources = {n: s for n, s in given.items() if s.constant is None}
         self.channels = {n: Channel(s.place) for n, s in given.items()}
-        self.limits = largest_readings(
-            log_map.wheel, log_map.gravity
-        )._asdict()  # larger readings are left out
+        # Larger readings are left out.
+        self.limits = largest_readings(log_map.wheel, log_map.gravity)._asdict()
         self._scale = {n: (factor(n, s), s.offset) for n, s in self.sources.items()}
         self._gap = round(log_map.max_gap * 1e9)
         self.interval = math.nan  # [s] median between the first rows of a table
         self.length = 0.0  # [s] from the first to the last row
         for name, value in self.constants.items():
-            if not abs(value) <= (most := self.limits[name]):
+            most = self.limits[name]
+            if not abs(value) <= most:
                 raise ParameterError(
                     f"channels.{name}: constant {value:g} in SI units: expected at most {most:g}"
                 )
@@ -222,7 +230,9 @@ class _Reader:
         return message.time
 
     def _check_found(self, path: Path, notes: Notes, lacking: dict[str, NotHere]) -> None:
-        """Raise `ParameterError` for a topic that is not in the recording and a field that no message has."""
+        """Raise `ParameterError` for a topic that is not in the recording and a field that no
+        message has.
+        """
         if not notes.topics:
             said = f" ({'; '.join(notes.lines)})" if notes.lines else ""
             raise ParameterError(f"{path}: has no topics: not one message is whole{said}")
@@ -239,14 +249,16 @@ class _Reader:
 
 
 def _note_delays(notes: Notes, mean: dict[str, float], topics: set[str]) -> None:
-    """Add a note where the stamps of some topics are far off the clock of the recording, which others have."""
+    """Add a note where the stamps of some topics are far off the clock of the recording, which
+    others have.
+    """
     late = [topic for topic, delay in mean.items() if abs(delay) > _DELAY]
     if late and len(mean) < len(topics):
         topic = max(late, key=lambda t: abs(mean[t]))
         notes.add(
-            f"The stamps of {topic} are {mean[topic]:.3g} s off the clock of the recording, on which "
-            f"{', '.join(sorted(topics - set(mean)))} is for want of stamps: these readings do not belong together in "
-            "time. Try clock: log"
+            f"The stamps of {topic} are {mean[topic]:.3g} s off the clock of the recording, on "
+            f"which {', '.join(sorted(topics - set(mean)))} is for want of stamps: these readings "
+            "do not belong together in time. Try clock: log"
         )
 
 
@@ -261,12 +273,14 @@ def _remarks(found: Aligned, log_map: LogMap, limits: dict[str, float]) -> list[
             doubtful = ": another unit or field?" if 2 * c.unusable > c.readings else ""
             expected = f"expected at most {limits[name]:g} {next(iter(UNITS[name]))}"
             lines.append(
-                f"{place}: {c.unusable} of {c.readings} readings out of range ({expected}), left out{doubtful}"
+                f"{place}: {c.unusable} of {c.readings} readings out of range ({expected}), left "
+                f"out{doubtful}"
             )
         if c.interpolated > _SLOW:
             lines.append(
-                f"{place}: comes less often than every {found.period:g} s: {c.interpolated:.0%} of its values are "
-                "interpolated and count as readings; a longer period would be more honest"
+                f"{place}: comes less often than every {found.period:g} s: {c.interpolated:.0%} of "
+                "its values are interpolated and count as readings; a longer period would be more "
+                "honest"
             )
     jumps = np.flatnonzero(np.diff(found.time) > log_map.max_gap)
     if jumps.size:

@@ -1,7 +1,8 @@
 """The online identifier over a log: the soil under the wheel and its uncertainty over time.
 
-Borders are those that the identifier finds by the grade and the forces. It finds more than there are, so a border
-counts as one between grounds only where the estimates on both sides differ (`_probability_of_two`).
+Borders are those that the identifier finds by the grade and the forces. It finds more than there
+are, so a border counts as one between grounds only where the estimates on both sides differ
+(`_probability_of_two`).
 """
 
 import math
@@ -38,7 +39,7 @@ _DOUBTED = 0.1  # [prior sd] by which every estimate may be off beside its own s
 _BOUNDS = {
     f.name: (f.metadata["low"], f.metadata["high"]) for f in fields(Soil) if f.name in ESTIMATED
 }
-_NO_WAY = (math.nan,) * 3
+_NO_WAY = (math.nan,) * 3  # slip, speed and distance of a step without them
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +47,14 @@ class Replay:
     """Estimates over the steps of a log."""
 
     time: np.ndarray  # [N] s
-    values: dict[
-        str, np.ndarray
-    ]  # [N] each, by `COLUMNS`; the last three NaN before the first, all where refused
+    #: [N] each, by `COLUMNS`; the last three NaN before the first, all where refused.
+    values: dict[str, np.ndarray]
     status: np.ndarray  # [N] `Status`
     renewed: np.ndarray  # [N] bool: changed in this step
-    ground: (
-        np.ndarray
-    )  # [N] int from 1: one more at each border to another soil, and after each gap
-    differs: list[
-        float
-    ]  # probability, by ground, that its soil is not that of the last; NaN of the first after a gap
+    #: [N] int from 1: one more at each border to another soil, and after each gap.
+    ground: np.ndarray
+    #: Probability, by ground, that its soil is not that of the last; NaN of the first after a gap.
+    differs: list[float]
     borders: int  # that the identifier found, whatever lies behind them
     prior: Estimate
     on_border: np.ndarray  # [N] bool: the ground is a blend of two soils, better known than either
@@ -84,9 +82,11 @@ class Replay:
         )
 
     def learnt(self, current: bool = False) -> dict[str, float]:
-        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was learnt.
+        """Least standard deviation over that of the prior, for each parameter: 1 where nothing was
+        learnt.
 
-        Of the estimates away from borders that the readings do not contradict; `current`: with status CONVERGED.
+        Of the estimates away from borders that the readings do not contradict; `current`: with
+        status CONVERGED.
         """
         kept = self.status == Status.CONVERGED
         kept = ~self.on_border & (kept if current else kept | (self.status == Status.NOT_EXCITED))
@@ -100,9 +100,10 @@ class Replay:
 def replay(log: Aligned, log_map: LogMap) -> Replay:
     """Give the readings of a log to the online identifier, step by step.
 
-    After a gap of more than `restart_gap` it starts from the prior again. A motor torque without the inertia of the
-    wheel is left out. The drawbar margin and the torque required are those of `OnlineIdentifier.traversability`,
-    renewed with the estimate. An estimate out of the bounds of `Soil` is refused: NaN, with status MISFIT.
+    After a gap of more than `restart_gap` it starts from the prior again. A motor torque without
+    the inertia of the wheel is left out. The drawbar margin and the torque required are those of
+    `OnlineIdentifier.traversability`, renewed with the estimate. An estimate out of the bounds of
+    `Soil` is refused: NaN, with status MISFIT.
     """
     identifier = OnlineIdentifier(
         log_map.wheel,
@@ -176,7 +177,9 @@ def replay(log: Aligned, log_map: LogMap) -> Replay:
 
 
 def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray) -> list[str]:
-    """Put NaN in place of estimates out of the bounds of a soil; a line that says so, where there are some."""
+    """Put NaN in place of estimates out of the bounds of a soil; a line that says so, where there
+    are some.
+    """
     bad = ~np.all([np.isfinite(values[n]) for n in ESTIMATED], axis=0)
     said = ""
     for name, (low, high) in _BOUNDS.items():
@@ -185,7 +188,10 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
         outside = ~bad & ~((values[name] >= low) & (values[name] <= high))
         if outside.any() and not said:
             k = int(np.argmax(outside))
-            said = f" (at {time[k]:.1f} s {name} = {values[name][k]:.3g}: expected {low:g} to {high:g})"
+            said = (
+                f" (at {time[k]:.1f} s {name} = {values[name][k]:.3g}: expected {low:g} to "
+                f"{high:g})"
+            )
         bad |= outside
     if not bad.any():
         return []
@@ -193,7 +199,10 @@ def _refused(time: np.ndarray, values: dict[str, np.ndarray], status: np.ndarray
         column[bad] = math.nan
     status[bad] = Status.MISFIT
     return [
-        f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong unit, sign or wheel?"
+        (
+            f"{bad.sum()} of {bad.size} estimates are refused, being of no soil{said}: a wrong "
+            "unit, sign or wheel?"
+        )
     ]
 
 
@@ -205,10 +214,12 @@ def _grounds(
     status: np.ndarray,
     prior: Estimate,
 ) -> tuple[np.ndarray, list[float]]:
-    """Number [N] from 1 of the ground at each step, and the probability by ground that it is not as the last.
+    """Number [N] from 1 of the ground at each step, and the probability by ground that it is not as
+    the last.
 
-    `found` [N]: borders found so far. A stretch shorter than two borders is part of the next: a border that is long is
-    found twice. A stretch whose estimate does not differ from that of the ground before is part of that.
+    `found` [N]: borders found so far. A stretch shorter than two borders is part of the next: a
+    border that is long is found twice. A stretch whose estimate does not differ from that of the
+    ground before is part of that.
     """
     where = log.travelled(log_map.wheel.radius)
     border = log_map.belief.border
@@ -243,7 +254,9 @@ def _grounds(
 def _last_known(
     values: dict[str, np.ndarray], status: np.ndarray, first: int, last: int, prior: Estimate
 ):
-    """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps `first` to `last`."""
+    """(Value, variance) [2, 3] of `_COMPARED` over the prior's sd, as last known in the steps
+    `first` to `last`.
+    """
     steps = slice(first, last + 1)
     known = np.flatnonzero(
         (status[steps] != Status.NO_DATA) & np.isfinite(values["cohesion"][steps])
@@ -264,8 +277,9 @@ def _last_known(
 def _probability_of_two(one: np.ndarray, other: np.ndarray) -> float:
     """Probability that the soils of two estimates (`_last_known`) differ, if it was `_SEEN` before.
 
-    An estimate of variance v, of a soil that scatters by 1, scatters by 1 - v itself. Two of one soil have in common
-    what they take from the prior: their difference has the variance v + w - 2 v w. Two of two soils have 2 - v - w.
+    An estimate of variance v, of a soil that scatters by 1, scatters by 1 - v itself. Two of one
+    soil have in common what they take from the prior: their difference has the variance v + w - 2 v
+    w. Two of two soils have 2 - v - w.
     """
     away = one[0] - other[0]
     doubt = 2.0 * _DOUBTED**2
@@ -289,12 +303,14 @@ def _pooled(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 _NOTHING = "Neither sinkage nor a force: only the slip is known, and nothing can be identified."
 _NO_FORCE = (
-    "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is identified, if the "
-    "load is measured; friction angle, cohesion and K follow from it by the correlations of the belief."
+    "Neither drawbar pull nor torque: nothing measures shear. Only the sinkage coefficient S is "
+    "identified, if the load is measured; friction angle, cohesion and K follow from it by the "
+    "correlations of the belief."
 )
 _MISFIT = (
-    "In {:.0%} of the steps the readings were further from what the model predicts than their errors explain: a wrong "
-    "unit, sign or wheel in the map, a belief without this soil, or laws that do not hold here."
+    "In {:.0%} of the steps the readings were further from what the model predicts than their "
+    "errors explain: a wrong unit, sign or wheel in the map, a belief without this soil, or laws "
+    "that do not hold here."
 )
 
 
@@ -304,7 +320,8 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     lines = []
     if "motor_torque" in log.readings and "motor_torque" not in measured:
         lines.append(
-            "The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear included."
+            "The motor torque is left out: the map lacks wheel.inertia [kg m2], rotor and gear "
+            "included."
         )
     forces = measured & {"drawbar_pull", "acceleration", "torque", "motor_torque"}
     if not forces:
@@ -319,7 +336,10 @@ def findings(found: Replay, log: Aligned) -> list[str]:
     for name, words in names.items():
         result = "identified" if current[name] < _LEARNT else "not identified: this is the prior"
         if shares[name] < _LEARNT <= current[name]:
-            result = "narrowed, by estimates that were never current (no range of slip, or readings that contradict)"
+            result = (
+                "narrowed, by estimates that were never current (no range of slip, or readings "
+                "that contradict)"
+            )
         lines.append(
             f"{words}: {result} (standard deviation at best {shares[name]:.2f} of the prior's)"
         )

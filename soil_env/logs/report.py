@@ -34,7 +34,9 @@ _SHOWN = {  # in the picture: scale, label
 
 
 class Report(NamedTuple):
-    """Files of the folder by name, `ALWAYS` and tables and setups of steady points, and the text for the terminal."""
+    """Files of the folder by name, `ALWAYS` and tables and setups of steady points, and the text
+    for the terminal.
+    """
 
     files: dict[str, bytes | str]
     text: str
@@ -77,8 +79,10 @@ def report_of(
         "noise": steady.noise,
     }
     values |= {
-        "summary": f"From {begin.isoformat(timespec='milliseconds')}, {length:.1f} s, {len(log)} steps of "
-        f"{log.period:g} s.",
+        "summary": (
+            f"From {begin.isoformat(timespec='milliseconds')}, {length:.1f} s, "
+            f"{len(log)} steps of {log.period:g} s."
+        ),
         "channels": _channel_table(log),
         "soil": _soil_table(found),
         "grounds": _ground_table(parts),
@@ -150,7 +154,9 @@ def _soil_table(found: Replay) -> Table:
 
 
 def _ground_table(parts: list[Ground]) -> Table:
-    """The grounds: when, how sure that each is not the last, its last current estimate, its steady points."""
+    """The grounds: when, how sure that each is not the last, its last current estimate, its steady
+    points.
+    """
     rows = []
     for g in parts:
         e = g.estimate

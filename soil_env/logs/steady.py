@@ -1,15 +1,18 @@
-"""Steady stretches of a log as points of measurement tables, one table a ground, with a setup beside each.
+"""Steady stretches of a log as points of measurement tables, one table a ground, with a setup
+beside each.
 
-A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch. Sinkage must have
-come to the value that belongs to the slip. It follows dz/dt = A (z_end - z), A = (|V| + recovery |r w - V|)/l
-(`effects.excavation_rate`). After a change dz between the halves, a time T/2 apart, dz/(1 - exp(-A T/2)) is left to go.
+A stretch is steady where the means of its two halves agree in slip, speed, pull, torque and pitch.
+Sinkage must have come to the value that belongs to the slip. It follows dz/dt = A (z_end - z), A =
+(|V| + recovery |r w - V|)/l (`effects.excavation_rate`). After a change dz between the halves, a
+time T/2 apart, dz/(1 - exp(-A T/2)) is left to go.
 
-A fit to points of several soils is that of none, so each ground between two borders (`replay`) has a table of its own.
-The filter finds a border some centimetres late: points within `belief.border` of one are left out. `steady.csv` has all
-points, with the ground in the column `run`.
+A fit to points of several soils is that of none, so each ground between two borders (`replay`) has
+a table of its own. The filter finds a border some centimetres late: points within `belief.border`
+of one are left out. `steady.csv` has all points, with the ground in the column `run`.
 
-The priors in a setup are those of the belief, not the online estimate, which was made of the same readings. The gain of
-slip-sinkage, which a setup takes as known or not at all, is the online one of that ground.
+The priors in a setup are those of the belief, not the online estimate, which was made of the same
+readings. The gain of slip-sinkage, which a setup takes as known or not at all, is the online one of
+that ground.
 """
 
 import math
@@ -30,12 +33,11 @@ from soil_env.terramechanics.effects import excavation_rate
 
 FILES = re.compile(r"(steady|setup|ground\d+)\.(csv|yaml)")  # those that `files` may write
 _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
-_LEAST_SD = 1e-9
+_LEAST_SD = 1e-9  # in the unit of a channel: a smaller scatter is rounding
 _LEAST_SPREAD = 0.01  # of slip, for a table
 
-Point = dict[
-    str, float | str
-]  # columns of a measurement table, ground and start [s]; NaN = not measured
+#: Columns of a measurement table, ground and start [s]; NaN = not measured.
+Point = dict[str, float | str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,10 @@ class Steady:
     def reason(self) -> str:
         """Reason for which the points are no measurement table; empty where they are one."""
         if not self.rows:
-            return "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, pull or torque"
+            return (
+                "no stretch of the log is steady enough (windows in map.yaml) and has sinkage, "
+                "pull or torque"
+            )
         slip = [float(row["slip"]) for row in self.rows]
         if max(slip) - min(slip) < _LEAST_SPREAD:
             many = "1 steady point" if len(slip) == 1 else f"{len(slip)} steady points of one slip"
@@ -73,7 +78,8 @@ def cell(value: float | str, form: str) -> str:
 
 
 def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = None) -> Steady:
-    """The steady stretches of a log, none overlapping another, each as long as `log_map.windows.duration`.
+    """The steady stretches of a log, none overlapping another, each as long as
+    `log_map.windows.duration`.
 
     `ground` [N] is that of `Replay`, one more from each border on; left out, all is one ground.
     """
@@ -119,7 +125,9 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
 
 
 def _columns(log: Aligned, log_map: LogMap) -> dict[str, np.ndarray]:
-    """Quantities [N] of steady points; the weight for the load, and the like, where a channel is not measured."""
+    """Quantities [N] of steady points; the weight for the load, and the like, where a channel is
+    not measured.
+    """
     rim, speed, slip = log.motion(log_map.wheel.radius)
     pitch = log.get("pitch")
     mass = log_map.wheel.body_mass
@@ -204,7 +212,9 @@ def _scatter(values: np.ndarray) -> float:
 
 
 def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
-    """The means of a stretch that begins at `start` [s]; NaN where half of the values are missing."""
+    """The means of a stretch that begins at `start` [s]; NaN where half of the values are
+    missing.
+    """
     mean = {
         n: float(np.nanmean(v)) if np.isfinite(v).mean() > 0.5 else math.nan
         for n, v in part.items()
@@ -216,12 +226,15 @@ def _row(part: dict[str, np.ndarray], start: float, period: float) -> Point:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground between two borders to other soils: its steady points and the last current estimate on it."""
+    """The ground between two borders to other soils: its steady points and the last current
+    estimate on it.
+    """
 
     number: int
     begin: float  # [s]
     end: float
-    differs: float  # probability that its soil is not that of the ground before; NaN of the first after a gap
+    #: Probability that its soil is not that of the ground before; NaN of the first after a gap.
+    differs: float
     points: Steady
     estimate: dict[str, float] | None  # by `replay.COLUMNS`
 
@@ -247,7 +260,9 @@ def grounds(found: Replay, steady: Steady) -> list[Ground]:
 
 
 def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground]]:
-    """Names of table and setup, and the ground, of each part of the points that may be fitted as one soil."""
+    """Names of table and setup, and the ground, of each part of the points that may be fitted as
+    one soil.
+    """
     if len(grounds) == 1:
         return [] if steady.reason else [("steady.csv", "setup.yaml", grounds[0])]
     return [
@@ -260,7 +275,9 @@ def tables(grounds: list[Ground], steady: Steady) -> list[tuple[str, str, Ground
 def files(
     grounds: list[Ground], steady: Steady, log_map: LogMap, prior: Estimate
 ) -> dict[str, str]:
-    """Tables and setups by name: of all points, and, where there are several grounds, of each that has two slips."""
+    """Tables and setups by name: of all points, and, where there are several grounds, of each that
+    has two slips.
+    """
     if steady.reason:
         return {}
     note = f"# points of {len(grounds)} grounds, named in column run: no single soil fits them\n"
@@ -277,18 +294,25 @@ def files(
 def setup_text(
     log_map: LogMap, steady: Steady, prior: Estimate, estimate: dict[str, float] | None
 ) -> str:
-    """setup.yaml beside a table: wheel, the belief as priors with what the map knows of the soil, scatter as noise."""
+    """setup.yaml beside a table: wheel, the belief as priors with what the map knows of the soil,
+    scatter as noise.
+    """
     lines = [
-        "# soil: the belief of the map (the prior of the online identifier), and what the map says is known"
+        (
+            "# soil: the belief of the map (the prior of the online identifier), and what the map "
+            "says is known"
+        )
     ]
     if estimate is not None:
         lines.append(
-            "# online, of the same drive: friction angle {friction_angle_deg:.1f} +- {friction_angle_sd_deg:.1f} deg, "
-            "K {shear_modulus:.3g} m +- {shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
+            "# online, of the same drive: friction angle {friction_angle_deg:.1f} +- "
+            "{friction_angle_sd_deg:.1f} deg, K {shear_modulus:.3g} m +- "
+            "{shear_modulus_relative_sd:.0%}, S {sinkage_coefficient:.3g} +- "
             "{sinkage_coefficient_relative_sd:.0%}".format(**estimate)
         )
         lines.append(
-            "# dig_gain: as identified online; take it out to let soil-env discover look for slip-sinkage"
+            "# dig_gain: as identified online; take it out to let soil-env discover look for "
+            "slip-sinkage"
         )
     content = {
         "wheel": {"radius": log_map.wheel.radius, "width": log_map.wheel.width},
@@ -301,7 +325,9 @@ def setup_text(
 def _priors(
     log_map: LogMap, prior: Estimate, estimate: dict[str, float] | None
 ) -> dict[str, object]:
-    """Section `soil`; log-normal priors have the sd whose ln(1 + sd/value) is the relative one of the prior."""
+    """Section `soil`; log-normal priors have the sd whose ln(1 + sd/value) is the relative one of
+    the prior.
+    """
     belief = log_map.belief
     K = prior.shear_modulus
     S = prior.sinkage_coefficient
@@ -332,9 +358,12 @@ def _short(value: float) -> float:
 def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     """Sentences on the grounds, the steady points, and what may be fitted together."""
     out = [
-        f"Grounds found: {len(grounds)}, of {found.borders} borders that the filter saw and {found.restarts} gaps. A "
-        f"border counts where the soils on its two sides differ with probability above {DIFFERS:g}: soils that are "
-        "alike, or driven on too briefly, count as one ground."
+        (
+            f"Grounds found: {len(grounds)}, of {found.borders} borders that the filter saw and "
+            f"{found.restarts} gaps. A border counts where the soils on its two sides differ with "
+            f"probability above {DIFFERS:g}: soils that are alike, or driven on too briefly, count "
+            "as one ground."
+        )
     ]
     if steady.reason:
         return [*out, f"No measurement table: {steady.reason}."]
@@ -344,16 +373,21 @@ def advice(found: Replay, grounds: list[Ground], steady: Steady) -> list[str]:
     else:
         changes = ", ".join(f"{g.begin:.1f}" for g in grounds[1:])
         out.append(
-            f"{count}, on {len(grounds)} grounds, which change at {changes} s. Fit one ground at a time."
+            f"{count}, on {len(grounds)} grounds, which change at {changes} s. Fit one ground at a "
+            "time."
         )
     few = ", ".join(str(g.number) for g in grounds if g.points.reason)
     if few and len(grounds) > 1:
         out.append(
-            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for a second."
+            f"Too few points for a table on ground {few}: hold two wheel speeds or more, each for "
+            "a second."
         )
     return [
         *out,
-        "The noise in the setup is the scatter within the stretches; differences between places add to it.",
+        (
+            "The noise in the setup is the scatter within the stretches; differences between "
+            "places add to it."
+        ),
     ]
 
 

@@ -16,9 +16,8 @@ from soil_env.logs.mapping import TIMES
 SUFFIXES = (".csv", ".parquet", ".pq")
 _LATEST = 2**62  # [ns] from 1970, the year 2116
 
-_Cells = tuple[
-    int, str | int, list[str]
-]  # number of the row, time stamp (int: [ns]), cells as text
+#: Number of the row, time stamp (int: [ns]), cells as text.
+_Cells = tuple[int, str | int, list[str]]
 
 
 class Row(NamedTuple):
@@ -32,7 +31,9 @@ class Row(NamedTuple):
 def rows(
     path: Path, stamps: str, unit: str, columns: dict[str, str], notes: Notes, progress: Progress
 ) -> Iterator[Row]:
-    """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its readings."""
+    """Rows of a table: time stamps in the column `stamps` of `unit`, and `columns`, each with its
+    readings.
+    """
     nans = Counter[str]()
 
     def converted(convert: Callable, text: str, number: int, column: str, expected: str):
@@ -71,9 +72,8 @@ def _nanoseconds(text: str, unit: str) -> int:
         delta = (at if at.tzinfo else at.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
         stamp = (delta.days * 86400 + delta.seconds) * 1_000_000_000 + delta.microseconds * 1000
     else:
-        stamp = int(
-            Decimal(text.strip()) * round(TIMES[unit] * 1e9)
-        )  # a float has too few digits for a time of today
+        # A float has too few digits for a time of today.
+        stamp = int(Decimal(text.strip()) * round(TIMES[unit] * 1e9))
     if abs(stamp) > _LATEST:
         raise ValueError(text)
     return stamp
@@ -109,12 +109,12 @@ def _csv(
                 raise ParameterError(
                     f"{path}: has no line: expected a header with column names, and rows below it"
                 )
-            in_header = raw.tell() == size and not path.read_bytes().endswith(
-                b"\n"
-            )  # the file ends there
+            # The file ends there.
+            in_header = raw.tell() == size and not path.read_bytes().endswith(b"\n")
             if in_header and stamps in header and not set(columns) <= set(header):
                 raise ParameterError(
-                    f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to read"
+                    f"{path}: is cut off in its header, after column {header[-1]!r}: nothing to "
+                    "read"
                 )
             _check_columns(path, header, stamps, columns)
             at = header.index(stamps)
@@ -122,10 +122,12 @@ def _csv(
             for cells in lines:
                 if short:
                     raise ParameterError(f"{path}: {short}")
-                if len(cells) != len(
-                    header
-                ):  # allowed in the last row, where a recording was cut off
-                    short = f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as the header"
+                # Allowed in the last row, where a recording was cut off.
+                if len(cells) != len(header):
+                    short = (
+                        f"row {reader.line_num} has {len(cells)} cells: expected {len(header)}, as "
+                        "the header"
+                    )
                     continue
                 count += 1
                 yield reader.line_num, cells[at], [cells[p] for p in places]

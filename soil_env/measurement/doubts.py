@@ -20,10 +20,12 @@ def contact_area(sinkage: np.ndarray, radius: np.ndarray, width: np.ndarray) -> 
 
 
 def load_doubt(table: Table, setup: Setup) -> str:
-    """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give it; "" as a rule.
+    """A doubt in a sentence where the wheel pulls or turns with more than its load lets soil give
+    it; "" as a rule.
 
-    A wheel can transmit at most tan(phi) W and c times its contact area. The second is small beside W where the wheel
-    sinks, so that the sum hardly exceeds the load unless the setup's cohesion says so.
+    A wheel can transmit at most tan(phi) W and c times its contact area. The second is small beside
+    W where the wheel sinks, so that the sum hardly exceeds the load unless the setup's cohesion
+    says so.
     """
     radius = table.radius(setup.wheel)
     driven = table.rim_slip(setup) > DRIVEN
@@ -41,9 +43,9 @@ def load_doubt(table: Table, setup: Setup) -> str:
         share = (force / table.load)[driven & np.isfinite(force)]
         if share.size and np.median(share) > np.median(most[driven]):
             return (
-                f"{name} is {np.median(share):.2g} times the load in the middle of the rows with slip above "
-                f"{DRIVEN:g}, more than soil gives: expected load in newtons (if it is in kilograms or kgf, multiply "
-                "it by 9.81)."
+                f"{name} is {np.median(share):.2g} times the load in the middle of the rows with "
+                f"slip above {DRIVEN:g}, more than soil gives: expected load in newtons (if it is "
+                "in kilograms or kgf, multiply it by 9.81)."
             )
         known = np.isfinite(force)
         odd = driven & known & (force > most * table.load)
@@ -54,8 +56,8 @@ def load_doubt(table: Table, setup: Setup) -> str:
         if light < LIGHTER * np.median(table.load[rest]):
             share = float(np.median(force[odd] / table.load[odd]))
             return (
-                f"{name} is {share:.2g} times the load in {odd.sum()} rows with loads up to {light:.3g} N, more than "
-                "soil gives, and not in the others: expected load in newtons in every row (if these are in kilograms "
-                "or kgf, multiply them by 9.81)."
+                f"{name} is {share:.2g} times the load in {odd.sum()} rows with loads up to "
+                f"{light:.3g} N, more than soil gives, and not in the others: expected load in "
+                "newtons in every row (if these are in kilograms or kgf, multiply them by 9.81)."
             )
     return ""

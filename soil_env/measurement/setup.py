@@ -1,6 +1,8 @@
-"""The setup beside a measurement table: which wheel it was, what is known of the soil, how noisy the sensors are.
+"""The setup beside a measurement table: which wheel it was, what is known of the soil, how noisy
+the sensors are.
 
-Everything is in SI units. `read_setup` refuses what cannot be right with one line (`ParameterError`).
+Everything is in SI units. `read_setup` refuses what cannot be right with one line
+(`ParameterError`).
 """
 
 import dataclasses
@@ -21,18 +23,12 @@ from soil_env._io.loading import (
 from soil_env.parameters import LARGEST_WHEEL, Soil, check_lugs, lumped_coefficient
 
 REQUIRED = ("slip", "load")  # columns of every table
-COSTS = (
-    "run",
-    "slip",
-    "load",
-    "speed",
-    "grade_deg",
-    "wheel",
-    "pass",
-)  # of a run and of what is changed for it
+#: Of a run and of what is changed for it.
+COSTS = ("run", "slip", "load", "speed", "grade_deg", "wheel", "pass")
 STEEPEST_TILT = 20.0  # [deg] of a rig that is not level
 LEAST_SD = 1e-6  # of a prior, as a share of its value; a smaller one is the value known
-# Below these soil parameters look like another unit: parameter, limit, its unit, what it looks like, factor
+# Below these soil parameters look like another unit: parameter, limit, its unit, what it looks
+# like, factor
 _ODD = (
     ("friction_angle_deg", 2.0, "deg", "radians", 57.3),
     ("cohesion", 50.0, "Pa", "kPa", 1e3),
@@ -43,7 +39,8 @@ _ODD = (
 
 @dataclass(frozen=True)
 class SetupWheel(Checked):
-    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is said.
+    """The wheel that was measured; `grouser_height` 0 is a smooth rim, None one of which nothing is
+    said.
 
     `grouser_count` is the number of lugs around the rim.
     """
@@ -64,7 +61,9 @@ class SetupWheel(Checked):
 
 @dataclass(frozen=True)
 class Prior(Checked):
-    """Prior of a parameter before the table: value and standard deviation, 0 if it is known exactly."""
+    """Prior of a parameter before the table: value and standard deviation, 0 if it is known
+    exactly.
+    """
 
     value: float = quantity("")
     sd: float = quantity("", 0.0)
@@ -77,10 +76,11 @@ class Prior(Checked):
 
 @dataclass(frozen=True)
 class SoilPriors(Checked):
-    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad prior.
+    """Priors of the soil, `parameters.Soil` for their meaning; None is to be fitted with a broad
+    prior.
 
-    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any effect is sought,
-    none where they are left out.
+    `dig_gain` and `dig_recovery` are known or nothing: digging that the model is to have before any
+    effect is sought, none where they are left out.
     """
 
     friction_angle_deg: Prior | None = None
@@ -107,7 +107,8 @@ class SoilPriors(Checked):
         for name in ("dig_gain", "dig_recovery"):
             if getattr(self, name) is not None and not getattr(self, name).known:
                 raise ParameterError(
-                    f"{name}: expected a plain number; digging that is not known is an effect to find"
+                    f"{name}: expected a plain number; digging that is not known is an effect to "
+                    "find"
                 )
         if self.dig_recovery is not None and self.dig_gain is None:
             raise ParameterError("dig_recovery: expected only with dig_gain")
@@ -120,7 +121,9 @@ class SoilPriors(Checked):
             raise ParameterError(f"k_phi = {self.k_phi.value:g}: expected a number > 0 N/m^(n+2)")
 
     def lumped(self, width: float) -> Prior | None:
-        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are given."""
+        """Prior of S [N/m^(n+2)] under a wheel of width b [m]: k_c/b + k_phi where these are
+        given.
+        """
         if self.k_c is None or self.k_phi is None:
             return self.sinkage_coefficient
         value = lumped_coefficient(self.k_c.value, self.k_phi.value, width)
@@ -146,15 +149,19 @@ class NoiseLevels(Checked):
             if value is not None and not 0.0 < value < math.inf:
                 unit = f" {f.metadata['unit']}".rstrip()
                 raise ParameterError(
-                    f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it out"
+                    f"{f.name} = {value:g}: expected a standard deviation > 0{unit}, or leave it "
+                    "out"
                 )
 
 
 @dataclass(frozen=True)
 class Rig(Checked):
-    """Conditions that a rig can make, for the next runs; a list that is left out is not known. `cost` by `COSTS`.
+    """Conditions that a rig can make, for the next runs; a list that is left out is not known.
 
-    A run costs `run` and what it changes from the run before. `pass` is the cost of each earlier pass on its soil.
+    `cost` by `COSTS`.
+
+    A run costs `run` and what it changes from the run before. `pass` is the cost of each earlier
+    pass on its soil.
     """
 
     slips: tuple[float, ...] = quantity("", -1.0, 0.95, default=())
@@ -172,7 +179,8 @@ class Rig(Checked):
                 raise unknown_key(name, COSTS, "cost")
             if not 0.0 <= value < math.inf or (name == "run" and value == 0.0):
                 raise ParameterError(
-                    f"cost.{name} = {value:g}: expected a number {'> 0' if name == 'run' else '>= 0'}"
+                    f"cost.{name} = {value:g}: expected a number "
+                    f"{'> 0' if name == 'run' else '>= 0'}"
                 )
 
 
@@ -180,10 +188,10 @@ class Rig(Checked):
 class Calibration(Checked):
     """Standard deviations to which a rig is known before its runs; 0 where it is exact.
 
-    Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m], None for 0.3 % of the
-    middle load (times the radius), the relative error of the wheel radius, the share of the other force that a sensor
-    reads, the share of torque/radius that loads the wheel, and the rate of a spring [N/m], None for a tenth of the
-    middle load over the radius.
+    Of the level [deg], the relative gains of the pull and torque sensors, their zeros [N, N m],
+    None for 0.3 % of the middle load (times the radius), the relative error of the wheel radius,
+    the share of the other force that a sensor reads, the share of torque/radius that loads the
+    wheel, and the rate of a spring [N/m], None for a tenth of the middle load over the radius.
     """
 
     tilt_deg: float = quantity("deg", 0.0, STEEPEST_TILT, default=0.5)
@@ -202,19 +210,19 @@ class Calibration(Checked):
 class Setup(Checked):
     """Rig, soil and sensors of a measurement table.
 
-    `load`: the column of that name is the force normal to the ground (default), or the vertical force. On a grade b the
-    latter is resolved into load cos(b) on the ground and load sin(b) against the pull. `slip_reference` is the radius
-    that slip was computed with, to the rim or to the lug tips (r + grouser height). `tilt_deg` is the constant uphill
-    tilt of the ground against the axes in which a rig measures load and pull: a known number or a prior.
+    `load`: the column of that name is the force normal to the ground (default), or the vertical
+    force. On a grade b the latter is resolved into load cos(b) on the ground and load sin(b)
+    against the pull. `slip_reference` is the radius that slip was computed with, to the rim or to
+    the lug tips (r + grouser height). `tilt_deg` is the constant uphill tilt of the ground against
+    the axes in which a rig measures load and pull: a known number or a prior.
     """
 
     wheel: SetupWheel
     soil: SoilPriors = SoilPriors()
     noise: NoiseLevels = NoiseLevels()
     calibration: Calibration = Calibration()
-    checked: tuple[
-        str, ...
-    ] = ()  # effects that a check has ruled out, or that the columns were corrected for
+    #: Effects that a check has ruled out, or that the columns were corrected for.
+    checked: tuple[str, ...] = ()
     load: Literal["normal", "vertical"] = "normal"
     slip_reference: Literal["rim", "tip"] = "rim"
     tilt_deg: Prior | None = None
@@ -236,8 +244,8 @@ class Setup(Checked):
         sinkage = self.noise.sinkage
         if sinkage is not None and sinkage > 0.5 * self.wheel.radius:
             raise ParameterError(
-                f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius {self.wheel.radius:g} m "
-                "(if it is millimetres, divide by 1000)"
+                f"noise: sinkage = {sinkage:g}: expected metres, well below the wheel radius "
+                f"{self.wheel.radius:g} m (if it is millimetres, divide by 1000)"
             )
 
     def doubts(self) -> list[str]:
@@ -247,19 +255,23 @@ class Setup(Checked):
             prior = getattr(self.soil, name)
             if prior is not None and 0.0 < prior.value < limit:
                 words.append(
-                    f"soil.{name} = {prior.value:g} {unit} looks like {looks}; if it is, multiply it (and its sd) by "
-                    f"{factor:g}."
+                    f"soil.{name} = {prior.value:g} {unit} looks like {looks}; if it is, multiply "
+                    f"it (and its sd) by {factor:g}."
                 )
         return words
 
 
 def read_setup(path: str | Path) -> Setup:
-    """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or out of range."""
+    """The setup in a YAML file; `ParameterError` with one line for anything unknown, misspelt or
+    out of range.
+    """
     return setup_of(read_yaml(Path(path)), str(path))
 
 
 def setup_of(mapping: dict[str, Any], where: str) -> Setup:
-    """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for messages."""
+    """`read_setup` of the mapping of a file that is at hand already; `where` it comes from, for
+    messages.
+    """
     mapping = dict(mapping)
     for section in ("soil", "noise", "calibration", "checked", "tilt_deg", "ignore_columns", "rig"):
         if section in mapping and mapping[section] is None:
@@ -298,6 +310,7 @@ def _prior(value: Any, where: str) -> Prior:
     if not prior.sd > 0.0 or prior.sd < least:
         expected = f"at least {least:.2g}, a millionth of the value" if prior.sd > 0.0 else "> 0"
         raise ParameterError(
-            f"{where}: sd = {prior.sd:g}: expected {expected} (write a known value as a plain number)"
+            f"{where}: sd = {prior.sd:g}: expected {expected} (write a known value as a plain "
+            "number)"
         )
     return prior

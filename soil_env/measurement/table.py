@@ -1,8 +1,8 @@
 """Measurement tables: one row is one steady point of a wheel in a test rig or on a rover.
 
-`read_table` reads a table in CSV. `soil_env.measurement.setup` reads the YAML file beside it. Everything is in SI
-units. Impossible values are refused with one line that names the file, the row, the column, the value and what was
-expected (`ParameterError`). The header is row 1.
+`read_table` reads a table in CSV. `soil_env.measurement.setup` reads the YAML file beside it.
+Everything is in SI units. Impossible values are refused with one line that names the file, the row,
+the column, the value and what was expected (`ParameterError`). The header is row 1.
 """
 
 import csv
@@ -56,18 +56,19 @@ UNITS = {
 DEEPEST = 1.0  # [m] a larger sinkage is taken for millimetres
 STEEPEST = 60.0  # [deg]
 FASTEST = 40.0  # [m/s] a larger speed is taken for mm/s
-LIGHTEST = 1e-3  # [N] of a load; the latter of a pull, and in N m of a torque, either way, too
-STRONGEST = 1e6
-MOST_PASSES = 10**6
-EXACTEST = 1e-9  # standard deviation, in the unit of its column
-COARSEST = 1e6
+LIGHTEST = 1e-3  # [N] of a load
+STRONGEST = 1e6  # [N], [N m] of a load, and of a pull or torque either way
+MOST_PASSES = 10**6  # pass numbers are whole and small
+EXACTEST = 1e-9  # least standard deviation, in the unit of its column
+COARSEST = 1e6  # largest one
 
 Rows = Sequence[tuple[int, list[str]]]  # line of the file and cells
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column absent.
+    """Columns [N] of a measurement table, read-only; NaN where a cell is empty or the column
+    absent.
 
     Only `passes` and `run` have other values for "not given": 1 and "".
     """
@@ -116,18 +117,24 @@ class Table:
         return np.where(np.isnan(self.wheel_width), wheel.width, self.wheel_width)
 
     def height(self, wheel: SetupWheel) -> np.ndarray:
-        """Grouser height [m] of each row: the override where there is one; nan where nothing is said."""
+        """Grouser height [m] of each row: the override where there is one; nan where nothing is
+        said.
+        """
         known = math.nan if wheel.grouser_height is None else wheel.grouser_height
         return np.where(np.isnan(self.grouser_height), known, self.grouser_height)
 
     def channel_sd(self, setup: Setup, name: str) -> float | None:
-        """1-sigma of a channel as the setup gives it, else the median of those of the rows; None where none is said."""
+        """1-sigma of a channel as the setup gives it, else the median of those of the rows; None
+        where none is said.
+        """
         own = getattr(self, f"{name}_sd")
         known = getattr(setup.noise, name)
         return known if known is not None or np.all(np.isnan(own)) else float(np.nanmedian(own))
 
     def relative_sd(self, setup: Setup) -> np.ndarray:
-        """[N, 3] 1-sigma of the values over `channel_sd`, 1 where a row has none; [1, 3] ones where none has any."""
+        """[N, 3] 1-sigma of the values over `channel_sd`, 1 where a row has none; [1, 3] ones where
+        none has any.
+        """
         own = np.stack([getattr(self, name) for name in NOISE], axis=1)
         if np.all(np.isnan(own)):
             return np.ones((1, 3))
@@ -135,7 +142,8 @@ class Table:
         return np.where(np.isnan(own), 1.0, own / level)
 
     def rim_slip(self, setup: Setup) -> np.ndarray:
-        """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the setup says so.
+        """Slip [N] by the radius of the rim, from that by the radius to the lug tips where the
+        setup says so.
 
         V/(r w) is (r + h)/r times V/((r + h) w). `ParameterError` where h is not known.
         """
@@ -144,7 +152,8 @@ class Table:
         height = self.height(setup.wheel)
         if np.any(np.isnan(height)):
             raise ParameterError(
-                f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column grouser_height"
+                f"{setup.source}: slip_reference: tip: expected wheel.grouser_height, or a column "
+                "grouser_height"
             )
         return slips_of_radius(self.slip, 1.0 + height / self.radius(setup.wheel))
 
@@ -154,8 +163,8 @@ def read_table(
 ) -> Table:
     """The measurement table in a CSV file; with `wheel`, no sinkage may exceed its radius.
 
-    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish repeats. Raises
-    `ParameterError` with one line for everything that cannot be right.
+    Columns named in `ignore` (`ignore_columns` of a setup) are passed over, but they distinguish
+    repeats. Raises `ParameterError` with one line for everything that cannot be right.
     """
     path = Path(path)
     header, rows = _csv_cells(path)
@@ -177,9 +186,8 @@ def read_table(
         source=str(path),
         given=frozenset(header),
         row=np.array([line for line, _ in rows]),
-        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(
-            int
-        ),  # checked below
+        # Checked below
+        passes=np.clip(np.where(np.isnan(passes), 1.0, passes), 0, MOST_PASSES).astype(int),
         run=np.array(runs),
         **columns,
     )
@@ -194,9 +202,8 @@ def read_table(
 def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Header and (line, cells) of the rows that are not blank, every cell stripped."""
     try:
-        with path.open(
-            encoding="utf-8-sig", newline=""
-        ) as stream:  # with or without a byte order mark
+        # With or without a byte order mark.
+        with path.open(encoding="utf-8-sig", newline="") as stream:
             text = [line if not line.lstrip().startswith("#") else "\n" for line in stream]
             _check_separator(path, [line for line in text if line.strip()][:2])
             reader = csv.reader(text, strict=True)
@@ -205,7 +212,8 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise ParameterError(
-            f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8, no Parquet or Excel file"
+            f"{path}: not UTF-8 text (byte {error.start}): expected a CSV file in UTF-8, no "
+            "Parquet or Excel file"
         ) from None
     except csv.Error as error:
         raise ParameterError(f"{path}: not a CSV file ({error})") from None
@@ -218,33 +226,38 @@ def _csv_cells(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         if len(cells) != len(header):
             hint = " (numbers with decimal points, not commas)" if len(cells) > len(header) else ""
             raise ParameterError(
-                f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the header{hint}"
+                f"{path}: row {line} has {len(cells)} cells: expected {len(header)}, as the "
+                f"header{hint}"
             )
     return header, rows
 
 
 def _check_separator(path: Path, lines: list[str]) -> None:
-    """Refuse a header without commas that has semicolons or tabs; the row below it shows decimal commas."""
+    """Refuse a header without commas that has semicolons or tabs; the row below it shows decimal
+    commas.
+    """
     header, row = (*lines, "", "")[:2]
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in header and "," not in header:
             also = " and decimal commas" if re.search(r"\d,\d", row) else ""
             raise ParameterError(
-                f"{path}: {name} between the columns{also}: expected commas between the columns and decimal points "
-                "(export it as comma-separated values with English number format)"
+                f"{path}: {name} between the columns{also}: expected commas between the columns "
+                "and decimal points (export it as comma-separated values with English number "
+                "format)"
             )
 
 
 def _check_header(path: Path, header: list[str]) -> None:
     if all(isinstance(_canonical(name), float) for name in header):
         raise ParameterError(
-            f"{path}: the first line has numbers: expected a header line with column names, without # before it"
+            f"{path}: the first line has numbers: expected a header line with column names, "
+            "without # before it"
         )
     for name in header:
         if name not in COLUMNS:
             raise ParameterError(
-                f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: {', '.join(COLUMNS)}; a "
-                "column to pass over: ignore_columns in the setup)"
+                f"{path}: unknown column {name!r}{nearest(name.lower(), COLUMNS)} (known: "
+                f"{', '.join(COLUMNS)}; a column to pass over: ignore_columns in the setup)"
             )
         if header.count(name) > 1:
             raise ParameterError(
@@ -407,7 +420,8 @@ def _canonical(cell: str) -> float | str:
 
 
 def in_radians(cells: list[str]) -> bool:
-    """True if grades look like radians: read so, none exceeds 40 deg and all are whole degrees to three digits or more.
+    """True if grades look like radians: read so, none exceeds 40 deg and all are whole degrees to
+    three digits or more.
 
     One grade alone looks so by chance: in six of a thousand cases with four digits.
     """

@@ -1,4 +1,5 @@
-"""The printed numbers of the source paper beside ours, by its equations as printed and with Wong & Reece's stress peak.
+"""The printed numbers of the source paper beside ours, by its equations as printed and with Wong &
+Reece's stress peak.
 
 Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
 """
@@ -41,6 +42,7 @@ LABELS = {
     "k_phi": "k_phi",
     "sinkage_exponent": "n",
 }
+# Parameters of Table 3, in the order of `NAMES`: as identified there, and as they are.
 PRINTED_SET = np.array([P.table3[name].identified for name in NAMES])
 ACTUAL_SET = np.array([P.table3[name].actual for name in NAMES])
 GUESS = tuple(ACTUAL_SET)
@@ -63,10 +65,8 @@ class Row(NamedTuple):
     printed: float
     ours: tuple[float, float]
     form: str = ".2f"
-    beyond: tuple[str, str] = (
-        "",
-        "",
-    )  # "<" or ">" where ours is the end of what was scanned, and no limit was found
+    #: "<" or ">" where ours is the end of what was scanned, and no limit was found.
+    beyond: tuple[str, str] = ("", "")
 
 
 def as_shown(value: float, form: str) -> float:
@@ -93,7 +93,9 @@ def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.nd
 
 
 def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
-    """The value of one parameter of the sand at which the working point's drawbar pull is `target` [N]."""
+    """The value of one parameter of the sand at which the working point's drawbar pull is `target`
+    [N].
+    """
     value = getattr(sand, name)
     low, high = (-1e4, 1e5) if name == "cohesion" else (0.5 * value, 2.0 * value)
     return float(
@@ -174,7 +176,9 @@ def root(e: Equations) -> np.ndarray:
 
 
 def table_3() -> list[Row]:
-    """The identified set, its errors, and the measured pulls beside those that the printed set predicts."""
+    """The identified set, its errors, and the measured pulls beside those that the printed set
+    predicts.
+    """
     found = [root(e) for e in HELD]
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
@@ -192,7 +196,9 @@ def table_3() -> list[Row]:
 
 
 def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
-    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period of its tangent."""
+    """[G] True if plain Newton-Raphson from `guesses` [G, 3] ends on the root, phi up to the period
+    of its tangent.
+    """
     found = newton_raphson(MEASURED, guesses, e)
     solution = root(e)
     turn = (found[:, 0] - solution[0] + 90.0) % 180.0 - 90.0
@@ -200,7 +206,9 @@ def reaches(e: Equations, guesses: np.ndarray) -> np.ndarray:
 
 
 def table_4() -> list[Row]:
-    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson converges."""
+    """Range of guesses of one unknown, the other two as in Table 2, from which Newton-Raphson
+    converges.
+    """
     rows = []
     scans = (
         np.linspace(0.5, 89.5, 1781),
@@ -241,7 +249,9 @@ class Noisy(NamedTuple):
 
 
 def table_5(e: Equations, seed: int, draws: int) -> Noisy:
-    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three points."""
+    """5 % white noise (standard deviation) on slip, sinkage and drawbar pull of the three
+    points.
+    """
     rng = np.random.default_rng([seed, 5])
     factors = 1.0 + 0.05 * rng.standard_normal((draws, 3, 3))
     noisy = Points(*np.swapaxes(np.array(MEASURED) * factors, 0, 1))
@@ -271,7 +281,9 @@ def prediction(soil: ArrayLike, e: Equations) -> np.ndarray:
 
 
 def pull_misfits() -> list[float]:
-    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar pulls."""
+    """Root mean square [N] by which the printed set of Table 3 misses the three measured drawbar
+    pulls.
+    """
     return [
         float(np.sqrt(np.mean((prediction(PRINTED_SET, e)[:, 0] - MEASURED.pull) ** 2)))
         for e in HELD
@@ -279,14 +291,18 @@ def pull_misfits() -> list[float]:
 
 
 def torque(soil: Soil) -> np.ndarray:
-    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not carry the wheel."""
+    """Torque required [N m] by Eqs. (1) and (3) at `SLIPS`, exactly; NaN where the soil does not
+    carry the wheel.
+    """
     state = soil.state(WHEEL.width)._replace(dig_gain=0.0)
     steady = [steady_state(i, WONG_REECE_LOAD, state, WHEEL.radius, WHEEL.width) for i in SLIPS]
     return np.array([s.torque if s.supported else np.nan for s in steady])
 
 
 def torque_at_37_deg(soil: Soil) -> np.ndarray:
-    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working point."""
+    """Torque [N m] by Eq. (3) at `SLIPS` with the wheel held at the sinkage of the working
+    point.
+    """
     e = AS_PRINTED._replace(cohesion=soil.cohesion, exponent=soil.sinkage_exponent)
     parameters = soil.friction_angle_deg, soil.shear_modulus, soil.lumped(e.width)
     return forces(

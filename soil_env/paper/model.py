@@ -1,6 +1,7 @@
 """Printed numbers of the source paper, its equations, and its Newton-Raphson method.
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its Section 4.
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; method: its
+Section 4.
 """
 
 import math
@@ -16,11 +17,11 @@ from soil_env._io.loading import read_yaml
 from soil_env.slip import travel_speeds
 from soil_env.terramechanics.arc_integrals import NODE_DEPTHS, NODE_WEIGHTS
 
-#: Wheel of Wong & Reece (1967), J. Terramechanics 4(1):81-98, from which the paper takes its wheel, sand and points:
-#: radius 24.7 in [m], which the paper prints as 0.6274.
+#: Wheel of Wong & Reece (1967), J. Terramechanics 4(1):81-98, from which the paper takes its wheel,
+#: sand and points: radius 24.7 in [m], which the paper prints as 0.6274.
 WONG_REECE_RADIUS = 24.7 * 0.0254
-#: Angle of maximum stress on the compact sand of Wong & Reece (1967): theta_m = (c1 + c2 i) theta1; (c1, c2), as
-#: transcribed with the other constants of that sand in J. Madsen's pyTerramechanics.
+#: Angle of maximum stress on the compact sand of Wong & Reece (1967): theta_m = (c1 + c2 i) theta1;
+#: (c1, c2), as transcribed with the other constants of that sand in J. Madsen's pyTerramechanics.
 WONG_REECE_PEAK = (0.43, 0.32)
 
 
@@ -73,7 +74,9 @@ _TOLERANCE = 1e-8  # step at convergence: [rad] of phi, relative of K and S
 
 
 def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
-    """(places in [0, 1], weights) in a zone of the arc: Simpson with 2m subintervals, Eqs. (14)-(15); 0: Gauss."""
+    """(places in [0, 1], weights) in a zone of the arc: Simpson with 2m subintervals, Eqs.
+    (14)-(15); 0: Gauss.
+    """
     if m == 0:
         return NODE_DEPTHS, NODE_WEIGHTS
     weights = np.full(2 * m + 1, 2.0)
@@ -83,9 +86,11 @@ def _nodes(m: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def forces(soil: ArrayLike, slip: ArrayLike, sinkage: ArrayLike, e: Equations) -> np.ndarray:
-    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m], S), [3] or [M, 3].
+    """DP [N], W [N], T [N m] and d(DP) by phi [rad], K and S, [M, 6], of soils (phi [deg], K [m],
+    S), [3] or [M, 3].
 
-    For any phi and S, and K > 0. Nodes at the same place of the front and the rear zone have one stress, Eq. (8).
+    For any phi and S, and K > 0. Nodes at the same place of the front and the rear zone have one
+    stress, Eq. (8).
     """
     phi, K, S = (np.atleast_2d(np.asarray(soil, float)) * (math.pi / 180.0, 1.0, 1.0)).T[:, :, None]
     slip, z = (np.atleast_1d(np.asarray(v, float))[:, None] for v in (slip, sinkage))
@@ -138,10 +143,11 @@ MEASURED = Points(*np.array([(p.slip, p.sinkage, p.drawbar_pull) for p in P.meas
 
 
 def newton_raphson(points: Points, guess: ArrayLike, e: Equations) -> np.ndarray:
-    """Roots (phi [deg], K [m], S) by plain Newton-Raphson, the paper's Section 4; NaN where it is lost.
+    """Roots (phi [deg], K [m], S) by plain Newton-Raphson, the paper's Section 4; NaN where it is
+    lost.
 
-    `guess` [3], or [G, 3] of as many searches; points [3] of all of them, or [G, 3]. A search is lost at a singular
-    Jacobian, at K <= 0, where Eq. (10) means nothing, and after `_ITERATIONS`.
+    `guess` [3], or [G, 3] of as many searches; points [3] of all of them, or [G, 3]. A search is
+    lost at a singular Jacobian, at K <= 0, where Eq. (10) means nothing, and after `_ITERATIONS`.
     """
     x = np.array(np.atleast_2d(guess), dtype=float)
     slip, sinkage, pull = (np.broadcast_to(v, x.shape) for v in points)

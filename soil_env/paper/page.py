@@ -1,4 +1,6 @@
-"""paper.md of `soil-env paper`: tables and figures of the recomputed paper; the text is in templates/paper.md."""
+"""paper.md of `soil-env paper`: tables and figures of the recomputed paper; the text is in
+templates/paper.md.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,7 +55,9 @@ def markdown(results: Results, command: str) -> str:
 
 
 def _beside(rows: Sequence[Row]) -> Table:
-    """A printed number, ours by each reading, and the differences; none where our scan ends before a limit."""
+    """A printed number, ours by each reading, and the differences; none where our scan ends before
+    a limit.
+    """
     header = ["", "printed", *(text for name in READINGS for text in (name, "difference"))]
     lines = []
     for name, printed, ours, form, beyond in rows:
@@ -138,7 +142,11 @@ def _axes(figure: Figure, x: str, y: str, position=111):
 
 
 def _predictions(figure: Figure, r: Results) -> None:
-    """Figs. 6 and 7: drawbar pull and torque against slip, at sinkages interpolated between the measured ones."""
+    """Figs.
+
+    6 and 7: drawbar pull and torque against slip, at sinkages interpolated between the measured
+    ones.
+    """
     slip = np.linspace(MEASURED.slip[0], MEASURED.slip[-1], 60)
     sinkage = np.interp(slip, MEASURED.slip, MEASURED.sinkage)
     pull = _axes(figure, "slip [-]", "drawbar pull (12) [N]", 121)

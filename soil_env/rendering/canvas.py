@@ -15,7 +15,8 @@ Point: TypeAlias = Sequence[float] | np.ndarray
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
-# Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with friction.
+# Colours: Okabe & Ito, distinct with every kind of colour vision; soil runs from light to dark with
+# friction.
 WHITE = (255, 255, 255)
 PAPER = (250, 250, 248)
 INK = (34, 34, 40)
@@ -41,7 +42,9 @@ GRAINS = np.random.default_rng(5).random((512, 3))  # place in the cell, depth, 
 
 
 class Canvas:
-    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the design."""
+    """Drawing surface with twofold supersampling, text on top; points [n, 2] in units of the
+    design.
+    """
 
     def __init__(self, size: tuple[int, int]) -> None:
         import pygame
@@ -114,7 +117,9 @@ class Canvas:
     def soil(
         self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]
     ) -> np.ndarray:
-        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the colours."""
+        """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the
+        colours.
+        """
         colours = soil_colour(friction, bounds)
         (x, y) = np.transpose(points)
         start = 0
@@ -132,7 +137,9 @@ class Canvas:
     def text(
         self, x: float, y: float, words: str, size: int, colour: Colour = INK, align: float = 0.0
     ) -> None:
-        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right end at x."""
+        """Words with their middle line at y; align 0, 0.5 or 1 puts their left end, middle or right
+        end at x.
+        """
         key = words, size, colour
         if key not in self._written:
             if len(self._written) > 400:

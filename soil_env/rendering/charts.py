@@ -8,7 +8,8 @@ import numpy as np
 from soil_env.rendering.canvas import GREY, GRID, LIGHT_BLUE, WHITE, Canvas, Colour
 
 SPAN = 30.0  # [s] shown by the charts
-#: Numbers of a wheel in a sample: slip, sinkage [radii], estimate [3], its sd [3] and truth [3] of phi, ln K and ln S.
+#: Numbers of a wheel in a sample: slip, sinkage [radii], estimate [3], its sd [3] and truth [3] of
+#: phi, ln K and ln S.
 QUANTITIES = 11
 CHARTS = tuple((622, 28 + 120 * i, 322, 90) for i in range(4))
 _SOIL = "friction angle φ [deg]", "shear modulus K [mm]", "sinkage coefficient S [MN/m^(n+2)]"
@@ -20,8 +21,9 @@ def draw_charts(
 ) -> None:
     """Slip and sinkage, then phi, K and S, estimated where the soil is `identified` and true.
 
-    `history` [1 + `QUANTITIES` x wheels, samples]: time, then those of each wheel in turn. Of the (dark, pale) colours
-    of a wheel the pale one is that of sinkage and truth. A single wheel has a band of one standard deviation.
+    `history` [1 + `QUANTITIES` x wheels, samples]: time, then those of each wheel in turn. Of the
+    (dark, pale) colours of a wheel the pale one is that of sinkage and truth. A single wheel has a
+    band of one standard deviation.
     """
     end = max(SPAN, history[0].max(initial=0.0))
     history = history[:, history[0] >= end - SPAN - 1e-9]
@@ -70,7 +72,8 @@ def _draw_chart(
     log=False,
     band=None,
 ):
-    """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the last one.
+    """The strip chart `place` of `SPAN` seconds up to `end` [s], with the axis of time below the
+    last one.
 
     Two lines a wheel: `behind`, broad and pale, and `above`, if any; `band`: (lower, upper).
     """
@@ -109,7 +112,9 @@ def _draw_chart(
 
 
 def _in_shown_units(values: np.ndarray, i: int) -> np.ndarray:
-    """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or S in SI units."""
+    """phi [deg], K [mm] or S [MN/m^(n+2)], for i = 0, 1, 2, from phi [rad] or the logarithm of K or
+    S in SI units.
+    """
     return (
         np.degrees(values) if i == 0 else (1e3, 1e-6)[i - 1] * np.exp(np.clip(values, -50.0, 50.0))
     )
@@ -138,7 +143,9 @@ def _log_ticks(low: float, high: float) -> list[float]:
 
 
 def _limits(values: np.ndarray, log: bool) -> tuple[float, float]:
-    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5 and at least 10."""
+    """Limits of a value axis: 1, 2, 5, 10, ... and a decade at least when log, else multiples of 5
+    and at least 10.
+    """
     low, high = (values.min(), values.max()) if values.size else (1.0, 1.0)
     if log:
         low = nice(low)

@@ -1,4 +1,6 @@
-"""The ground of a course in pictures: its profile, what is seen of it near by, and the strip of the whole course."""
+"""The ground of a course in pictures: its profile, what is seen of it near by, and the strip of the
+whole course.
+"""
 
 import math
 from collections.abc import Iterable
@@ -42,7 +44,9 @@ def _along(courses, k, x, border):
 
 
 def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float) -> Profile:
-    """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along the slope."""
+    """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along
+    the slope.
+    """
     x = np.arange(-before, beyond, 0.5 * CELL)
     grade, friction = _along(courses, k, x, border)
 
@@ -83,7 +87,8 @@ def draw_ground(
     r: float,
     bounds: tuple[float, float],
 ) -> None:
-    """The soil up to its surface at x [m] along the course, with specks; dashed where the surface was before.
+    """The soil up to its surface at x [m] along the course, with specks; dashed where the surface
+    was before.
 
     It is `lowered` [m] by ruts, and pressed down by wheels of radius r [m] at `hubs`.
     """
@@ -115,9 +120,8 @@ def draw_ground(
 
 def draw_flag(c: Canvas, scene: Scene, foot: np.ndarray) -> None:
     """A chequered flag at the end of the course."""
-    top = np.array(
-        [foot[0], max(foot[1] - 156, scene.box[1] + 40)]
-    )  # above the wheel, in view on a slope
+    # Above the wheel, in view on a slope.
+    top = np.array([foot[0], max(foot[1] - 156, scene.box[1] + 40)])
     c.lines([foot + (0, 12), top], INK, 2.5)
     for i in range(12):
         c.box((*(top + (1 + 10 * (i % 4), 10 * (i // 4))), 10, 10), (INK, WHITE)[(i + i // 4) % 2])
@@ -141,8 +145,8 @@ def draw_scale_bar(c: Canvas, scene: Scene) -> None:
 def draw_course(
     c: Canvas, profile: Profile, length: float, places: Iterable[float], bounds: tuple[float, float]
 ) -> None:
-    """A whole course of `length` [m] from the side (heights stretched to fit), the wheels on it at `places` [m] along
-    it, and the key to the colours."""
+    """A whole course of `length` [m] from the side (heights stretched to fit), the wheels on it at
+    `places` [m] along it, and the key to the colours."""
     left, top, width, height = COURSE
     x = np.linspace(0.0, length, 257)
     h = np.interp(x, profile.x, profile.height)
@@ -163,7 +167,9 @@ def draw_course(
 
 
 def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
-    """Range of phi [deg] that the soil colours span: that of the scenario's presets and two deviations more."""
+    """Range of phi [deg] that the soil colours span: that of the scenario's presets and two
+    deviations more.
+    """
     phi = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0]))
     spread = 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

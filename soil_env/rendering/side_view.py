@@ -1,8 +1,10 @@
-"""Side view of a wheel or a rover: stresses under every wheel, ruts, body and suspension, and a table of its wheels.
+"""Side view of a wheel or a rover: stresses under every wheel, ruts, body and suspension, and a
+table of its wheels.
 
-The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is computed here:
-places, loads and pitch are the state of the simulation, terrain and stresses come from its own compiled functions.
-The course is drawn in true lengths, and distance along it is that along the slope.
+The picture is laid out for 960 x 540 pixels and scaled to the size asked for. Nothing physical is
+computed here: places, loads and pitch are the state of the simulation, terrain and stresses come
+from its own compiled functions. The course is drawn in true lengths, and distance along it is that
+along the slope.
 """
 
 import math
@@ -10,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.driving.rovers import RoverSimulation
+from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.parameters import Vehicle
 from soil_env.rendering import canvas, wheels as drawing
@@ -32,9 +34,9 @@ from soil_env.terramechanics.steady import sinkage_coefficient_at
 #: Box of the side view: left, top, width, height
 SCENE = (14, 52, 548, 302)
 AT = (0.5, 0.66)  # place of the ground below the middle of the vehicle, from left and top
-_WIDTH = 1.55  # of the side view: over the length of a rover from rim to rim; at least, of radii
-_LEAST_WIDTH = 8.5
-_BODY = (206, 198, 184)
+_WIDTH = 1.55  # of the side view over the length of a rover from rim to rim
+_LEAST_WIDTH = 8.5  # [radii] of the side view
+_BODY = (206, 198, 184)  # colours of the parts of a rover
 _BEAM = (86, 90, 100)
 _BOGIE = (120, 124, 134)
 COLOURS = {  # dark, pale
@@ -48,8 +50,9 @@ COLOURS = {  # dark, pale
 def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     """State of each wheel of vehicle j by name, the front one first.
 
-    Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the undisturbed `soil`
-    under it, and `estimate`, `sd` and `status` of the identifier, None where nothing is identified.
+    Beside the state of the simulation: its `name`, the depth of the `rut` that it runs in [m], the
+    undisturbed `soil` under it, and `estimate`, `sd` and `status` of the identifier, None where
+    nothing is identified.
     """
     worlds = simulation.worlds
     if isinstance(simulation, RoverSimulation):
@@ -78,7 +81,9 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
 
 
 def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[float, ...]:
-    """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage `exponent`."""
+    """`charts.QUANTITIES` of one of the `shown_wheels`; S is that of a soil with this sinkage
+    `exponent`.
+    """
     soil = w["soil"]
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
     same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
@@ -135,7 +140,9 @@ def width_of(simulation: Any) -> float:
 def draw_side_view(
     c: Canvas, simulation: Any, j: int, wheels, profile: Profile, bounds, angles, identified
 ) -> None:
-    """Vehicle j in a camera that moves with it, its readings above and the table of its `shown_wheels` below."""
+    """Vehicle j in a camera that moves with it, its readings above and the table of its
+    `shown_wheels` below.
+    """
     is_rover = isinstance(simulation, RoverSimulation)
     worlds = simulation.worlds
     width = width_of(simulation)
@@ -195,7 +202,9 @@ def _draw_body(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) 
 
 
 def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: float) -> None:
-    """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all else."""
+    """Rocker and bogie, or the beam between two axles, and the centre of mass, in front of all
+    else.
+    """
     hubs = [scene.at(*hub) for hub in p.hubs]
     width = max(0.12 * r * scene.scale, 3.0)
     if vehicle.bogie == "none":
@@ -215,7 +224,9 @@ def _draw_suspension(c: Canvas, scene: Scene, vehicle: Vehicle, p: Posture, r: f
 
 
 def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
-    """Numbers of the wheel, or of the rover as a whole, above the side view, and the state of the episode."""
+    """Numbers of the wheel, or of the rover as a whole, above the side view, and the state of the
+    episode.
+    """
     cells = (
         ("distance", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
         ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
@@ -228,19 +239,12 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
 
 
 def _draw_table(c: Canvas, wheels: list[dict[str, Any]], bounds, identified: bool) -> None:
-    """State of each wheel, with the rut that it runs in, the true soil under it and the status of its estimate."""
+    """State of each wheel, with the rut that it runs in, the true soil under it and the status of
+    its estimate.
+    """
     heads = "wheel", "slip", "sinkage", "rut", "load", "pull", "torque", "soil under it", "estimate"
-    places = (
-        28,
-        106,
-        162,
-        216,
-        270,
-        324,
-        392,
-        402,
-        500,
-    )  # right ends but of the first and the last two
+    # Right ends but of the first and the last two.
+    places = (28, 106, 162, 216, 270, 324, 392, 402, 500)
     for i, (x, words) in enumerate(zip(places, heads, strict=True)):
         c.text(x, 364, words, 14, GREY, 1.0 if 0 < i < 7 else 0.0)
     for row, w in enumerate(wheels):

@@ -17,7 +17,9 @@ _POINTS = 600  # of the history, at most
 
 
 class CourseView:
-    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step, `draw` a frame."""
+    """Draws one course of a simulation of wheels or rovers: `record` after each reset and step,
+    `draw` a frame.
+    """
 
     def __init__(self, scenario: Scenario, mode: str, size: tuple[int, int] = DESIGN) -> None:
         if mode not in MODES:
@@ -25,7 +27,9 @@ class CourseView:
         self.scenario: Scenario = scenario
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
-        self._canvas = self._window = self._clock = None
+        self._canvas = None
+        self._window = None
+        self._clock = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -38,7 +42,9 @@ class CourseView:
         self._angles = 0.0
 
     def record(self, simulation: Any, k: int) -> None:
-        """Add the present state of number k to the history; at its reset the history starts anew."""
+        """Add the present state of number k to the history; at its reset the history starts
+        anew.
+        """
         steps = int(simulation.steps[k])
         wheels = shown_wheels(simulation, k)
         if steps == 0:
@@ -69,7 +75,9 @@ class CourseView:
         draw_charts(canvas, history, colours, self._identified and wheels[0]["status"] is not None)
 
     def draw(self, simulation: Any, k: int) -> np.ndarray | None:
-        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to the window."""
+        """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
+        the window.
+        """
         self._canvas = self._canvas or Canvas(self.size)
         self._canvas.clear()
         simulation.complete(k)
@@ -90,10 +98,14 @@ class CourseView:
         """Close the window, if there is one, and free the surfaces."""
         if self._window is not None:
             self._window.destroy()
-        self._window = self._canvas = self._clock = None
+        self._window = None
+        self._canvas = None
+        self._clock = None
 
     def _show(self, surface: Any) -> None:
-        """Put a picture into the window, which is opened at the first call, and wait until it is due."""
+        """Put a picture into the window, which is opened at the first call, and wait until it is
+        due.
+        """
         import pygame
 
         if self._window is None:

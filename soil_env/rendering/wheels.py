@@ -11,7 +11,7 @@ from soil_env.simulation.task import Cause
 from soil_env.terramechanics import contact
 from soil_env.terramechanics.reaction import REST_SPEED, reaction
 
-ARC_POINTS = 25
+ARC_POINTS = 25  # of the contact arc at which stresses are drawn
 
 
 class Stresses(NamedTuple):
@@ -23,10 +23,11 @@ class Stresses(NamedTuple):
 
 
 def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
-    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now under its load.
+    """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now
+    under its load.
 
-    They are those at the sinkage coefficient that the load mobilises. The soil's own one does not matter: so the same
-    holds in a rut.
+    They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
+    matter: so the same holds in a rut.
     """
     soil = w["soil"]
     speed = w["speed"]
@@ -50,14 +51,18 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
 
 
 def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:
-    """Place [m] of a hub `height` [m] above the undisturbed ground, normal to it, at `ground` (place, height) [m]."""
+    """Place [m] of a hub `height` [m] above the undisturbed ground, normal to it, at `ground`
+    (place, height) [m].
+    """
     return np.asarray(ground) + height * np.array([-math.sin(grade), math.cos(grade)])
 
 
 def draw_wheel(
     c: Canvas, centre: np.ndarray, size: float, angle: float, hub: Colour = canvas.RIM
 ) -> None:
-    """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle` [rad]."""
+    """Rim, hub and six spokes, turned clockwise (forward: the course runs to the right) by `angle`
+    [rad].
+    """
     c.circle(centre, size, canvas.WHEEL)
     for a in angle + np.arange(6) * math.pi / 3.0:
         c.lines(
@@ -112,7 +117,9 @@ def draw_stresses(
 
 
 def draw_stress_key(c: Canvas, box: Box, wheels: list[Stresses]) -> None:
-    """Colours of the stresses, and the peak under each of the wheels, in the upper left corner of a box."""
+    """Colours of the stresses, and the peak under each of the wheels, in the upper left corner of a
+    box.
+    """
     keys = (
         ("normal stress σ", canvas.BLUE, canvas.LIGHT_BLUE),
         ("shear stress τ", canvas.ORANGE, canvas.LIGHT_ORANGE),

@@ -11,8 +11,8 @@ from numba import njit
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import FINITE, HUGE
 from soil_env._compiled.random_streams import NORMALS, between
-from soil_env.parameters import Scenario, SensorReading
-from soil_env.parameters.orders import AHEAD, COMPLETE, IDLE, RESTART, STEP, TRY
+from soil_env.parameters import Scenario
+from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
 from soil_env.simulation.task.layout import layout
 from soil_env.simulation.task.observation import (
     SENSORS,
@@ -31,8 +31,12 @@ from soil_env.simulation.task.rules import (
     task_of,
     total_of,
 )
-from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, look, take_image
-from soil_env.simulation.world.courses import CourseNumbers, draw_course, extend_course, start_course
+from soil_env.simulation.world.camera import IMAGE, Sight, camera_of, look, take_image
+from soil_env.simulation.world.courses import (
+    draw_course,
+    extend_course,
+    start_course,
+)
 from soil_env.simulation.world.dynamics import control_period
 from soil_env.simulation.world.sensors import (
     READING,
@@ -52,21 +56,8 @@ from soil_env.terramechanics.reaction import Acting
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
 
-class Record(NamedTuple):
-    """Sensor record of the last step, for what runs on board; no rows if nothing does.
-
-    After a restart it holds one set of readings.
-    """
-
-    periods: np.ndarray  # [vehicles] control periods of the last step
-    readings: np.ndarray  # [wheels, held] `READING`
-    halted: np.ndarray  # [vehicles, held] True in a commanded halt
-    places: np.ndarray  # [vehicles, held] odometry [m]
-    images: np.ndarray  # [wheels, held] `IMAGE`; no rows without a camera
-
-
 def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:
-    """Empty record of so many vehicles with their wheels."""
+    """Empty sensor record of so many vehicles with their wheels; readings are `READING`, images `IMAGE`."""
     held = scenario.control.held
     return Record(
         np.zeros(vehicles, dtype=np.int64),
@@ -199,7 +190,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
         elif order == TRY:
             worlds.reward[k] = draw_course(course, wheel, numbers, nodes)
         else:
-            x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.ahead
+            x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.spec.ahead
             extend_course(course, wheel.mass, x, numbers, nodes)
     return failed
 

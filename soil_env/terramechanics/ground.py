@@ -36,6 +36,18 @@ def stiffened(soil, factor):
 
 
 @njit(**EXACT)
+def put_soil(record, soil):
+    """Write a soil into a record that has its fields."""
+    record.tan_phi = soil.tan_phi
+    record.cohesion = soil.cohesion
+    record.shear_modulus = soil.shear_modulus
+    record.sinkage_coefficient = soil.sinkage_coefficient
+    record.sinkage_exponent = soil.sinkage_exponent
+    record.dig_gain = soil.dig_gain
+    record.dig_recovery = soil.dig_recovery
+
+
+@njit(**EXACT)
 def blend(a, b, share):
     """Soil between two soils, share of the second: moduli geometrically, everything else linearly."""
     rest = 1.0 - share

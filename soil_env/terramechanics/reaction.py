@@ -11,10 +11,8 @@ from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
 from soil_env._compiled.flags import EXACT
-from soil_env.parameters import SoilState
 from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
-    Arc,
     ShearLaw,
     bearing_share,
     forces,
@@ -175,47 +173,33 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @njit(**EXACT)
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as it is sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`; `Beside` may be None."""
-    return _ground_under(at, soil, wheel, acting.effects, acting.residual)
+    """(`SoilState` as it is sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`."""
+    slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
+    pull, torque = _residual_forces(at, slip, soil, wheel, acting.residual)
+    soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
+    return soil, arc, Beside(lift, bulldozing, blades, pull, torque)
 
 
 @njit(**EXACT)
-def _ground_under(at, soil, wheel, fx, residual):
+def _ground_under(at, slip, soil, wheel, fx):
+    """(`SoilState` as it is sheared, `Arc`, then the first three of `Beside`)."""
     if fx is None:
-        return (
-            soil,
-            smooth_arc(at.sinkage, wheel.radius),
-            _residual_alone(at, soil, wheel, residual),
-        )
+        return soil, smooth_arc(at.sinkage, wheel.radius), 0.0, 0.0, 0.0
     else:
-        slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
-        pull, torque = _residual_forces(at, slip, soil, wheel, residual)
-        passage = Passage(
-            soil, slip, abs(at.speed), abs(at.rim_speed - at.speed), at.passes, at.sin_grade
-        )
-        soil = soil_in_contact(soil, passage, fx)
+        slide = abs(at.rim_speed - at.speed)
+        passage = Passage(soil, slip, abs(at.speed), slide, at.passes, at.sin_grade)
+        ground = soil_in_contact(soil, passage, fx)
         arc = arc_of(at.sinkage, slip, fx, wheel)
-        dug = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
-        beside = Beside(
-            excavated_depth(slip, fx) / dug,
-            soil_resistance(at.sinkage, soil, wheel, fx),
-            grousers.blade_thrust(arc.theta1, at.sinkage, soil, wheel, fx),
-            pull,
-            torque,
-        )
+        dug = max(slip_sinkage_ratio(slip, ground.dig_gain, ground.dig_recovery), LEAST_DIGGING)
         q = wheel.shear_ratio
-        modulus = soil.shear_modulus * shear_length_ratio(fx) / q
-        return grousers.at_shear_radius(soil, q, modulus), arc, beside
-
-
-@njit(**EXACT)
-def _residual_alone(at, soil, wheel, residual):
-    if residual is None:
-        return None
-    else:
-        slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
-        pull, torque = _residual_forces(at, slip, soil, wheel, residual)
-        return Beside(0.0, 0.0, 0.0, pull, torque)
+        modulus = ground.shear_modulus * shear_length_ratio(fx) / q
+        return (
+            grousers.at_shear_radius(ground, q, modulus),
+            arc,
+            excavated_depth(slip, fx) / dug,
+            soil_resistance(at.sinkage, ground, wheel, fx),
+            grousers.blade_thrust(arc.theta1, at.sinkage, ground, wheel, fx),
+        )
 
 
 @njit(**EXACT)
@@ -232,26 +216,37 @@ def _residual_forces(at, slip, soil, wheel, residual):
 
 
 @njit(**EXACT)
-def lift_of(beside):
-    """Lift [m] of a `Beside`; 0 without one."""
-    if beside is None:
-        return 0.0
-    else:
-        return beside.lift
-
-
-@njit(**EXACT)
 def reaction(nodes, footing, speed, rim_speed, wheel, beside, acting):
     """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the drivetrain add."""
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
-    return _at_the_axle(f, beside, speed, rim_speed, wheel, acting.effects)
+    return _at_the_axle(f, beside, speed, rim_speed, wheel, acting.effects, acting.residual)
 
 
 @njit(**EXACT)
-def _at_the_axle(f, beside, speed, rim_speed, wheel, fx):
-    """`Reaction` f at the shear radius as one at the axle."""
-    if beside is None:
+def _with_residual(f, beside, residual):
+    """`Reaction` f with the forces of a residual law."""
+    if residual is None:
         return f
+    else:
+        return Reaction(
+            f.load,
+            f.drawbar_pull + beside.pull,
+            f.torque + beside.torque,
+            f.sinkage_coefficient,
+            f.pull_v,
+            f.pull_u,
+            f.torque_v,
+            f.torque_u,
+            f.sinkage_coefficient_v,
+            f.sinkage_coefficient_u,
+        )
+
+
+@njit(**EXACT)
+def _at_the_axle(f, beside, speed, rim_speed, wheel, fx, residual):
+    """`Reaction` f at the shear radius as one at the axle."""
+    if fx is None:
+        return _with_residual(f, beside, residual)
     else:
         p = wheel.rim_ratio
         q = wheel.shear_ratio

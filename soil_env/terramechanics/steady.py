@@ -45,7 +45,7 @@ from soil_env.terramechanics.effects.grousers import (
     shear_radius_ratio,
 )
 from soil_env.terramechanics.effects.shear_rate import sliding_speed
-from soil_env.terramechanics.effects.shear_softening import mobilisation, shear_length_ratio
+from soil_env.terramechanics.effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
 from soil_env.terramechanics.effects.sinkage_offset import sinkage_zero
 from soil_env.terramechanics.effects.slip_bias import true_slip
 from soil_env.terramechanics.effects.slip_sinkage import excavated_depth, slip_sinkage_ratio
@@ -144,7 +144,7 @@ class _Balance(NamedTuple):
     strength: float  # ln of S over the pressure ratio of the digging
     lift: float  # [m] depth excavated whatever the load
     apparent: float  # sinkage that is seen over that which is felt
-    law: ShearLaw | None
+    law: ShearLaw
 
 
 @njit(**EXACT)
@@ -154,7 +154,7 @@ def _balance(slip, load, soil, wheel, conditions, fx):
     if fx is None:
         ratio = max(slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery), LEAST_DIGGING)
         strength = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
-        return _Balance(slip, rim, travel, load, 0.0, soil, soil, strength, 0.0, 1.0, None)
+        return _Balance(slip, rim, travel, load, 0.0, soil, soil, strength, 0.0, 1.0, JANOSI)
     else:
         sine = conditions.sin_grade
         slide = sliding_speed(slip, conditions.speed)
@@ -191,6 +191,17 @@ def _balance(slip, load, soil, wheel, conditions, fx):
 
 
 @njit(**EXACT)
+def _integrals(nodes, arc, p, fx):
+    """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
+    p_cos, p_sin = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
+    motion = (p.rim, p.travel)
+    if fx is None:  # the law of Eq. (10), without the code for others
+        return shear_integrals(nodes, p_cos, p_sin, motion, p.soil.shear_modulus, None)
+    else:
+        return shear_integrals(nodes, p_cos, p_sin, motion, p.soil.shear_modulus, p.law)
+
+
+@njit(**EXACT)
 def _misfit(nodes, x, p, wheel, fx):
     """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
     z = math.exp(x)
@@ -198,8 +209,7 @@ def _misfit(nodes, x, p, wheel, fx):
     b = wheel.width
     n = soil.sinkage_exponent
     arc = arc_of(z, p.slip, fx, wheel)
-    p_cos, p_sin = lay_nodes(nodes, arc, n)
-    q = shear_integrals(nodes, p_cos, p_sin, (p.rim, p.travel), soil.shear_modulus, p.law)
+    q = _integrals(nodes, arc, p, fx)
     s = mobilised_sinkage_coefficient(q, p.load, soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
     available = p.strength
     if p.lift != 0.0:

@@ -25,7 +25,9 @@ class Half:
 
 
 class Counting(Half):
-    """Keeps in itself how often it was asked: gives other actions if an object serves two blocks."""
+    """Keeps in itself how often it was asked: gives other actions if an object serves two
+    blocks.
+    """
 
     calls = 0
 

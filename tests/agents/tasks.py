@@ -28,7 +28,9 @@ def refuse(x):
 
 
 def waiting(name):
-    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and "short" beside it."""
+    """Work "long" that writes a file when it is interrupted, as a training its checkpoint, and
+    "short" beside it.
+    """
     if name == "short":
         while not Path("begun").exists():
             time.sleep(0.01)

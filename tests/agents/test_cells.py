@@ -1,4 +1,6 @@
-"""Cells of a study: every engine does each once, a worker that is killed loses nothing, a damaged file is named."""
+"""Cells of a study: every engine does each once, a worker that is killed loses nothing, a damaged
+file is named.
+"""
 
 import sys
 from functools import partial

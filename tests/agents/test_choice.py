@@ -14,7 +14,9 @@ CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, 
 
 
 class _Forks(NativeVecEnv):
-    """Two wheels that choose in every third step: entry 0 is `choice`, 1 and 2 are of the lines ahead and beside."""
+    """Two wheels that choose in every third step: entry 0 is `choice`, 1 and 2 are of the lines
+    ahead and beside.
+    """
 
     def __init__(self):
         box = spaces.Box(-10.0, 10.0, (3,), np.float32)
@@ -45,7 +47,9 @@ class _Forks(NativeVecEnv):
 
 
 def test_lines_taken_are_kept_with_what_became_of_them():
-    """A line is passed at the next choice or the end of the course, and not where the wheel is immobilised before."""
+    """A line is passed at the next choice or the end of the course, and not where the wheel is
+    immobilised before.
+    """
     env = choice.ChoiceVecEnv(_Forks(), 0, [[1], [2]])
     env.reset()
     for action in (
@@ -61,7 +65,8 @@ def test_lines_taken_are_kept_with_what_became_of_them():
         env.step(np.array(action, dtype=np.float32)[:, None])
     taken = env.taken[: env.count, 0]
     passed = env.passed[: env.count]
-    # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of wheel 0 is open.
+    # Steps 0, 3 and 6 choose; wheel 0 finishes in step 4, wheel 1 is bogged in step 8; the last of
+    # wheel 0 is open.
     kept = [(0.1, 1.0), (0.4, 1.0), (3.2, 1.0), (3.3, 1.0), (6.4, 0.0)]
     assert [(pytest.approx(float(x)), y) for x, y in zip(taken, passed, strict=True)] == kept
 
@@ -91,9 +96,8 @@ def test_the_line_that_is_passed_more_often_gets_the_higher_score():
     model.policy.evaluate_actions(torch.from_numpy(seen), torch.zeros(500, 1))[1].sum().backward()
     of_lines = model.policy.mlp_extractor.line_net
     noise = model.policy.log_std
-    assert noise.grad is not None and all(
-        x.grad is None for x in of_lines.parameters()
-    )  # PPO leaves the choice
+    # PPO leaves the choice.
+    assert noise.grad is not None and all(x.grad is None for x in of_lines.parameters())
 
 
 def test_where_nothing_is_chosen_nothing_is_learned():

@@ -1,4 +1,6 @@
-"""The classical controllers and the oracle: SB3's `predict`, the layouts they read, the drive of a wheel."""
+"""The classical controllers and the oracle: SB3's `predict`, the layouts they read, the drive of a
+wheel.
+"""
 
 import math
 import re
@@ -15,7 +17,7 @@ from agents.evaluate import driving
 from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario, soils
 from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state
@@ -55,7 +57,9 @@ def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12
 
 
 def drive(controller, scenario, steps, seed=0):
-    """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the last state."""
+    """{rim speed [m/s], slip, distance [m], mask of halts: [steps]}, the cause of the end and the
+    last state.
+    """
     sim = started(scenario, controller.variant, [seed])
     rows = []
     state = None
@@ -107,7 +111,9 @@ def test_extreme_observations_give_finite_actions_in_range(name):
 
 @pytest.mark.parametrize("name", BY_RIM_SPEED)
 def test_episode_start_resets_only_its_row(name):
-    """After the restart of row 1 that row acts as a controller that has seen nothing; the others go on."""
+    """After the restart of row 1 that row acts as a controller that has seen nothing; the others go
+    on.
+    """
     controller = make_controller(name, load_scenario("mixed", TORQUE))
     early, late = (
         observations(load_scenario("mixed"), controller.variant, 3, seed) for seed in (0, 50)
@@ -140,8 +146,8 @@ def test_best_slip_identified_does_not_see_the_true_soil():
 
 @pytest.mark.parametrize("slip", [0.15, 0.3])
 def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
-    """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the slip to hold, until
-    it is as fast as the motor lets it be."""
+    """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the
+    slip to hold, until it is as fast as the motor lets it be."""
     easy = uniform(noise={})
     wheel = easy.wheel
     soil = soils()["lete_sand"].state(easy.wheel.width)
@@ -179,7 +185,9 @@ def test_soft_start_rises_at_its_acceleration_anew_after_every_halt(action):
 
 
 def test_slip_limiter_waits_where_a_soft_start_digs():
-    """On loose sand with a steep ramp: the slip stays at its limit, where it does not with the ramp alone."""
+    """On loose sand with a steep ramp: the slip stays at its limit, where it does not with the ramp
+    alone.
+    """
     scenario = uniform("dry_sand_loose")
     common = {"acceleration": 0.5, "speed": 0.6}
     free, _, _ = drive(make_controller("soft_start", scenario, **common), scenario, 60)
@@ -193,7 +201,9 @@ def test_slip_limiter_waits_where_a_soft_start_digs():
 
 @pytest.mark.parametrize("best", [0.15, 0.5])
 def test_extremum_seeking_finds_the_slip_of_the_highest_pull(best):
-    """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with their noise."""
+    """The wheel has the slip that was asked for, and a pull that is highest at `best`; sensors with
+    their noise.
+    """
     scenario = load_scenario("mixed", TORQUE)
     controller = make_controller("extremum_seeking", scenario, gain=0.5, swing=0.06)
     rng = np.random.default_rng(0)
@@ -321,7 +331,9 @@ def test_the_oracle_finishes_courses_that_a_tuned_soft_start_does_not(action, mo
 
 
 def test_drives_are_shown_side_by_side(tmp_path, capsys):
-    """And an action lasts as long as in the scenario, so that the course ends as in a comparison."""
+    """And an action lasts as long as in the scenario, so that the course ends as in a
+    comparison.
+    """
     out = tmp_path / "both.png"
     drivers = "full_throttle,gentle=soft_start"
     assert (

@@ -1,4 +1,6 @@
-"""Policy that comes with the package: its common layout, its training, its file, and that it drives every ground."""
+"""Policy that comes with the package: its common layout, its training, its file, and that it drives
+every ground.
+"""
 
 import json
 
@@ -15,7 +17,7 @@ from agents.history import BAND_SHARE, History
 from agents.teachers import Teacher, Teachers, settings_of
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
-from soil_env.env import SoilWheelEnv
+from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.parameters import load_rover, load_scenario
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 
@@ -74,7 +76,9 @@ def test_common_layout_is_that_of_two_lines_with_a_flag_the_drive_and_the_misfit
 
 
 def test_history_keeps_the_misfit_of_each_band_of_slip():
-    """The average of a band is the misfit of the steps in it; steps in no band leave it as it is."""
+    """The average of a band is the misfit of the steps in it; steps in no band leave it as it
+    is.
+    """
     history = History(NAMES, 1)
     seen = np.zeros((1, len(NAMES)), dtype=np.float32)
     misfit = NAMES.index("misfit")
@@ -182,7 +186,9 @@ def test_teachers_of_several_grounds_and_hidden_worlds(trained):
 
 
 def test_the_teacher_of_a_softening_world_starts_gently():
-    """The rule that knows the soil but not the effect digs in; the chosen one does better on other courses."""
+    """The rule that knows the soil but not the effect digs in; the chosen one does better on other
+    courses.
+    """
     scenario = load_scenario("mixed")
     world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
     settings = generalist.chosen(scenario, [world], ((30, 1),))

@@ -1,4 +1,6 @@
-"""`soil-env evaluate`: its files, going on after a kill, bad input in one line, and drives against a plain loop."""
+"""`soil-env evaluate`: its files, going on after a kill, bad input in one line, and drives against
+a plain loop.
+"""
 
 import csv
 import json
@@ -18,7 +20,7 @@ from agents.evaluate import comparing
 from agents.evaluate.driving import HELD_OUT_SET, METRICS, RATES, Runs, course_rng, run_courses
 from agents.evaluate.statistics import wilson
 from soil_env.cli import main as soil_env
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from tests.agents.drivers import Counting, Half
@@ -27,8 +29,8 @@ ROOT = Path(__file__).resolve().parents[2]
 DRIVERS = "tests.agents.drivers"
 FIXED = "--settings.fixed_slip.slip=0.2"
 SHORT = (
-    "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 --seed=11 "
-    "--tuning-courses=0"
+    "--changes.control.time_limit=6 --changes.course.length=2 --courses=7 --block=3 --resamples=50 "
+    "--seed=11 --tuning-courses=0"
 ).split()
 
 
@@ -65,7 +67,9 @@ def same(a, b):
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory):
-    """Folder of two training seeds of an agent, as train.py leaves them, with hardly any training."""
+    """Folder of two training seeds of an agent, as train.py leaves them, with hardly any
+    training.
+    """
     folder = tmp_path_factory.mktemp("models")
     for seed in (0, 1):
         config = ppo.PPOConfig(num_envs=4, n_steps=8, batch_size=32, n_epochs=1, layer=4)
@@ -98,7 +102,9 @@ def runs_of(returns, finished=True):
 
 
 def test_a_comparison_of_known_runs():
-    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of `a` is bogged."""
+    """Two training seeds of `a`, one of `b`, whose return is 1 less on every course; a quarter of
+    `a` is bogged.
+    """
     rng = np.random.default_rng(0)
     scenario = load_scenario("mixed")
     returns = rng.normal(5.0, 2.0, (2, 40))
@@ -115,16 +121,14 @@ def test_a_comparison_of_known_runs():
     )
     a = found["controllers"]["a"]
     b = found["controllers"]["b"]
-    assert a["finished"]["value"] == pytest.approx(0.75) and a["immobilised"][
-        "value"
-    ] == pytest.approx(0.25)
+    assert a["finished"]["value"] == pytest.approx(0.75)
+    assert a["immobilised"]["value"] == pytest.approx(0.25)
     assert (b["finished"]["low"], b["finished"]["high"]) == pytest.approx(wilson(40, 40))
     assert found["by_seed"]["a"]["return"] == pytest.approx(returns.mean(axis=1))
     assert found["iqm"]["a"]["value"] == pytest.approx(stats.trim_mean(returns, 0.25, axis=None))
     paired = found["paired"]["a"]["b"]
-    assert paired["return"]["value"] == pytest.approx(1.0) and paired["finished"][
-        "value"
-    ] == pytest.approx(-0.25)
+    assert paired["return"]["value"] == pytest.approx(1.0)
+    assert paired["finished"]["value"] == pytest.approx(-0.25)
     assert paired["return"]["low"] <= 1.0 <= paired["return"]["high"]
     assert found["paired"]["b"]["a"]["return"]["high"] == pytest.approx(-paired["return"]["low"])
     p = found["improvement"]["a"]["b"]
@@ -432,9 +436,8 @@ def test_nan_for_a_course_that_has_ended_is_allowed():
 
         def predict(self, obs, state=None, episode_start=None, deterministic=True):
             action = np.ones((len(obs), 1))
-            if (
-                state is not None
-            ):  # the readings of a wheel that drives are noisy: they never repeat
+            # The readings of a wheel that drives are noisy: they never repeat.
+            if state is not None:
                 action[(obs == state).all(axis=1)] = np.nan if self.careless else 1.0
             return action, obs.copy()
 

@@ -1,4 +1,6 @@
-"""Exported agents: one file that acts as the agent does, run without torch, Stable-Baselines3 and soil_env."""
+"""Exported agents: one file that acts as the agent does, run without torch, Stable-Baselines3 and
+soil_env.
+"""
 
 import json
 import subprocess
@@ -22,7 +24,7 @@ from agents.exported import ExportedAgent
 from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main as soil_env
-from soil_env.env import SoilWheelEnv, observation_space
+from soil_env.envs.wheel_env import SoilWheelEnv, observation_space
 from soil_env.parameters import load_scenario
 from soil_env.wrappers import LineAction
 
@@ -44,7 +46,9 @@ def scenario():
 
 
 def saved(folder, scenario, observation="identified", steps=256, **inputs):
-    """A run folder with an agent that has learnt a little, so that its normalisation is not the identity."""
+    """A run folder with an agent that has learnt a little, so that its normalisation is not the
+    identity.
+    """
     model = ppo.build(scenario, observation, replace(TINY, **inputs), 0)
     model.learn(steps)
     folder.mkdir(exist_ok=True)
@@ -54,7 +58,8 @@ def saved(folder, scenario, observation="identified", steps=256, **inputs):
 
 ALONE = textwrap.dedent("""
     import runpy, sys
-    for name in ("torch", "stable_baselines3", "soil_env", "soil_env_agents", "agents", "gymnasium", "yaml"):
+    ours = ("soil_env", "soil_env_agents", "agents")
+    for name in ("torch", "stable_baselines3", "gymnasium", "yaml", *ours):
         sys.modules[name] = None  # cannot be imported
     script, *sys.argv[1:] = sys.argv[1:]
     runpy.run_path(script, run_name="__main__")

@@ -1,4 +1,6 @@
-"""Inputs of the networks: a history of readings, and the two lines that are compared; worlds of a training."""
+"""Inputs of the networks: a history of readings, and the two lines that are compared; worlds of a
+training.
+"""
 
 import numpy as np
 import pytest
@@ -38,7 +40,9 @@ def driven(env, steps, seed=5):
 
 
 def test_the_history_holds_the_readings_of_the_last_steps(scenario):
-    """Against a list of all past observations of each course; the last one of a course is of that course still."""
+    """Against a list of all past observations of each course; the last one of a course is of that
+    course still.
+    """
     steps = 3
     env = HistoryVecEnv(SoilWheelVecEnv(4, scenario, "blind"), History(NAMES, steps))
     plain = SoilWheelVecEnv(4, scenario, "blind")
@@ -109,7 +113,9 @@ def test_a_loaded_agent_drives_as_it_was_trained(tmp_path, name, variant, steps)
 
 
 def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
-    """Against sums over all past steps on a class, weighted by (1 - SHARE)^k; nothing of a course before."""
+    """Against sums over all past steps on a class, weighted by (1 - SHARE)^k; nothing of a course
+    before.
+    """
     names = [
         *NAMES,
         *(f"{place}_class_{c}" for place in ("here", "ahead", "beside") for c in (1, 2)),
@@ -123,7 +129,8 @@ def test_a_class_is_remembered_by_what_it_felt_like_while_driving():
     seen[:, :, -6] = first_class
     seen[:, :, -5] = ~first_class
     seen[:, :, -4:] = 0.0
-    seen[-1, :, -3] = seen[-1, :, -2] = 1.0  # ahead the second class, beside the first
+    seen[-1, :, -3] = 1.0  # ahead the second class
+    seen[-1, :, -2] = 1.0  # beside the first
     halted = rng.random((40, n)) < 0.2
     seen[:, :, history.halted] = halted
     kept = rng.normal(size=(n, history.kept)).astype(np.float32)  # of courses that have ended

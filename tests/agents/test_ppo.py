@@ -1,4 +1,6 @@
-"""PPO agents: a loaded agent acts as the saved one, training goes on after a stop, bad files are refused."""
+"""PPO agents: a loaded agent acts as the saved one, training goes on after a stop, bad files are
+refused.
+"""
 
 import json
 import zipfile
@@ -106,7 +108,9 @@ def test_the_exploration_narrows_over_a_training_or_is_learned(scenario, final, 
 
 
 def test_resume_starts_new_courses_with_new_noise(saved, scenario):
-    """Repeating the start of the run would be learnt by heart; the same checkpoint still gives the same courses."""
+    """Repeating the start of the run would be learnt by heart; the same checkpoint still gives the
+    same courses.
+    """
 
     def first(model):
         model.learn(0, reset_num_timesteps=False)

@@ -1,4 +1,6 @@
-"""Controllers of rovers, drives over held-out courses, their comparison, and the commands that train and compare."""
+"""Controllers of rovers, drives over held-out courses, their comparison, and the commands that
+train and compare.
+"""
 
 import json
 
@@ -67,7 +69,9 @@ def test_torques_go_by_the_loads(scenario):
 
 
 def test_velocity_is_synchronised_with_the_turning_body(scenario):
-    """While the body pitches, axles far from its centre go faster; the speeds are those of a rigid body."""
+    """While the body pitches, axles far from its centre go faster; the speeds are those of a rigid
+    body.
+    """
     controller = make_rover_controller("velocity_sync", scenario, acceleration=10.0)
     state = None
     fresh = np.array([True])
@@ -107,7 +111,9 @@ def test_best_slip_reads_the_soil_under_each_wheel(scenario):
 
 
 def test_energy_is_of_both_sides(scenario):
-    """Work of the motors over distance, less slip, is that of the climb and of motion resistance of the whole rover."""
+    """Work of the motors over distance, less slip, is that of the climb and of motion resistance of
+    the whole rover.
+    """
     easy = load_rover(
         "mars_rover",
         SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "margin": [0.1, 0.1]}},
@@ -161,7 +167,8 @@ def test_train_writes_the_comparison(tmp_path):
 def test_what_only_a_wheel_has_is_refused(given, tmp_path, capsys):
     """Also where it is what a wheel has by default."""
     assert main(["train", "--config", "rover.yaml", "--runs", str(tmp_path), *given, *SMALL]) == 2
-    assert f"{given[0][2:]} = " in (said := capsys.readouterr().err)
+    said = capsys.readouterr().err
+    assert f"{given[0][2:]} = " in said
     assert "expected none beside rover = 'mars_rover'" in said and not list(tmp_path.iterdir())
 
 

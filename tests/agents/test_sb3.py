@@ -1,12 +1,14 @@
-"""`agents.sb3`: the `VecEnv`s of Stable-Baselines3 against the vector environments that reset within a step."""
+"""`agents.sb3`: the `VecEnv`s of Stable-Baselines3 against the vector environments that reset
+within a step.
+"""
 
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from soil_env.env import SoilWheelVectorEnv
-from soil_env.rover_env import SoilRoverVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
+from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause
 
 KINDS = [(SoilWheelVecEnv, SoilWheelVectorEnv), (SoilRoverVecEnv, SoilRoverVectorEnv)]

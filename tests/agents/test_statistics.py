@@ -40,7 +40,8 @@ def test_statistics_of_draws_are_those_of_the_scores_written_out(a):
     """With every member and every course repeated as often as it was drawn."""
     b = a[::-1, ::-1] + 0.25  # not defined on some courses
     holes = np.where(a > 1.0, np.nan, a)
-    (members, courses), (others, _) = drawn(a), drawn(b, name="b")
+    members, courses = drawn(a)
+    others, _ = drawn(b, name="b")
     iqms = st.iqm_samples(a, members, courses)
     means = st.mean_samples(holes, members, courses)
     improvements = st.improvement_samples(a, b, members, others, courses)
@@ -74,7 +75,9 @@ def test_the_interval_holds_the_middle_95_percent():
 
 
 def test_two_way_draws_cover_the_luck_of_training():
-    """10 training seeds, each better or worse on all courses alike; the truth is the mean over seeds and courses."""
+    """10 training seeds, each better or worse on all courses alike; the truth is the mean over
+    seeds and courses.
+    """
     rng = np.random.default_rng(2)
     covered = 0
     trials = 120
@@ -101,7 +104,8 @@ def test_the_difference_of_rates_is_covered_where_hardly_a_course_differs(alone)
         a, b = (
             np.where(u < 2.0 * alone, own, both).astype(float) for own in (u < alone, u >= alone)
         )
-        (members, courses), (others, _) = drawn(a, 200, t), drawn(b, 200, t, "b")
+        members, courses = drawn(a, 200, t)
+        others, _ = drawn(b, 200, t, "b")
         got = st.difference_bounds(
             a, b, st.mean_samples(a, members, courses) - st.mean_samples(b, others, courses)
         )

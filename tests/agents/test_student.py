@@ -1,4 +1,6 @@
-"""Student of the true-soil rule: what it is taught, what its value network learns, and that it drives."""
+"""Student of the true-soil rule: what it is taught, what its value network learns, and that it
+drives.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ CONFIG = PPOConfig(num_envs=16, n_steps=16, batch_size=64, layer=16, history=2, 
 
 
 def test_the_teacher_sees_what_an_environment_with_the_true_soil_observes():
-    """But for the error of the camera in where the patch begins; also where there are several worlds."""
+    """But for the error of the camera in where the patch begins; also where there are several
+    worlds.
+    """
     scenario = load_scenario("two_lines", {"camera": {"border_noise": 0.0}})
     worlds = hidden_worlds(scenario, 2, 0)
     envs = normalised(scenario, "identified", CONFIG, 3, worlds).unwrapped
@@ -71,7 +75,9 @@ def test_a_student_comes_near_its_teacher(monkeypatch):
 
 
 def test_a_rover_has_a_student():
-    """Its teacher sees what a rover with the true soil observes; the student learns an action for each axle."""
+    """Its teacher sees what a rover with the true soil observes; the student learns an action for
+    each axle.
+    """
     rover = load_rover("mars_rover", {"course": {"length": 3.0}, "control": {"time_limit": 20.0}})
     model = ppo.build(rover, "blind", CONFIG, 0)
     env = model.get_env().unwrapped
@@ -97,7 +103,9 @@ def test_the_same_seed_gives_the_same_student():
 
 
 def test_leaving_the_teacher_costs_the_square_of_the_difference_of_action():
-    """Rewards of the same drive, with the penalty and without; courses end on the way, some in hidden worlds."""
+    """Rewards of the same drive, with the penalty and without; courses end on the way, some in
+    hidden worlds.
+    """
     scenario = load_scenario("two_lines", {"course": {"length": 1.0}})
     rng = np.random.default_rng(0)
     envs = [

@@ -1,4 +1,6 @@
-"""`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a kill, bad input."""
+"""`soil-env study`: arms over seeds and scenarios, numbers of the saved models, going on after a
+kill, bad input.
+"""
 
 import dataclasses
 import json
@@ -102,7 +104,9 @@ def test_every_arm_is_compared_on_every_scenario(finished):
 
 
 def test_arms_are_trained_by_the_config_and_judged_as_they_drive(finished):
-    """The numbers are those of the saved models and settings on the held-out courses, in the world of the scenario."""
+    """The numbers are those of the saved models and settings on the held-out courses, in the world
+    of the scenario.
+    """
     asked = cells.load_study(Study, finished)
     result = read(finished)
     settings = result["settings"]["mixed-soft_start-0"]
@@ -189,7 +193,9 @@ def test_results_of_an_unfinished_study(copied, capsys):
 
 
 def test_an_arm_is_made_in_its_world(tmp_path):
-    """Without a world in that of its scenario; of a model that discovery has fitted only the effects count."""
+    """Without a world in that of its scenario; of a model that discovery has fitted only the
+    effects count.
+    """
     term = ResidualTerm("drawbar_pull", -0.04, {"slip": 1.0}, {"slip": [0.1, 0.3]})
     fitted = WheelSoilModel(
         ModelWheel(0.15, 0.15), soils()["dry_sand"], {"bulldozing": {"rankine": 1.0}}, (term,)

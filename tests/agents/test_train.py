@@ -17,16 +17,11 @@ from agents.sb3 import SoilWheelVecEnv
 from soil_env._io.loading import to_dict
 from soil_env.parameters import load_scenario
 
-FILES = {
-    "config.yaml",
-    "scenario.yaml",
-    "model.zip",
-    "tensorboard",
-    "comparison",
-}
+FILES = {"config.yaml", "scenario.yaml", "model.zip", "tensorboard", "comparison"}
 TINY = (
-    "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 --ppo.n_epochs=1 --ppo.layer=8 "
-    "--courses=4 --tuning_courses=1 --changes.control.time_limit=5 --changes.course.length=2"
+    "--timesteps=256 --student=0 --ppo.num_envs=8 --ppo.n_steps=16 --ppo.batch_size=64 "
+    "--ppo.n_epochs=1 --ppo.layer=8 --courses=4 --tuning_courses=1 --changes.control.time_limit=5 "
+    "--changes.course.length=2"
 ).split()
 ROLLOUT = 128
 
@@ -57,11 +52,17 @@ def steps_logged(folder):
 
 @pytest.mark.usefixtures("unrendered")
 def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
-    """The command line goes over the file; resumed, a finished run does nothing, and compares again what is missing."""
+    """The command line goes over the file; resumed, a finished run does nothing, and compares again
+    what is missing.
+    """
     file = tmp_path / "my.yaml"
     folder = tmp_path / "r" / "n"
     file.write_text(
-        "courses: 9\nseed: 4\nppo: {gamma: 0.9, layer: 6}\nchanges: {course: {length: 3}}\noracle_courses: 2"
+        "courses: 9\n"
+        "seed: 4\n"
+        "ppo: {gamma: 0.9, layer: 6}\n"
+        "changes: {course: {length: 3}}\n"
+        "oracle_courses: 2"
     )
     more = ["--ppo.gamma", "0.95", "--changes.course.margin", "[0.02, 0.04]"]
     code, _, err = run(
@@ -145,10 +146,8 @@ REFUSED = [  # (options, parts of the message)
     (["--courses"], ["courses", "value"]),
     (["smoke.yaml"], ["'smoke.yaml': expected --key value; did you mean --config smoke.yaml?"]),
     (["--ppo.gamma", "1", "--ppo.gamma=0.9"], ["--ppo.gamma: given twice: expected one value"]),
-    (
-        ["--resum=x.yaml"],
-        ["unknown key 'resum'"],
-    ),  # no abbreviations: a misspelt key is no other option
+    # No abbreviations: a misspelt key is no other option.
+    (["--resum=x.yaml"], ["unknown key 'resum'"]),
     (["--name", "a/b"], ["a/b", "name"]),
     (
         ["--config", "smoke.yaml", "--rover", "mars_rover"],
@@ -157,10 +156,8 @@ REFUSED = [  # (options, parts of the message)
     (["--resume", "nowhere"], ["nowhere", "no such run folder"]),
     (["--resume", "."], ["config.yaml"]),
     (["--config", "c.yaml", "--seed", "3"], ["error: c.yaml: unknown key 'cources'"]),
-    (
-        ["--config", "d.yaml"],
-        ["d.yaml: is empty: expected keys"],
-    ),  # it would be the default training of hours
+    # It would be the default training of hours.
+    (["--config", "d.yaml"], ["d.yaml: is empty: expected keys"]),
 ]
 
 
@@ -190,7 +187,9 @@ class Killed(BaseException):
 @pytest.mark.usefixtures("unrendered")
 @pytest.mark.parametrize("end", [KeyboardInterrupt, Killed])
 def test_a_training_that_was_stopped_is_resumed(capsys, tmp_path, monkeypatch, end):
-    """In the third of four rollouts: Ctrl-C writes a checkpoint there, after a kill the last one counts."""
+    """In the third of four rollouts: Ctrl-C writes a checkpoint there, after a kill the last one
+    counts.
+    """
     step = SoilWheelVecEnv.step_wait
     calls = []
     folder = tmp_path / "n"

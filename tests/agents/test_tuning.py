@@ -58,7 +58,9 @@ def test_the_trial_that_finishes_most_is_kept_then_the_highest_return(few):
 
 
 def test_an_interrupted_tuning_ends_as_one_without_a_break(few, tmp_path, monkeypatch):
-    """Interrupted in the middle of a drive, in which a trial is left running, and killed between two trials."""
+    """Interrupted in the middle of a drive, in which a trial is left running, and killed between
+    two trials.
+    """
     names = ("soft_start", "constant_speed")
     log = tmp_path / "tuning.log"
     drive = tuning.run_courses

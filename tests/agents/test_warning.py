@@ -1,4 +1,6 @@
-"""Warning of immobilisation: its alarms and events against a script, the shipped weights on courses."""
+"""Warning of immobilisation: its alarms and events against a script, the shipped weights on
+courses.
+"""
 
 from types import SimpleNamespace
 
@@ -14,7 +16,9 @@ from soil_env.simulation.world.wheel import WheelState
 
 
 def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):
-    """Control periods of (probability over the threshold of the alarm, halted, getting further at 0.1 m/s)."""
+    """Control periods of (probability over the threshold of the alarm, halted, getting further at
+    0.1 m/s).
+    """
     return [(share, halted, goes_on and not halted)] * round(10 * seconds)
 
 
@@ -66,7 +70,9 @@ def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypat
 
 
 def test_the_shipped_weights_warn_in_time_and_seldom_for_nothing():
-    """On courses that neither weights nor threshold were set on; on the card 98 % are foreseen, 5 % false."""
+    """On courses that neither weights nor threshold were set on; on the card 98 % are foreseen, 5 %
+    false.
+    """
     card = shipped()["card"]
     scenario = load_scenario("two_lines", {"control": {"action": "torque"}})
     assert "two_lines" in card["scenarios"] and FILE.stat().st_size < 100_000

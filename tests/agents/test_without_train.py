@@ -1,4 +1,6 @@
-"""Without torch and SB3: drives of controllers and the default policy, help, and commands that name what to install."""
+"""Without torch and SB3: drives of controllers and the default policy, help, and commands that name
+what to install.
+"""
 
 import json
 import os
@@ -9,9 +11,10 @@ REFUSED = [["train", "--timesteps", "64"], ["export", "runs/x", "--out", "o"]]
 HELPS = [[name, "--help"] for name in ("train", "evaluate", "export", "study", "tune")]
 BARE = """
 import contextlib, io, json, sys
+TRAIN = ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm", "onnx")
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("torch", "stable_baselines3", "sb3_contrib", "tensorboard", "tqdm", "onnx"):
+        if name.partition(".")[0] in TRAIN:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 from soil_env.cli import main

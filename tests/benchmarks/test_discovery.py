@@ -44,7 +44,9 @@ def bench():
 
 
 def test_covariance_of_law_errors_is_that_of_drawn_ones():
-    """Tables of 300 drawn errors of 2 % against the first-order covariance: sd of every channel, and correlations."""
+    """Tables of 300 drawn errors of 2 % against the first-order covariance: sd of every channel,
+    and correlations.
+    """
     b = bench()
     some = np.linspace(0, len(bench().rows) - 1, 12).astype(int)
     b = replace(b, rows=Rows(*(getattr(b.rows, f.name)[some] for f in fields(b.rows))))
@@ -65,7 +67,9 @@ def test_covariance_of_law_errors_is_that_of_drawn_ones():
 
 
 def log_factors(kind, slip, count=300):
-    """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one place of the arc."""
+    """Logarithms [count, slips] of the factor on the normal stress by errors of size 1, at one
+    place of the arc.
+    """
     rng = np.random.default_rng(0)
     n = len(slip)
     out = []
@@ -82,7 +86,9 @@ def log_factors(kind, slip, count=300):
 
 
 def test_kinds_of_law_errors_differ_in_slip():
-    """`log_slip` changes most at little slip; `regimes` is smooth but for one border within the slips of the tables."""
+    """`log_slip` changes most at little slip; `regimes` is smooth but for one border within the
+    slips of the tables.
+    """
     factor = log_factors(log_slip, [0.0, 0.05, 0.1, 0.5, 0.55, 0.6])
     assert np.mean(np.ptp(factor[:, :3], axis=1)) > 3.0 * np.mean(np.ptp(factor[:, 3:], axis=1))
     slip = np.arange(0.0, 0.65, 0.025)
@@ -196,9 +202,8 @@ def test_case_follows_from_its_seed_and_name_and_has_its_law_error():
     )
     exact = replace(a.bench, error=None).truth(a.effects)
     assert np.max(np.abs(a.clean - exact) / np.array(a.bench.noise)[:, None]) > 1.0
-    noise = (np.array([a.columns[n] for n in CHANNELS]) - a.clean) / np.array(a.bench.noise)[
-        :, None
-    ]
+    errors = np.array([a.columns[n] for n in CHANNELS]) - a.clean
+    noise = errors / np.array(a.bench.noise)[:, None]
     assert noise.std() == pytest.approx(1.0, abs=0.12)
 
 
@@ -274,7 +279,9 @@ def test_judgement_of_an_answer(kind, names, answer, expected):
 
 
 def test_reliability_by_hand():
-    """40 answers of 0.8, 30 right: seen 0.75, deviation 0.05; 3 answers of 0.95 are too few to count."""
+    """40 answers of 0.8, 30 right: seen 0.75, deviation 0.05; 3 answers of 0.95 are too few to
+    count.
+    """
     r = reliability([(0.8, k < 30) for k in range(40)] + [(0.95, False)] * 3)
     assert r["largest"] == pytest.approx(0.05) and r["of"] == 43
     assert r["mean"] == pytest.approx((40 * 0.05 + 3 * 0.95) / 43)
@@ -316,7 +323,9 @@ def test_run_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
 
 
 def test_processes_of_the_command_find_their_work(tmp_path):
-    """They do not import the main module of a package, so what they call has to be in a named one."""
+    """They do not import the main module of a package, so what they call has to be in a named
+    one.
+    """
     options = ["run", "--entrant", f"{__name__}:says_grade", "--limit", "1", "--jobs", "2"]
     run = [sys.executable, "-m", "benchmarks.discovery", *options, "--out", str(tmp_path)]
     assert subprocess.run(run, check=False, capture_output=True).returncode == 0
@@ -335,7 +344,9 @@ def test_interrupt_ends_the_processes_at_once():
 
 
 def test_the_workflow_answers_that_errors_of_the_shear_stress_along_the_arc_are_no_effect():
-    """Case none-rich-10-008, seed 104001, commit c3060ce7, of which an earlier workflow was sure of shear softening."""
+    """Case none-rich-10-008, seed 104001, commit c3060ce7, of which an earlier workflow was sure of
+    shear softening.
+    """
     answer = entrant("workflow")(DATA / "law_error.csv", DATA / "law_error.setup.yaml")
     assert answer.verdict != "error" and {*answer.probabilities} <= {*CATALOGUE, *INSTRUMENTS}
     assert not answer.named and max(answer.probabilities.values()) < 0.5

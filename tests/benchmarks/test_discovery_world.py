@@ -1,4 +1,6 @@
-"""Hidden world of the discovery cases and its forms against adaptive quadrature, other soils and formulas by hand."""
+"""Hidden world of the discovery cases and its forms against adaptive quadrature, other soils and
+formulas by hand.
+"""
 
 import math
 from dataclasses import replace
@@ -105,7 +107,9 @@ def stresses(entry, slip, arm=0.15):
 
 
 def agrees(out, k, tau_of, arm=0.15, force=0.0, scale=3e-4):
-    """Compare row k with quadrature of the stresses; `tau_of(sigma, ratio)` [Pa], and a lug force at theta1/2 [N]."""
+    """Compare row k with quadrature of the stresses; `tau_of(sigma, ratio)` [Pa], and a lug force
+    at theta1/2 [N].
+    """
     entry = entry_of(out, k)
     sigma, ratio = stresses(entry, ROWS.slip[k], arm)
 
@@ -179,7 +183,8 @@ PEAK = (1.0 - ROOT**2) * (1.0 + ROOT) / (1.0 + ROOT**2)
 @pytest.mark.parametrize(
     ("effect", "law"),
     [
-        # Peak of (1 - exp(-x)) (1 + 1/cosh(x)), with e = exp(-x) the root of e^3 - e^2 + 5 e - 1, 0.2087, by hand.
+        # Peak of (1 - exp(-x)) (1 + 1/cosh(x)), with e = exp(-x) the root of e^3 - e^2 + 5 e - 1,
+        # 0.2087, by hand.
         (
             hidden("hyperbolic_cosine", 1.0),
             lambda q: (1 - math.exp(-q)) * (1 + 1 / math.cosh(q)) / PEAK,
@@ -230,7 +235,9 @@ def test_lugs_shear_the_soil_at_their_sides_and_push_on_it():
 
 
 def test_bulldozing_by_hand():
-    """phi = 30 deg: N = 3, cot = sqrt 3; Terzaghi's table: N_c = 37.2, N_gamma about 20 (Bowles 1996, Table 4-2)."""
+    """phi = 30 deg: N = 3, cot = sqrt 3; Terzaghi's table: N_c = 37.2, N_gamma about 20 (Bowles
+    1996, Table 4-2).
+    """
     z = table()[0]
     entry = np.arccos(1.0 - z / 0.15)
     k_c = (37.2 - 0.577) * 0.75
@@ -369,7 +376,8 @@ def test_errors_of_sensors_and_drive():
 
 @pytest.mark.parametrize("name, s", [("arm_load", 0.4), ("arm_load", -0.4), ("spring_load", 0.2)])
 def test_a_rig_that_yields_is_a_rigid_one_under_another_load(name, s):
-    z, _, torque = out = table(hidden(name, s, load=70.0))
+    out = table(hidden(name, s, load=70.0))
+    z, _, torque = out
     load = ROWS.load + (s * torque / 0.15 if name == "arm_load" else -70.0 * s * z / 0.015)
     np.testing.assert_allclose(
         out, predict(GROUND, WHEEL, replace(ROWS, load=load)).stack(), rtol=1e-6

@@ -31,4 +31,5 @@ def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
         assert np.all(np.isfinite([row[key] for key in row if isinstance(row[key], list)]))
     capsys.readouterr()
     assert run(study.command, ["--only", "stickyy", *arguments], "") == 2
-    assert "stickyy" in (said := capsys.readouterr().err) and said.count("\n") == 1
+    said = capsys.readouterr().err
+    assert "stickyy" in said and said.count("\n") == 1

@@ -1,4 +1,6 @@
-"""Every subcommand of `soil-env`: help, refusals in one line before any work, files that cannot be written."""
+"""Every subcommand of `soil-env`: help, refusals in one line before any work, files that cannot be
+written.
+"""
 
 import os
 

@@ -30,7 +30,8 @@ def ended(*arguments, **options):
     return done.returncode, done.stdout, done.stderr
 
 
-# Put on the path of the child: sends the process a SIGINT when the module in INTERRUPT_AT is looked for.
+# Put on the path of the child: sends the process a SIGINT when the module in INTERRUPT_AT is looked
+# for.
 HOOK = """
 import os, signal, sys
 class Finder:
@@ -57,13 +58,24 @@ def test_ctrl_c_during_the_imports_is_one_line(tmp_path):
 @WITH_SIGNALS
 def test_importing_the_package_changes_no_signal_handler():
     handlers = "[signal.getsignal(s) for s in (2, 15)]"
-    code = f"import signal\nbefore = {handlers}\nimport soil_env, soil_env.env, soil_env.cli\nassert before == {handlers}"
+    code = (
+        "import signal\n"
+        f"before = {handlers}\n"
+        "import soil_env, soil_env.env, soil_env.cli\n"
+        f"assert before == {handlers}"
+    )
     assert ended("-c", code)[0] == 0
 
 
 @WITH_SIGNALS
 def test_an_interrupt_that_passed_through_exec_is_status_130():
-    code = "try:\n    exec('raise KeyboardInterrupt')\nexcept KeyboardInterrupt:\n    print('caught')\nleave(130)"
+    code = (
+        "try:\n"
+        "    exec('raise KeyboardInterrupt')\n"
+        "except KeyboardInterrupt:\n"
+        "    print('caught')\n"
+        "leave(130)"
+    )
     assert ended("-c", MINE + code) == (130, "caught\n", "")
 
 
@@ -100,7 +112,8 @@ def main():
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     module = llvm.parse_assembly("define i32 @f() {\\n ret i32 7\\n}")
-    engine = llvm.create_mcjit_compiler(module, llvm.Target.from_default_triple().create_target_machine())
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    engine = llvm.create_mcjit_compiler(module, machine)
     engine.set_object_cache(compiled)
     engine.finalize_object()
     time.sleep(20.0)
@@ -147,13 +160,18 @@ def test_an_unexpected_error_keeps_its_traceback():
 
 def saying(say):
     """Code of a command that prints."""
-    return f"{MINE}from rich.console import Console\nleave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
+    return (
+        f"{MINE}from rich.console import Console\n"
+        f"leave(run(click.Command('mine', callback=lambda: {say}), [], 'mine'))"
+    )
 
 
 @WITH_SIGNALS
 @pytest.mark.parametrize("say", ["print('x', flush=True)", "print('x')", "Console().print('x')"])
 def test_a_reader_that_has_gone_ends_a_command_silently(say):
-    """As in COMMAND | head: status 141 of `SIGPIPE` and no line, also where only the interpreter's end writes."""
+    """As in COMMAND | head: status 141 of `SIGPIPE` and no line, also where only the interpreter's
+    end writes.
+    """
     read, write = os.pipe()
     os.close(read)
     env = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}

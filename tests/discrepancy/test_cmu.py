@@ -1,4 +1,6 @@
-"""The example that converts the CMU single-wheel data: a made file, the data themselves where they are, bad input."""
+"""The example that converts the CMU single-wheel data: a made file, the data themselves where they
+are, bad input.
+"""
 
 import csv
 import os
@@ -20,7 +22,8 @@ measured = pytest.mark.skipif(not CMU.is_dir(), reason=f"no measured data in {CM
 WHEELS = {"smooth": "all_smooth_data.mat", "grouser": "all_grouser_data.mat"}
 NAMES = tuple(WHEELS.values())
 
-# slip angle, commanded and measured rim speed [mm/s], forces along, across and up in the sensor's frame, Z [mm]
+# slip angle, commanded and measured rim speed [mm/s], forces along, across and up in the sensor's
+# frame, Z [mm]
 TRIALS = (
     (0, 20, 20.0, 0.5, -0.8, -25.0, -22.5),
     (30, 20, 20.0, 9.0, 3.0, -25.0, -30.0),
@@ -31,7 +34,9 @@ TRIALS = (
 
 
 def saved(folder, trials=TRIALS, names=NAMES, **changes):
-    """`folder` with .mat files of the repository's structure: a column of structs of 1 x 1 cells of mixed types."""
+    """`folder` with .mat files of the repository's structure: a column of structs of 1 x 1 cells of
+    mixed types.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     fields = (
         "avg_Fx",
@@ -102,7 +107,9 @@ def test_tables_and_setups_of_a_made_file(tmp_path, capsys):
 @measured
 @pytest.mark.parametrize("wheel", WHEELS)
 def test_the_measured_rows_are_those_of_the_derived_table(tmp_path, wheel):
-    """Against cmu_wheel_steady.csv, derived from the same files by another program (five digits)."""
+    """Against cmu_wheel_steady.csv, derived from the same files by another program (five
+    digits).
+    """
     convert(CMU, tmp_path)
     table = read_table(
         tmp_path / f"{wheel}.csv", read_setup(tmp_path / f"{wheel}.setup.yaml").wheel

@@ -1,4 +1,6 @@
-"""Signs, units and lone rows: a table that is read wrongly is refused, or doubted before anything else."""
+"""Signs, units and lone rows: a table that is read wrongly is refused, or doubted before anything
+else.
+"""
 
 import itertools
 import re
@@ -116,9 +118,13 @@ def test_a_pull_that_falls_at_much_slip_alone_is_no_mistake(tmp_path):
 
 
 def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
-    """With nothing known of the soil the base model fits such a table to the noise; the thrust is too large all the
-    same. Known cohesion that can bear it is no doubt."""
-    bare = "wheel: {radius: 0.15, width: 0.12}\nsoil: {density: 1600}\nnoise: {sinkage: 0.0006, drawbar_pull: 0.8}\n"
+    """With nothing known of the soil the base model fits such a table to the noise; the thrust is
+    too large all the same. Known cohesion that can bear it is no doubt."""
+    bare = (
+        "wheel: {radius: 0.15, width: 0.12}\n"
+        "soil: {density: 1600}\n"
+        "noise: {sinkage: 0.0006, drawbar_pull: 0.8}\n"
+    )
     text = changed(table_text({}), "load", 1 / 9.81)
     assert any(
         re.search("times the load .* kilograms or kgf, multiply it by 9.81", d)
@@ -132,7 +138,9 @@ def test_a_load_in_kilograms_is_doubted_whatever_the_soil(tmp_path):
 
 
 def test_sound_tables_are_rarely_doubted(tmp_path):
-    """At most 1 in 20 of 28 benchmark cases, half of them of few rows (5 of 28 has probability 0.01 at 1 in 20)."""
+    """At most 1 in 20 of 28 benchmark cases, half of them of few rows (5 of 28 has probability 0.01
+    at 1 in 20).
+    """
     found = []
     for name, k in itertools.product(
         ("one-rich-10", "none-rich-10", "one-rich-10-regimes", "none-rich-10-log_slip"), range(7)

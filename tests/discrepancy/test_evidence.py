@@ -1,4 +1,6 @@
-"""Evidence of a model under form errors: against normal densities written out, and what it promises and detects."""
+"""Evidence of a model under form errors: against normal densities written out, and what it promises
+and detects.
+"""
 
 import dataclasses
 import math
@@ -22,7 +24,9 @@ def data():
 
 
 def density(fit, sizes):
-    """Log density of the whitened table of a linear model, unknowns and form errors normal, less its constant."""
+    """Log density of the whitened table of a linear model, unknowns and form errors normal, less
+    its constant.
+    """
     j = fit.jacobian
     b = fit.columns(sizes)
     mean = -j @ fit.u  # of the residual, under the prior
@@ -34,7 +38,9 @@ def density(fit, sizes):
 
 @pytest.mark.parametrize("effect", [None, "bulldozing"])
 def test_the_evidence_is_the_density_of_the_table(data, effect):
-    """Soil unknowns are far within their bounds; a one-sided strength has its share of the prior beside."""
+    """Soil unknowns are far within their bounds; a one-sided strength has its share of the prior
+    beside.
+    """
     p = problem(data, np.random.default_rng(0))
     fit = p.fit(() if effect is None else (Choice(effect, 0),))
     sizes, log_prior = evidence.grid((effect,) if effect else ())
@@ -152,7 +158,9 @@ def test_rows_that_scatter_are_told_from_a_smooth_contribution(data):
 
 
 def test_beds_that_differ_are_a_pattern_of_the_stress():
-    """Six beds of one run each, of which every one bears otherwise; with a bed for each row there is no pattern."""
+    """Six beds of one run each, of which every one bears otherwise; with a bed for each row there
+    is no pattern.
+    """
     data = table(speeds=SPEEDS)
     bed = np.unique(
         np.stack([data.rows.load, data.rows.conditions[:, 0]]), axis=1, return_inverse=True
@@ -169,9 +177,8 @@ def test_beds_that_differ_are_a_pattern_of_the_stress():
         p.fit().parameters(), (), p.fit().output, np.maximum(p.fit().output[:, 0], 0.0)
     )[0]
     off = np.array([0.2, -0.15, 0.1, -0.2, 0.15, -0.1])[bed]
-    free = evidence.anonymous(
-        q := problem(there, np.random.default_rng(3), softer * off[:, None]), evidence.settle(q, ())
-    )
+    q = problem(there, np.random.default_rng(3), softer * off[:, None])
+    free = evidence.anonymous(q, evidence.settle(q, ()))
     assert free.sizes.patterns[0][0] == "normal stress with bed"
 
 

@@ -17,7 +17,9 @@ from tests.discrepancy.tables import NOISE, table
 
 
 def linear(unknown, u, *parts):
-    """(finding, evidence) of one unknown, fitted at u: (probability, mean, variance) of each hypothesis."""
+    """(finding, evidence) of one unknown, fitted at u: (probability, mean, variance) of each
+    hypothesis.
+    """
     fit = SimpleNamespace(unknowns=(unknown,), u=np.array([u]))
     own = [
         SimpleNamespace(mean=np.array([m]), covariance=np.array([[v]]), fit=fit)
@@ -30,7 +32,9 @@ def linear(unknown, u, *parts):
 
 
 def test_intervals_are_those_of_a_linear_problem():
-    """One unknown with prior sd 2 seen once with noise 1: posterior variance 1/(1/4 + 1), 0.2 of the prior's."""
+    """One unknown with prior sd 2 seen once with noise 1: posterior variance 1/(1/4 + 1), 0.2 of
+    the prior's.
+    """
     unknown = Unknown("x", 5.0, 2.0, -math.inf, math.inf, False)
     result = judgement.intervals(*linear(unknown, 0.5, (1.0, 0.5, 0.2)))
     assert result["x"].value == pytest.approx(6.0)
@@ -102,7 +106,9 @@ def test_it_holds_the_share_and_is_the_same_for_the_same_seed(problem):
 
 
 def test_one_bad_group_widens_it(problem):
-    """An error that sits in one slip alone is known less well than the same error in all of them."""
+    """An error that sits in one slip alone is known less well than the same error in all of
+    them.
+    """
     rng = np.random.default_rng(2)
     before = predictions(problem, 3.0, rng)
     after = predictions(problem, 1.0, rng)

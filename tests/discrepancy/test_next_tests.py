@@ -1,4 +1,6 @@
-"""The next runs: they separate what the table did not, can be made, and say how sure one will be."""
+"""The next runs: they separate what the table did not, can be made, and say how sure one will
+be.
+"""
 
 import copy
 import dataclasses
@@ -155,7 +157,8 @@ def test_information_and_sureness_are_bounds():
     cov = half @ half.transpose(0, 1, 3, 2) + 0.3 * np.eye(3)
     overlap = overlaps(mean, cov)
     of = [multivariate_normal(m[0], c[0]) for m, c in zip(mean, cov, strict=True)]
-    gained = sure = 0.0
+    gained = 0.0
+    sure = 0.0
     for i, p in enumerate(share):
         y = of[i].rvs(20000, random_state=rng)
         log = np.stack([x.logpdf(y) for x in of]) + np.log(share)[:, None]
@@ -197,7 +200,8 @@ def test_who_is_left():
     q.used = p.used & (y == p.data.y)
     outlier = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
     assert (outlier["slip"], outlier["load"]) == (p.data.rows.slip[3], p.data.rows.load[3])
-    # The table has one pass: an effect that no pass could show has its prior odds, and runs of another pass.
+    # The table has one pass: an effect that no pass could show has its prior odds, and runs of
+    # another pass.
     unseen = next_tests(p, finding(0.1, 0.0, 0.0, 0.9, untestable=("multipass", "grade")))
     assert [x.name for x in unseen[0].predicted] == ["base model", "bulldozing", "multipass"]
     assert unseen[0].predicted[2].probability == pytest.approx(0.9 * ODDS / (1.0 + 0.9 * ODDS))

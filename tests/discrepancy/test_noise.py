@@ -1,4 +1,6 @@
-"""Noise of the channels: given, with that of slip and load in it, and what is too little to be noise."""
+"""Noise of the channels: given, with that of slip and load in it, and what is too little to be
+noise.
+"""
 
 import dataclasses
 
@@ -34,7 +36,9 @@ def noisy(seed, slip_sd, load_sd=0.0, effects=None, stated=True):
     "effects", [{}, {"slip_sinkage": {"gain": 3.0, "recovery": 1.0, "apparent": 1.0}}]
 )
 def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects):
-    """The slopes of the true world, which the base model does not have where an effect is missing."""
+    """The slopes of the true world, which the base model does not have where an effect is
+    missing.
+    """
     rows, setup = noisy(0, 0.02, 3.0, effects)
     problem, noise = calibrate(prepare(rows, setup))
     world = world_of(effects)
@@ -51,14 +55,12 @@ def test_noise_of_slip_and_load_is_noise_of_the_channels_by_their_slopes(effects
     found = noise.sd * problem.data.relative_sd
     inner = (rows.slip > 0.1) & (rows.slip < 0.65)
     off = np.abs(found / expected - 1.0)[inner]
-    assert (
-        np.max(np.median(off, axis=0)) < 0.05
-    )  # of the sinkage 0.17 by the base model's slopes alone
+    # Of the sinkage 0.17 by the base model's slopes alone.
+    assert np.max(np.median(off, axis=0)) < 0.05
     assert np.max(off) < 0.15
     assert noise.origin == ("setup", "setup", "setup") and noise.of_conditions == ("slip", "load")
-    again, _ = calibrate(
-        prepare(problem.data.table, problem.data.setup)
-    )  # as where rows are left out: counted once
+    # As where rows are left out: counted once.
+    again, _ = calibrate(prepare(problem.data.table, problem.data.setup))
     assert again.noise * again.data.relative_sd == pytest.approx(found)
 
 
@@ -68,7 +70,9 @@ def test_slips_that_were_read_with_noise_are_no_effect_where_that_is_told():
 
 
 def test_a_dip_at_one_slip_of_every_load_is_no_row_of_outliers():
-    """Its deepest values leave the smooth surface as far as outliers do, and the others at that slip leave it too."""
+    """Its deepest values leave the smooth surface as far as outliers do, and the others at that
+    slip leave it too.
+    """
     rows, setup = noisy(1, 0.0)
     dip = 9.0 * NOISE[1] * np.exp(-0.5 * ((rows.slip - SLIPS[4]) / 0.03) ** 2)
     dipped = dataclasses.replace(rows, drawbar_pull=rows.drawbar_pull - dip)

@@ -37,9 +37,8 @@ def test_report_json_has_the_keys_of_the_contract(planted_files, nothing):
     assert content == json.loads(json.dumps(drawn.content(report), allow_nan=False))
     assert set(KEYS) <= set(content) and content["verdict"] == "named"
     for effect in content["effects"]:
-        assert {"name", "parameters", "share", "alternatives"} <= set(effect) and effect[
-            "name"
-        ] in LISTED
+        assert {"name", "parameters", "share", "alternatives"} <= set(effect)
+        assert effect["name"] in LISTED
         assert all(p["low"] <= p["value"] <= p["high"] for p in effect["parameters"].values())
     assert all({"channel", "region", "size", "p_value"} <= set(d) for d in content["where"])
     assert set(content["gap"]) == set(content["remainder"]) == set(CHANNELS)
@@ -81,9 +80,8 @@ def test_the_page_escapes_what_a_file_name_brings(tmp_path):
     run(*files, tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "<b>" not in page and "&lt;b&gt;&amp;" in page
-    assert not re.search(
-        r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page
-    )  # it stands alone
+    # It stands alone.
+    assert not re.search(r"<(script|link|iframe)|@import|(?:src|href)=.(?!data:|#)", page)
 
 
 def test_a_named_effect_is_shown_as_an_equation(planted_files):
@@ -102,7 +100,9 @@ def test_a_named_effect_is_shown_as_an_equation(planted_files):
 
 
 def test_the_summary_follows_the_probabilities(planted):
-    """One sentence for each verdict, with the probability of `Finding`; the same as in the table and report.json."""
+    """One sentence for each verdict, with the probability of `Finding`; the same as in the table
+    and report.json.
+    """
     finding = planted.finding
     one = finding.best("slip_sinkage")
     other = finding.best("bulldozing")
@@ -143,7 +143,9 @@ def test_the_summary_follows_the_probabilities(planted):
     "before, after, verdict", [(9.0, 1.2, "named"), (9.0, 4.0, "partly"), (1.0, 1.38, "partly")]
 )
 def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict):
-    """An error that stays above the noise, or that the named effect makes larger, is stated with the name."""
+    """An error that stays above the noise, or that the named effect makes larger, is stated with
+    the name.
+    """
     floor = planted.gap["drawbar_pull"].noise_floor
     gap = planted.gap | {"drawbar_pull": Gap(before * floor, after * floor, floor)}
     report = dataclasses.replace(planted, gap=gap)
@@ -156,7 +158,9 @@ def test_a_stated_remainder_makes_a_name_partly(planted, before, after, verdict)
 
 
 def test_a_soil_far_from_the_setup_is_a_caution(planted):
-    """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model alone."""
+    """Moved to 3.5 and 9 standard deviations of the setup, in the fit of the corrected model
+    alone.
+    """
     k = [u.name for u in planted.fit.unknowns].index("cohesion")
     for far in (3.5, 9.0):
         u = planted.fit.u.copy()

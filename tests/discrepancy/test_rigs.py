@@ -1,4 +1,6 @@
-"""Tables as rigs make them: two wheels in one table, noise of each row, slip by lug tips, rigs that are not level."""
+"""Tables as rigs make them: two wheels in one table, noise of each row, slip by lug tips, rigs that
+are not level.
+"""
 
 import itertools
 import math
@@ -21,7 +23,9 @@ LUGS = {"grousers": {"shear_share": 1.0}}
 def two_wheels(
     sizes=((0.15, 0.0), (0.15, 0.02)), loads=(100, 150, 220), seed=0, tilt=0.0, **columns
 ) -> str:
-    """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips and loads."""
+    """A table with noise of wheels of (radius, grouser height), on the same soil at the same slips
+    and loads.
+    """
     rng = np.random.default_rng(seed)
     lines = []
     for radius, height in sizes:
@@ -74,7 +78,9 @@ def test_wheels_are_a_condition(tmp_path):
 
 
 def test_the_noise_of_a_row_is_its_own(tmp_path):
-    """One run ten times as noisy as the others: said so, its values weigh a hundredth and are no outliers."""
+    """One run ten times as noisy as the others: said so, its values weigh a hundredth and are no
+    outliers.
+    """
     rng = np.random.default_rng(3)
     lines = two_wheels(torque_sd=0.1).splitlines()
     for k in range(7, 13):
@@ -91,7 +97,9 @@ def test_the_noise_of_a_row_is_its_own(tmp_path):
 
 
 def hilly() -> str:
-    """A table with noise of the base model: vertical load and pull of a rig, resolved by hand on the grade."""
+    """A table with noise of the base model: vertical load and pull of a rig, resolved by hand on
+    the grade.
+    """
     rng = np.random.default_rng(0)
     lines = ["slip,load,grade_deg,sinkage,drawbar_pull,torque"]
     for load, grade in itertools.product((100.0, 200.0), (-8.0, 0.0, 8.0)):
@@ -128,7 +136,9 @@ def test_a_vertical_load_is_resolved_on_the_grade(tmp_path):
 
 
 def test_a_report_of_two_wheels_on_a_rig_that_is_not_level(tmp_path):
-    """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands beside the soil."""
+    """The whole workflow: the lugs are named, a curve is drawn for each wheel, the tilt stands
+    beside the soil.
+    """
     report = run(
         *write_files(tmp_path, two_wheels(tilt=1.0), SETUP + "tilt_deg: {value: 0, sd: 1}\n")
     )

@@ -1,4 +1,6 @@
-"""Calibration and search: what is named and what is not, and the verdict that follows from the probabilities."""
+"""Calibration and search: what is named and what is not, and the verdict that follows from the
+probabilities.
+"""
 
 import dataclasses
 
@@ -41,7 +43,9 @@ def test_what_the_table_cannot_show_is_untestable(tmp_path):
 
 
 def law_error(data, size, seed):
-    """The table with smooth relative errors of the stress laws, linear in their size, which no effect makes."""
+    """The table with smooth relative errors of the stress laws, linear in their size, which no
+    effect makes.
+    """
     rng = np.random.default_rng(seed)
     p = Problem(data, NOISE_SD.copy(), data.measured)
     fit = p.fit()
@@ -115,9 +119,8 @@ def test_refuted_effects_leave_their_probability_to_the_others():
     assert left.refuted == (("a", "b"),) and left.names == ("a",)
     last = left.without(("a",)).without(("b",))
     assert [h.names for h in last.hypotheses] == [()] and last.none == pytest.approx(1.0)
-    alone = found.without(
-        ("a",), alone=True
-    )  # the pair may explain what the effect by itself leaves
+    # The pair may explain what the effect by itself leaves.
+    alone = found.without(("a",), alone=True)
     assert alone.share("a", "b") == pytest.approx(0.75) and alone.best("a").probability == 0.0
     certain = stated((("a",), False, 1.0), ((), False, 0.0), ((), True, 0.0)).without(("a",))
     assert [h.probability for h in certain.hypotheses] == [0.5, 0.5]

@@ -1,4 +1,6 @@
-"""The simplest law of what is left: planted laws come back, chance adds nothing, the saved model says the same."""
+"""The simplest law of what is left: planted laws come back, chance adds nothing, the saved model
+says the same.
+"""
 
 import math
 
@@ -68,9 +70,8 @@ def test_planted_law_comes_back(rich, channel, coefficient, powers):
     assert base.residual @ base.residual > count + 3.0 * math.sqrt(2.0 * count)
     left = found.fit.residual @ found.fit.residual
     assert left < count + 2.0 * math.sqrt(2.0 * count)
-    got = saved(found).predict(
-        rich.table
-    )  # of soil and law, in which the sinkage drives the groups
+    # Of soil and law, in which the sinkage drives the groups.
+    got = saved(found).predict(rich.table)
     assert np.stack(got[:3], axis=1) == pytest.approx(
         found.fit.output, abs=1e-9 + 0.05 * NOISE.min()
     )
@@ -102,15 +103,16 @@ def test_gradient_vanishes_with_the_coefficients(rich):
 
 
 def test_a_law_is_chosen_anew_without_each_group(rich):
-    """Held-out values of a law that only one group asks for are worse than those of the law that has seen it."""
+    """Held-out values of a law that only one group asks for are worse than those of the law that
+    has seen it.
+    """
     added = planted(rich, 1, -0.4, slip=2.0)
     p = problem(rich, np.random.default_rng(12), added)
     base = p.fit()
     held = symbolic.held_out_predictions(p, base, lambda text: None)
     error = (p.data.y - held) / NOISE
-    assert (
-        np.sqrt(np.mean(error**2)) < 1.3
-    )  # a law that all groups share is found without any of them
+    # A law that all groups share is found without any of them.
+    assert np.sqrt(np.mean(error**2)) < 1.3
     only = np.where((rich.rows.slip > 0.5)[:, None] & (np.arange(3) == 2), 2.0, 0.0)
     q = problem(rich, np.random.default_rng(13), only)
     base = q.fit()

@@ -53,7 +53,9 @@ def test_an_anonymous_law_is_found_in_its_channels_and_absent_at_strength_zero(l
 
 
 def test_laws_by_hand():
-    """A row at slip 0.2 in the second pass, W 150 N, r 0.15 m, twice the sinkage z0; pull 30 N, torque 6 N m."""
+    """A row at slip 0.2 in the second pass, W 150 N, r 0.15 m, twice the sinkage z0; pull 30 N,
+    torque 6 N m.
+    """
     clean = table(slips=(0.2, 0.4), loads=(150.0,), passes=(2,))
     rows = clean.rows
     p = problem(clean, np.random.default_rng(0))
@@ -78,7 +80,9 @@ def test_laws_by_hand():
 
 
 def test_a_force_at_the_side_of_the_wheel_is_not_called_bulldozing(monkeypatch):
-    """It takes pull, adds torque and grows with the buried segment: without the rival, bulldozing and a wrong soil."""
+    """It takes pull, adds torque and grows with the buried segment: without the rival, bulldozing
+    and a wrong soil.
+    """
     clean = table(speeds=(0.03, 0.12))
     z = clean.y[:, 0]
     r = clean.rows.wheels[:, 0]

@@ -1,4 +1,6 @@
-"""The workflow from a table to its report: on small tables with a planted effect, and on the example."""
+"""The workflow from a table to its report: on small tables with a planted effect, and on the
+example.
+"""
 
 import math
 from pathlib import Path
@@ -28,7 +30,9 @@ def test_the_planted_effect_is_named(planted):
 
 
 def test_what_predicts_worse_than_the_base_model_is_not_named(tmp_path, monkeypatch):
-    """As where the law errs in a way that no form error has: evidence for effects that fail on held-out rows."""
+    """As where the law errs in a way that no form error has: evidence for effects that fail on
+    held-out rows.
+    """
 
     def predicted(problem, fit):
         bad = any(choice.effect == "slip_sinkage" for choice in fit.choices)
@@ -57,7 +61,9 @@ def test_an_effect_that_beats_an_anonymous_law_stays_although_it_leaves_a_patter
 
 
 def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
-    """The linearised held-out predictions against true refits, one slip left out after the other."""
+    """The linearised held-out predictions against true refits, one slip left out after the
+    other.
+    """
     problem = planted.problem
     near = planted.finding.best().evidence.fit
     fit = problem.fit((), near.parameters(), planted.fit.sizes._replace(effect=0.0), near)
@@ -75,7 +81,9 @@ def test_the_held_out_gap_is_that_of_refits_without_the_group(planted):
 
 
 def test_the_model_file_predicts_what_the_fit_predicts(planted):
-    """`WheelSoilModel` of a fit against the fit's own output, with effects that need what the table sets."""
+    """`WheelSoilModel` of a fit against the fit's own output, with effects that need what the table
+    sets.
+    """
     problem = planted.problem
     for name in ("grousers", "bulldozing", "shear_softening", "sinkage_offset"):
         fit = problem.fit((Choice(name, 0),))
@@ -106,7 +114,9 @@ def test_no_fit_leaves_the_catalogue_s_bounds(tmp_path):
 
 
 def test_a_law_stands_in_for_what_is_unlisted(tmp_path):
-    """A drawbar pull that falls with the square of the speed, all else unchanged, is in no catalogue."""
+    """A drawbar pull that falls with the square of the speed, all else unchanged, is in no
+    catalogue.
+    """
     lines = table_text({}, loads=(60, 100, 150, 220), speed=(0.02, 0.06, 0.2)).splitlines()
     out = [lines[0]]
     for line in lines[1:]:

@@ -33,7 +33,9 @@ def numbers_of(ids):
 
 
 def started(scenario, *seeds):
-    """Simulation of identified wheels, one for each seed of `default_rng`, each at the start of its course."""
+    """Simulation of identified wheels, one for each seed of `default_rng`, each at the start of its
+    course.
+    """
     return wheels.started(scenario, "identified", seeds)
 
 

@@ -1,4 +1,6 @@
-"""Borders: the odds of a change of the grade against scipy, where one is found, and none where there is none."""
+"""Borders: the odds of a change of the grade against scipy, where one is found, and none where
+there is none.
+"""
 
 import math
 from dataclasses import replace
@@ -8,8 +10,6 @@ import pytest
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
-from soil_env._numba.compiling import compiled_root
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as nodes_of
 from soil_env.identification.online.border import (
     cross_where_the_grade_changes,
@@ -17,8 +17,10 @@ from soil_env.identification.online.border import (
     note_grade,
 )
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.compiling import compiled_root
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.parameters import Belief, load_scenario
-from soil_env.terramechanics.ground import share_of_next
 from tests.identification.observing import started
 from tests.simulation.wheels import EVEN
 
@@ -55,7 +57,9 @@ def pitches(x, middle, rise, rng):
 
 
 def driven(seed, rise, middle=1.5, end_at=3.0):
-    """(place where a border was found, its middle and sd as known at last) or None, of one drive over a border."""
+    """(place where a border was found, its middle and sd as known at last) or None, of one drive
+    over a border.
+    """
     (banks, p), found, x = new_bank(), None, np.arange(0.0, end_at, STEP)
     for at, pitch in zip(x, pitches(x, middle, rise, np.random.default_rng(seed)), strict=True):
         _note(banks, at, pitch, NUMBERS)
@@ -70,7 +74,8 @@ def driven(seed, rise, middle=1.5, end_at=3.0):
 
 @pytest.mark.parametrize("rise_deg", [-12.0, -4.0, 4.0, 12.0])
 def test_a_clean_step_is_found_near_its_place(rise_deg):
-    """Before its middle, and behind it to two centimetres of a length of 30 cm, about as well as stated.
+    """Before its middle, and behind it to two centimetres of a length of 30 cm, about as well as
+    stated.
 
     One course of the twenty has a false border before it.
     """
@@ -88,7 +93,9 @@ def test_without_a_step_none_is_found():
 
 
 class Judge:
-    """Bayesian regression of the readings on each place, by dense Gaussians of scipy, from the grade of 60 readings."""
+    """Bayesian regression of the readings on each place, by dense Gaussians of scipy, from the
+    grade of 60 readings.
+    """
 
     def __init__(self):
         self.x = []
@@ -115,7 +122,9 @@ class Judge:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_odds_and_the_place_are_those_of_bayesian_regression(seed):
-    """A border is begun when the evidence exceeds the odds, and is where and as steep as it says, also afterwards."""
+    """A border is begun when the evidence exceeds the odds, and is where and as steep as it says,
+    also afterwards.
+    """
     rng, (banks, p), judge, crossed = np.random.default_rng(seed), new_bank(), Judge(), 0
     p.grades[0] = 1e6
     p.grade[0] = 0.05

@@ -21,7 +21,9 @@ def errors():
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
 def test_intervals_hold_on_the_default_task(errors, quantity):
-    """On 40 courses that no threshold was set on 68 % intervals hold about so often, better than the prior."""
+    """On 40 courses that no threshold was set on 68 % intervals hold about so often, better than
+    the prior.
+    """
     error, sd, without = (values[:, QUANTITIES.index(quantity)] for values in errors)
     assert len(error) > 10_000
     scaled = np.abs(error / sd)

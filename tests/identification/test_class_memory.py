@@ -7,8 +7,8 @@ import pytest
 
 from soil_env.identification.online import class_memory as memory
 from soil_env.identification.online.identifier import new_identifiers
+from soil_env.identification.online.lanes.steady import best_working_point
 from soil_env.parameters import SoilState, load_scenario
-from soil_env.terramechanics.traversability import best_working_point
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
@@ -28,7 +28,9 @@ def kept():
 
 
 def remember(kept, c, patch, estimate, sd):
-    """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the last of them."""
+    """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the
+    last of them.
+    """
     ids = new_identifiers(1)
     sd = sd / np.array([1.0] * 5 + [memory.WIDER])
     ids.estimate[0] = estimate[:5]
@@ -78,7 +80,9 @@ def test_patches_that_differ_by_more_than_they_allow_are_less_sure(kept):
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():
-    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off, and about as stated."""
+    """After a course, best drawbar pulls of the classes met: a quarter of their scatter off, and
+    about as stated.
+    """
     wheels = 60
     scenario = load_scenario(
         "two_lines",

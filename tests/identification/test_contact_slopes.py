@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from soil_env._numba.compiling import compiled_inline, compiled_root
-from soil_env._numba.lanes import COUNT, from_array, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_root
+from soil_env.identification.online.lanes.lanes import COUNT, from_array, to_array
 from tests.terramechanics import reference
 
 R = 0.15
@@ -36,7 +36,9 @@ def _reaction(x, load, r, b, out):
 
 
 def reactions(x, load, r=R, b=B):
-    """(pull, torque, ln s) by value and slopes [3, 7, COUNT] at rows x [6, COUNT]: soil, sinkage and slip."""
+    """(pull, torque, ln s) by value and slopes [3, 7, COUNT] at rows x [6, COUNT]: soil, sinkage
+    and slip.
+    """
     out = np.zeros(21 * COUNT)
     _reaction(np.ascontiguousarray(x, float).ravel(), load, r, b, out)
     return out.reshape(3, 7, COUNT)
@@ -82,7 +84,9 @@ def test_slopes_are_those_of_central_differences(seed, braking):
     ("seed", "braking", "tolerance"), [(0, False, 1e-4), (1, False, 1e-4), (2, True, 1e-3)]
 )
 def test_forces_are_those_of_quadrature(seed, braking, tolerance):
-    """At the mobilised sinkage coefficient that is stated, the equations give the load, the pull and the torque."""
+    """At the mobilised sinkage coefficient that is stated, the equations give the load, the pull
+    and the torque.
+    """
     x = cases(seed, braking)
     load = 130.0
     pull, torque, ln_s = reactions(x, load)[:, VALUE]
@@ -102,7 +106,9 @@ def test_forces_are_those_of_quadrature(seed, braking, tolerance):
 
 @pytest.mark.parametrize("depth", [1e-3, 0.01, 1.0, 1.9])
 def test_all_is_finite_from_the_surface_to_the_top_of_the_wheel(depth):
-    """Also under no load, at the wildest soils that nodes may be at; the filter keeps sinkages within these."""
+    """Also under no load, at the wildest soils that nodes may be at; the filter keeps sinkages
+    within these.
+    """
     for load in (0.0, 1e-3, 1e4):
         x = cases(5)
         x[SINKAGE] = depth * R

@@ -96,7 +96,9 @@ def test_nothing_is_lost_or_added(points):
 
 
 def test_where_there_is_no_room_the_least_loss_is_taken():
-    """Bins that are nearest and have few readings are merged first: the new point takes the place of one."""
+    """Bins that are nearest and have few readings are merged first: the new point takes the place
+    of one.
+    """
 
     def at(slip, readings=100.0):
         return point(

@@ -1,4 +1,6 @@
-"""The fit of a soil to the traction curve: exact points, and scipy's maximum a posteriori with Laplace's covariance."""
+"""The fit of a soil to the traction curve: exact points, and scipy's maximum a posteriori with
+Laplace's covariance.
+"""
 
 import math
 from dataclasses import replace
@@ -8,13 +10,13 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import softmax
 
-from soil_env._numba.compiling import compiled_root
-from soil_env._numba.lanes import COUNT, fill, to_array
 from soil_env.identification.online import curve as c, soil_nodes as n
 from soil_env.identification.online.curve_fit import begin_bin, fit, share_on_border
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.compiling import compiled_root
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import COUNT, fill, to_array
 from soil_env.parameters import Belief, load_scenario, soils
-from soil_env.terramechanics.ground import share_of_next
 from tests.identification.observing import symmetric
 from tests.identification.test_contact_slopes import reactions
 
@@ -68,7 +70,9 @@ def forces(soil, sinkages, slips):
 
 
 def noisy_points(rng, soil=TRUTH, sd=(4e-3, 3e-4, 0.25, 0.04)):
-    """Points [COUNT, FIELDS] of a soil as measured; `sd` of slip, sinkage [m], pull [N] and torque [N m]."""
+    """Points [COUNT, FIELDS] of a soil as measured; `sd` of slip, sinkage [m], pull [N] and torque
+    [N m].
+    """
     points = np.zeros((COUNT, c.FIELDS))
     exact = np.vstack([SLIPS, SINKAGES, forces(soil, SINKAGES, SLIPS)]).T
     points[:, MEASURED] = exact + rng.standard_normal((COUNT, 4)) * sd
@@ -101,7 +105,9 @@ GIVEN_LN_K = np.linalg.cholesky(
 
 
 def residual(x, points, ln_K):
-    """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior and of the bins."""
+    """Residuals of prior, slips, sinkages, pulls and torques; x in standard deviations of the prior
+    and of the bins.
+    """
     away = np.append(SCALE[:3] * x[:3], ln_K - PRIOR[3])
     of_bins = x[3:].reshape(2, COUNT)
     measured = points[:, MEASURED].T
@@ -128,7 +134,9 @@ def judge(points, ln_K):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_each_node_is_the_least_squares_solution_of_scipy(seed):
-    """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of the evidence."""
+    """At its ln K: the other unknowns, their covariance and chi-squared; the weights are those of
+    the evidence.
+    """
     points = noisy_points(np.random.default_rng(seed))
     fitted = Fitted(points)
     log_weight = np.empty(COUNT)
@@ -152,7 +160,9 @@ def test_each_node_is_the_least_squares_solution_of_scipy(seed):
 
 
 def test_the_share_on_a_border_and_its_slope():
-    """The mean of the terrain's share over two places; the slope by the place of the border is that of differences."""
+    """The mean of the terrain's share over two places; the slope by the place of the border is that
+    of differences.
+    """
     spread = 0.02
     length = 0.3
 

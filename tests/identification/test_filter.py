@@ -49,7 +49,9 @@ def test_a_point_is_a_few_readings():
 
 
 def test_two_sensors_of_a_quantity_are_averaged_by_their_precision():
-    """Slip by its sensor and by two speeds, pull by acceleration and mass, torque by that of the motor; by numpy."""
+    """Slip by its sensor and by two speeds, pull by acceleration and mass, torque by that of the
+    motor; by numpy.
+    """
     fed = Fed()
     sd = fed.numbers.filter.noise
     r = STEADY._replace(rim_speed=0.1, speed=0.074, acceleration=1.1, motor_torque=5.9)
@@ -144,7 +146,9 @@ CONTRARY = STEADY._replace(rim_speed=0.375, motor_torque=12.0, acceleration=-3.0
 
 
 def test_readings_that_contradict_each_other_give_no_current_estimate():
-    """Motor torque twice the torque, acceleration against the pull, at slips that vary, by sensors next to exact."""
+    """Motor torque twice the torque, acceleration against the pull, at slips that vary, by sensors
+    next to exact.
+    """
     exact = dict.fromkeys(
         ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "motor_torque"), 1e-6
     )

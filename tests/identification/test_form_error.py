@@ -147,7 +147,9 @@ def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
 
 
 def test_the_resultant_of_the_shear_stress_moves_as_errors_along_the_arc_move_it():
-    """Errors correlated over half of the arc, multiplying Janosi's shear stress under a normal stress of n = 1."""
+    """Errors correlated over half of the arc, multiplying Janosi's shear stress under a normal
+    stress of n = 1.
+    """
     x = np.linspace(0.0, 1.0, 401)  # theta over the entry angle
     entry = 0.7  # [rad], -, [of the radius]
     slip = 0.3

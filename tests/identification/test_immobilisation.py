@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelEnv
+from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
 from soil_env.identification.online.identifier import SensorReading
 from soil_env.parameters import load_scenario
@@ -16,7 +16,9 @@ READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
 
 
 def follow(readings, halted=None, scenario=SCENARIO):
-    """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a period each."""
+    """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a
+    period each.
+    """
     numbers = im.warning_numbers(scenario)
     recent = np.zeros((1, im.MEMORY))
     im.begin(recent, 0, readings[0], numbers)
@@ -67,7 +69,9 @@ def test_halts_are_left_out():
 
 
 def test_a_wheel_of_another_size_reads_the_same():
-    """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the same to it."""
+    """Lengths by the radius, forces by the load, speeds in radii a second: similar wheels are the
+    same to it.
+    """
     wheel = {
         "radius": 0.45,
         "width": 0.45,
@@ -107,7 +111,9 @@ def test_inputs_have_the_estimate_without_dimension():
 
 
 def views(steps):
-    """(inputs of the view, observation, radius) by name after each of `steps` steps to the line with more margin."""
+    """(inputs of the view, observation, radius) by name after each of `steps` steps to the line
+    with more margin.
+    """
     env = SoilWheelEnv("two_lines", observation="identified", action="torque", repeat=1)
     env.reset(seed=3)
     worlds = env.simulation.worlds

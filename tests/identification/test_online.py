@@ -1,4 +1,6 @@
-"""The online identifier beside the world: what enters it, what it learns and says on simulated ground."""
+"""The online identifier beside the world: what enters it, what it learns and says on simulated
+ground.
+"""
 
 import math
 from dataclasses import replace
@@ -7,11 +9,11 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import compiled_root
 from soil_env.identification import Status
 from soil_env.identification.online import identifier
 from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
+from soil_env.identification.online.lanes.compiling import compiled_root
 from soil_env.online import OnlineIdentifier
 from soil_env.parameters import Belief, SoilSpread, load_scenario, soils, wheels
 from soil_env.simulation.world.dynamics import STEP, advance
@@ -65,7 +67,9 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
 def simulate(
     changes=None, wheels=1, mode="wheel_speed", spread=EVEN, grade=(-1.0, 0.0), belief=PLAIN
 ):
-    """(simulation, true unknowns [wheels, 3]) of wheels after a reset, each on a long course of one soil."""
+    """(simulation, true unknowns [wheels, 3]) of wheels after a reset, each on a long course of one
+    soil.
+    """
     base = {
         "wheel": {"preset": "planetary_rover", "no_load_speed": 6.0},
         "soils": {"lunar_nominal": 1},
@@ -79,7 +83,9 @@ def simulate(
 
 
 def test_only_readings_enter():
-    """Soil and state are changed at will between sensing and identifying: the estimate must not notice."""
+    """Soil and state are changed at will between sensing and identifying: the estimate must not
+    notice.
+    """
     sim, _ = simulate()
     w = sim.worlds
     n = sim.numbers
@@ -108,7 +114,9 @@ def excited(step):
 
 
 def test_driving_with_varied_slip_finds_the_soil():
-    """On twelve drives friction and K are right, far better known than before, and noise is no misfit of the laws."""
+    """On twelve drives friction and K are right, far better known than before, and noise is no
+    misfit of the laws.
+    """
     sim, truth = simulate(wheels=12)
     ids = sim.worlds.ids
     prior = 1.0 / np.sqrt(sim.belief.identifier.precision)
@@ -121,9 +129,11 @@ def test_driving_with_varied_slip_finds_the_soil():
 
 @pytest.mark.parametrize("sinkage_alone", [False, True])
 def test_a_border_between_soils_is_noticed(sinkage_alone):
-    """On the level, by the forces: one metre into dry sand the estimate is that of it, not of lunar regolith.
+    """On the level, by the forces: one metre into dry sand the estimate is that of it, not of lunar
+    regolith.
 
-    A change of the sinkage coefficient alone shows by the depth: pull and torque hardly depend on it.
+    A change of the sinkage coefficient alone shows by the depth: pull and torque hardly depend on
+    it.
     """
     sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
     w = sim.worlds

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import identifier
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.pooling import pool, share
-from soil_env.identification.online.status import Status
 from soil_env.identification.online.stretches import (
     ERROR_OF_MODEL,
     forget_stretches,
@@ -14,6 +13,7 @@ from soil_env.identification.online.stretches import (
     note,
     pool_numbers,
 )
+from soil_env.identification.status import Status
 from soil_env.parameters import load_scenario
 from tests.identification.observing import observe
 
@@ -153,7 +153,9 @@ def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share)
 
 
 def test_the_place_that_the_front_wheel_has_found_is_kept():
-    """While the wheel behind reads one grade, which shows less of where the new soil begins: 1 cm to its tenth."""
+    """While the wheel behind reads one grade, which shows less of where the new soil begins: 1 cm
+    to its tenth.
+    """
     wheels = Wheels((MEAN, covariance()), (MEAN, covariance()))
     p = wheels.pools
     point = wheels.ids.banks.point
@@ -183,7 +185,8 @@ def test_the_place_that_the_front_wheel_has_found_is_kept():
 def test_a_posterior_wider_than_the_prior_does_not_throw_the_other():
     """As met at small loads, where readings show the cohesion and not the friction angle.
 
-    With all of the prior taken out, the angle of one of two wheels that nearly agree went to 100 deg.
+    With all of the prior taken out, the angle of one of two wheels that nearly agree went to 100
+    deg.
     """
     wide = SD.copy()
     wide[0] = 1.6 * np.sqrt(PRIOR[0, 0])

@@ -1,4 +1,5 @@
-"""Rigs that are not the ideal one: no sinkage, a vertical load on a grade, free climbing, a tilt, noise row by row.
+"""Rigs that are not the ideal one: no sinkage, a vertical load on a grade, free climbing, a tilt,
+noise row by row.
 
 What they measure is made with `tests.terramechanics.reference`, resolved here by hand.
 """
@@ -130,7 +131,9 @@ def test_a_tilt_is_fitted_with_the_soil(tmp_path, tilt):
 
 
 def test_a_noisy_run_weighs_as_little_as_it_says(tmp_path):
-    """Half of the rows 20 times as noisy, by their own columns: the estimate is as good as from the other half."""
+    """Half of the rows 20 times as noisy, by their own columns: the estimate is as good as from the
+    other half.
+    """
     rng = np.random.default_rng(4)
     rows = clean()
     sd = np.array(list(SD.values())) * np.where(np.arange(len(rows)) % 2, 20.0, 1.0)[:, None]

@@ -1,4 +1,6 @@
-"""The filter of the sinkage: its law against scipy, its moments against draws, what it learns of pressure and gain."""
+"""The filter of the sinkage: its law against scipy, its moments against draws, what it learns of
+pressure and gain.
+"""
 
 import math
 from dataclasses import replace
@@ -8,9 +10,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.integrate import solve_ivp
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import sinkage_filter as sf
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.parameters import Belief, load_scenario
 from soil_env.terramechanics.effects import excavation_rate
 
@@ -48,7 +50,8 @@ class Wheel:
         self.s[sf.LOG_WEIGHT * COUNT :] = -math.log(COUNT)
 
     def follow(self, motion, bearing, by_depth=-N, share=1.0, by_place=0.0, place_variance=0.0):
-        """Follow a motion in which the pressure mobilised is that of a bearing sinkage of `bearing` [m].
+        """Follow a motion in which the pressure mobilised is that of a bearing sinkage of `bearing`
+        [m].
 
         That is on the soil whose y is the one of the prior.
         """
@@ -88,7 +91,9 @@ class Wheel:
 
 
 def moved(speed, sliding, seconds=DT, sinkage=0.02, variance=LOST, time=None):
-    """Motion at a travel and a sliding speed [m/s]; at `time` 0 a lack of depth does not come by itself."""
+    """Motion at a travel and a sliding speed [m/s]; at `time` 0 a lack of depth does not come by
+    itself.
+    """
     a, _ = excavation_rate(speed, sliding, 1.0, RECOVERY, LENGTH)
     time = seconds if time is None else time
     return sf.Motion(a * seconds, sliding * seconds / LENGTH, 0.0, time, sinkage, variance)
@@ -125,7 +130,9 @@ def test_with_exact_parameters_the_sinkage_follows_its_law(ln_gain, bearing, rat
 
 @pytest.mark.parametrize("offset", [-2.0, -0.5, 0.0, 0.7, 2.0])
 def test_what_lacks_in_depth_comes_in_the_mean(offset):
-    """At rest for long: the moments are those of the larger of the sinkage and its bearing depth, by draws."""
+    """At rest for long: the moments are those of the larger of the sinkage and its bearing depth,
+    by draws.
+    """
     wheel = Wheel()
     sd = 0.004
     bearing = 0.03
@@ -159,7 +166,9 @@ def test_the_bank_of_a_new_soil_has_the_moments_of_the_prior():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_pressure_and_gain_are_learnt_from_the_sinkage(seed):
-    """A wheel at varied slip that obeys the law, with noise of 1 mm: both come within three standard deviations."""
+    """A wheel at varied slip that obeys the law, with noise of 1 mm: both come within three
+    standard deviations.
+    """
     rng = np.random.default_rng(seed)
     wheel = Wheel()
     prior = NUMBERS.prior
@@ -172,7 +181,8 @@ def test_pressure_and_gain_are_learnt_from_the_sinkage(seed):
         speed = 0.25
         sliding = 0.12 * (1.0 + math.sin(0.5 * k))
         z = law(z, bearing, NUMBERS.dig_gain * math.exp(ln_gain), [(speed, sliding)])[0]
-        # the pressure mobilised is that of a bearing sinkage of 0.02 m on the soil of the prior, whatever the depth
+        # the pressure mobilised is that of a bearing sinkage of 0.02 m on the soil of the prior,
+        # whatever the depth
         wheel.follow(
             moved(speed, sliding, sinkage=z + 1e-3 * rng.standard_normal(), variance=1e-6), 0.02
         )
@@ -212,7 +222,9 @@ step = st.tuples(
     st.lists(step, min_size=1),
 )
 def test_covariances_stay_positive_and_weights_sum_to_one(scenario, sinkage, variance, steps):
-    """On one soil and on a border, at any motion; steps begin a border, or end it with the old or the new soil."""
+    """On one soil and on a border, at any motion; steps begin a border, or end it with the old or
+    the new soil.
+    """
     wheel = Wheel(filter_numbers(load_scenario(scenario)))
     on_border = False
     r = wheel.numbers.radius
@@ -241,7 +253,9 @@ def test_covariances_stay_positive_and_weights_sum_to_one(scenario, sinkage, var
 
 
 def test_on_a_border_the_ground_is_of_both_soils():
-    """By the share of the new one: y is averaged, so that the bearing sinkage is their geometric mean; gains add."""
+    """By the share of the new one: y is averaged, so that the bearing sinkage is their geometric
+    mean; gains add.
+    """
     wheel = Wheel()
     y = NUMBERS.prior.sinkage[0]
     wheel.know(y - 0.4, math.log(0.5))

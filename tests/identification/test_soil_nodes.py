@@ -1,4 +1,6 @@
-"""The nodes of a soil: priors and moments against numpy, where they are placed, what becomes of them at a border."""
+"""The nodes of a soil: priors and moments against numpy, where they are placed, what becomes of
+them at a border.
+"""
 
 import math
 from dataclasses import replace
@@ -7,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.special import log_softmax
 
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online import soil_nodes as soil
 from soil_env.identification.online.filter_bank import filter_numbers, new_banks, restart
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.sinkage_filter import (
     GAIN as SINKAGE_GAIN,
     PRESSURE as SINKAGE_PRESSURE,
@@ -89,7 +91,8 @@ def test_the_prior_follows_the_sinkage(filled):
         np.testing.assert_allclose(
             found, np.linalg.inv(Q / np.outer(scale, scale)), rtol=3e-3, atol=3e-3
         )
-    # with the evidence of a Gaussian, the determinant of the posterior, weights sum to the probability of their range
+    # with the evidence of a Gaussian, the determinant of the posterior, weights sum to the
+    # probability of their range
     weight = (
         n[soil.LOG_PRIOR]
         - 0.5 * np.linalg.slogdet(symmetric(n[soil.PRECISION : soil.PRECISION + 6, 0]))[1]
@@ -126,7 +129,9 @@ def test_what_is_known_is_the_mixture_of_the_nodes(filled, seed):
 
 
 def test_nodes_come_closer_where_ln_K_becomes_known():
-    """They move by a bounded factor each time, until they cover three standard deviations, and stay then."""
+    """They move by a bounded factor each time, until they cover three standard deviations, and stay
+    then.
+    """
     banks = new_banks(1)
     numbers = filter_numbers(SCENARIOS["plain"])
     restart(banks, 0, numbers)

@@ -1,4 +1,6 @@
-"""The prior of the filter: against draws of the mixture, the soils that courses have and the numbers of the belief."""
+"""The prior of the filter: against draws of the mixture, the soils that courses have and the
+numbers of the belief.
+"""
 
 import math
 from dataclasses import replace
@@ -68,7 +70,9 @@ def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
     "scenario", [MIXED, replace(MIXED, belief=Belief())], ids=["library", "plain"]
 )
 def test_the_regression_is_that_of_the_forces_on_the_sinkage(scenario):
-    """Least squares over draws of the joint Gaussian; the rest of the variance is that of the residuals."""
+    """Least squares over draws of the joint Gaussian; the rest of the variance is that of the
+    residuals.
+    """
     mean, covariance = soil_prior.prior_of_belief(scenario)
     rows = np.random.default_rng(1).multivariate_normal(mean, covariance, 200_000) - mean
     prior = soil_prior.soil_prior(scenario)
@@ -111,7 +115,9 @@ def test_widths_of_a_library_hold_68_percent_of_it():
 
 
 def test_numbers_of_the_prior_beside_a_library_are_refused(tmp_path):
-    """As a change, in the file of a scenario and in the map of a log; a saved belief with the defaults loads."""
+    """As a change, in the file of a scenario and in the map of a log; a saved belief with the
+    defaults loads.
+    """
     belief = {"soils": {"dry_sand": 1.0}, "cohesion_sd": 9.0}
     path = tmp_path / "own.yaml"
     path.write_text(yaml.safe_dump({"soils": {"dry_sand": 1.0}, "belief": belief}))

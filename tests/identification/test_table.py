@@ -1,6 +1,8 @@
-"""Identification from measurement tables: soils recovered, calibrated intervals, what cannot be known; its command.
+"""Identification from measurement tables: soils recovered, calibrated intervals, what cannot be
+known; its command.
 
-The tables come from `tests.terramechanics.reference`, the independent implementation of Eqs. (1)-(3).
+The tables come from `tests.terramechanics.reference`, the independent implementation of Eqs.
+(1)-(3).
 """
 
 import json
@@ -104,11 +106,12 @@ def test_recovers_the_soil_without_noise(tmp_path, known, soil):
     ],
 )
 def test_intervals_cover_the_truth(tmp_path, known, noise):
-    """95 % intervals: fewer than 24 hits of 30 has a probability below 1e-3 a parameter if they are calibrated.
+    """95 % intervals: fewer than 24 hits of 30 has a probability below 1e-3 a parameter if they are
+    calibrated.
 
-    The laws of these tables are exact, which the intervals do not know: they are up to four times as wide as needed,
-    most of all that of the angle, which an error of the shear stress that is the same everywhere changes unseen.
-    Noise that is left out is estimated, without bias.
+    The laws of these tables are exact, which the intervals do not know: they are up to four times
+    as wide as needed, most of all that of the angle, which an error of the shear stress that is the
+    same everywhere changes unseen. Noise that is left out is estimated, without bias.
     """
     rng = np.random.default_rng(5)
     hits = Counter()
@@ -137,7 +140,9 @@ def test_intervals_cover_the_truth(tmp_path, known, noise):
     [(lambda slip: slip / 0.35, 0.03), (lambda slip: np.log1p(slip / 0.05), 0.02)],
 )
 def test_intervals_cover_the_truth_under_wrong_laws(tmp_path, stretched, smallest):
-    """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the noise."""
+    """30 draws of smooth relative errors of 8 % in sinkage, pull and torque, eight to ten times the
+    noise.
+    """
     rng = np.random.default_rng(8)
     hits = Counter()
     sizes = []
@@ -182,7 +187,9 @@ def test_errors_of_the_stresses_are_not_taken_for_errors_of_the_channels(tmp_pat
 
 
 def test_large_errors_of_sinkage_do_not_bias(tmp_path):
-    """Errors in variables: at 10 % noise of the sinkage the mean of 40 estimates is within half an sd."""
+    """Errors in variables: at 10 % noise of the sinkage the mean of 40 estimates is within half an
+    sd.
+    """
     sd = {"sinkage": 1.5e-3, "drawbar_pull": 2.0, "torque": 0.3}
     rng = np.random.default_rng(6)
     setup = setup_of(THREE, sd)
@@ -236,7 +243,9 @@ def test_says_that_the_model_does_not_fit(tmp_path):
 
 
 def test_residuals_that_do_not_fit_are_larger_than_their_noise(tmp_path):
-    """Not those under the form error, which takes a part of the misfit of the pull away from the sinkage."""
+    """Not those under the form error, which takes a part of the misfit of the pull away from the
+    sinkage.
+    """
     rows = clean().copy()
     rows[:, 3] *= 1.0 + 0.8 * rows[:, 0]
     found = [
@@ -286,7 +295,9 @@ def test_a_very_wide_prior_says_no_more_than_the_admissible_range(tmp_path):
 
 @pytest.mark.parametrize("leave_out", [(), ("torque",)])
 def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
-    """Four rows of one load, five unknowns and their noise: Student's t would reach beyond every bound."""
+    """Four rows of one load, five unknowns and their noise: Student's t would reach beyond every
+    bound.
+    """
     table = table_of(tmp_path, clean()[:4], np.random.default_rng(0), leave_out=leave_out)
     e = identify_table(table, setup_of(() if not leave_out else THREE, None))
     for name, (_, _, low, high, logarithmic) in BROAD.items():
@@ -301,7 +312,9 @@ def test_intervals_stay_within_what_a_soil_can_be(tmp_path, leave_out):
 
 
 def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
-    """Lyasko (2010): under the same load the sinkage grows by (1 + i)/(1 - 0.5 i), so S falls by it to the n."""
+    """Lyasko (2010): under the same load the sinkage grows by (1 + i)/(1 - 0.5 i), so S falls by it
+    to the n.
+    """
     rows = []
     for slip in (0.1, 0.25, 0.4, 0.55):
         softer = ((1.0 + slip) / (1.0 - 0.5 * slip)) ** -SAND.sinkage_exponent
@@ -316,7 +329,9 @@ def test_digging_that_the_setup_knows_is_taken_out(tmp_path):
 
 
 def test_intervals_from_few_points_at_one_load(tmp_path):
-    """Two channels of unknown noise, four points: 95 % intervals; fewer than 24 of 30 has probability 5e-4."""
+    """Two channels of unknown noise, four points: 95 % intervals; fewer than 24 of 30 has
+    probability 5e-4.
+    """
     rng = np.random.default_rng(9)
     hits = Counter()
     four = clean(slips=(0.05, 0.267, 0.483, 0.7), loads=(120.0,))

@@ -15,7 +15,9 @@ resource = pytest.importorskip("resource")
 
 @contextlib.contextmanager
 def full():
-    """A disk that takes no file longer than 1000 bytes; not for pytest, which may write its own lines to a file."""
+    """A disk that takes no file longer than 1000 bytes; not for pytest, which may write its own
+    lines to a file.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:

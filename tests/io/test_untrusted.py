@@ -1,4 +1,6 @@
-"""Files from elsewhere: YAML made to be a burden, zips broken, foreign or hostile: one line, and no code is run."""
+"""Files from elsewhere: YAML made to be a burden, zips broken, foreign or hostile: one line, and no
+code is run.
+"""
 
 import base64
 import json
@@ -119,7 +121,9 @@ def saved(tmp_path_factory):
 
 
 def zipped(path, source=None, without=(), **members):
-    """A zip at `path` of the members of the zip `source`, if any, less some, and of others in their place."""
+    """A zip at `path` of the members of the zip `source`, if any, less some, and of others in their
+    place.
+    """
     kept = {}
     if source:
         with zipfile.ZipFile(source) as old:

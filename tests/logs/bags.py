@@ -1,4 +1,6 @@
-"""Recordings for the tests: the example's bag, and MCAP files written by the library `mcap` itself."""
+"""Recordings for the tests: the example's bag, and MCAP files written by the library `mcap`
+itself.
+"""
 
 import json
 import runpy
@@ -63,7 +65,9 @@ def write_mcap(path, messages, **options):
 
 
 def write_json_mcap(path, steps=200, chunk=2000, payload=0, start=1_000_000_000):
-    """A drive in steps of 0.1 s on /drive and /odom, and, with `payload`, as many bytes a step on /camera."""
+    """A drive in steps of 0.1 s on /drive and /odom, and, with `payload`, as many bytes a step on
+    /camera.
+    """
     from mcap.writer import CompressionType
 
     def messages():

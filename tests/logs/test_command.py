@@ -1,4 +1,6 @@
-"""The command from recording to report; steady stretches; the replay over gaps; what a log identifies."""
+"""The command from recording to report; steady stretches; the replay over gaps; what a log
+identifies.
+"""
 
 import dataclasses
 import json
@@ -31,7 +33,9 @@ KNOWN = {"cohesion": 1300, "sinkage_exponent": 0.79}
 
 
 def made(log_map, plan, period=0.1, noise=0.0, soil="lete_sand"):
-    """Readings of a wheel that keeps each slip of `plan` [(slip, seconds)] in Wong's Lete sand without slip-sinkage."""
+    """Readings of a wheel that keeps each slip of `plan` [(slip, seconds)] in Wong's Lete sand
+    without slip-sinkage.
+    """
     soil = dataclasses.replace(soils()[soil], dig_gain=0.0)
     model = WheelSoilModel(ModelWheel(0.15, 0.15), soil)
     rng = np.random.default_rng(0)
@@ -71,13 +75,14 @@ def without_digging(log_map):
 
 
 def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
-    """Noise-free: rows of exactly the slips, and a fit that gives the soil back; the setup's noise is that put in."""
+    """Noise-free: rows of exactly the slips, and a fit that gives the soil back; the setup's noise
+    is that put in.
+    """
     driven = [0.1, 0.2, 0.35, 0.5, 0.7]
     log = made(log_map, [(s, 4.0) for s in driven])
     found = steady_windows(log, log_map)
-    assert (
-        sorted({round(row["slip"], 6) for row in found.rows}) == driven
-    )  # no row across a change of slip
+    # No row across a change of slip.
+    assert sorted({round(row["slip"], 6) for row in found.rows}) == driven
     assert len(found.rows) >= 3 * len(driven)
     noisy = steady_windows(made(log_map, [(s, 4.0) for s in driven], noise=1.0), log_map)
     assert noisy.noise["sinkage"] == pytest.approx(1e-4 / math.sqrt(10), rel=0.2)
@@ -94,17 +99,21 @@ def test_steady_points_are_the_points_that_were_driven(log_map, tmp_path):
 
 
 def test_what_changes_is_not_steady(log_map):
-    """A ramp of slip; a wheel at rest; a sinkage that has not come to its end yet though it changes little."""
+    """A ramp of slip; a wheel at rest; a sinkage that has not come to its end yet though it changes
+    little.
+    """
     ramp = made(log_map, [(s, 0.1) for s in np.linspace(0.1, 0.9, 60)])
     assert not steady_windows(ramp, log_map).rows
     still = made(log_map, [(0.2, 3.0)])
     assert len(steady_windows(still, log_map).rows) == 3
-    still.readings["wheel_speed"][:] = still.readings["speed"][:] = 0.0
+    still.readings["wheel_speed"][:] = 0.0
+    still.readings["speed"][:] = 0.0
     assert not steady_windows(still, log_map).rows
     sinking = made(log_map, [(0.2, 6.0)])
     sinking.readings["speed"] *= 0.05
     sinking.readings["wheel_speed"] *= 0.05
-    # 15 mm/s of travel, adaptation length 0.3 m: half of a second brings 2.6 % of what is left, here of 20 mm
+    # 15 mm/s of travel, adaptation length 0.3 m: half of a second brings 2.6 % of what is left,
+    # here of 20 mm
     sinking.readings["sinkage"] += 0.02 * (1.0 - np.exp(-0.05 * sinking.time))
     assert not steady_windows(sinking, log_map).rows
 
@@ -200,7 +209,9 @@ def test_an_estimate_of_no_soil_is_refused_in_one_line(log_map, monkeypatch, nam
 
 
 def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
-    """As the identifier of tables reads them: the same mean and standard deviation, of K and S in their logarithm."""
+    """As the identifier of tables reads them: the same mean and standard deviation, of K and S in
+    their logarithm.
+    """
     log_map = without_digging
     log = made(log_map, [(s, 4.0) for s in (0.1, 0.3, 0.5)], noise=1.0)
     found = replay(log, log_map)
@@ -219,14 +230,15 @@ def test_the_setup_of_a_log_has_the_belief_as_priors(without_digging, tmp_path):
         ),
     }
     assert known == KNOWN  # of the map, in place of the belief
-    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})[
-        "dig_gain"
-    ]  # where an estimate was current
+    # Where an estimate was current.
+    gain = (found.last_on(1) or {"dig_gain": b.dig_gain})["dig_gain"]
     assert read.soil.dig_gain.value == pytest.approx(gain, rel=1e-3)
 
 
 def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
-    """Each ground has its own table, of which the fit is its soil; that of all points is of neither."""
+    """Each ground has its own table, of which the fit is its soil; that of all points is of
+    neither.
+    """
     log_map = dataclasses.replace(without_digging, soil={})
     plan = [(s, 4.0) for s in (0.1, 0.3, 0.2, 0.5)]
     names = ("dry_sand", "quartz_sand")
@@ -268,7 +280,9 @@ def test_points_of_two_soils_are_not_one_table(without_digging, tmp_path):
 
 
 def test_borders_without_another_soil_are_no_grounds(log_map):
-    """Estimates on both sides of 13 borders are of one soil but for two: those two count, and so does each gap."""
+    """Estimates on both sides of 13 borders are of one soil but for two: those two count, and so
+    does each gap.
+    """
     steps = 1400
     time = 0.1 * np.arange(steps)
     shown = {"wheel_speed": np.full(steps, 2.0), "speed": np.full(steps, 0.25)}

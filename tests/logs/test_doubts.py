@@ -15,6 +15,7 @@ from soil_env.logs.doubts import doubts, time_doubts
 from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
 
+#: In the order of `SensorReading`.
 READINGS = (
     "slip",
     "sinkage",
@@ -26,7 +27,7 @@ READINGS = (
     "pitch",
     "motor_torque",
     "acceleration",
-)  # in the order of `SensorReading`
+)
 
 
 class SteppedSpeed(ConstantSpeed):
@@ -36,7 +37,8 @@ class SteppedSpeed(ConstantSpeed):
     hold = 2.5
 
     def rim_speed(self, observation, state):
-        t = state["time"] = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)
+        state["time"] = t
         return self.top_speed * self.shares[(t / self.hold).astype(int) % self.shares.size]
 
 
@@ -73,7 +75,9 @@ def log_of(driven, scenario):
 
 @pytest.fixture(scope="module")
 def logs():
-    """Drives of three scenarios as logs with their maps, three courses each: {name: [(log, map)]}."""
+    """Drives of three scenarios as logs with their maps, three courses each: {name: [(log,
+    map)]}.
+    """
     out = {}
     for name, controller in (
         ("mixed", SteppedSpeed),
@@ -93,7 +97,9 @@ def changed(log, without=(), **factors):
     return replace(log, readings=readings)
 
 
-WRONG = {  # readings left out, factors of others, mass in the map over that of the wheel; where, what is proposed
+#: Readings left out, factors of others, mass in the map over that of the wheel; where, what is
+#: proposed.
+WRONG = {
     "rpm": ((), {"wheel_speed": 30.0 / math.pi}, 1.0, "column wheel_speed", "wheel_speed in rpm"),
     "backwards": ((), {"wheel_speed": -1.0}, 1.0, "column wheel_speed", "sign"),
     "km/h": ((), {"speed": 3.6}, 1.0, "column speed", "km/h"),

@@ -1,4 +1,6 @@
-"""Recordings of every format to the same readings; what is missing, misnamed, cut off or damaged."""
+"""Recordings of every format to the same readings; what is missing, misnamed, cut off or
+damaged.
+"""
 
 import json
 import math
@@ -18,7 +20,9 @@ pytest.importorskip("rosbags")
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
-    """A drive of the environment in both storages of ROS 2, with its map: (folder, map, estimates while driving)."""
+    """A drive of the environment in both storages of ROS 2, with its map: (folder, map, estimates
+    while driving).
+    """
     folder = tmp_path_factory.mktemp("drives")
     code = example()
     for name in ("MCAP", "SQLITE3"):
@@ -31,7 +35,9 @@ def drives(tmp_path_factory):
 
 @pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
 def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
-    """Equal to the precision of the bag: observations are float32, and so is the range of a Range."""
+    """Equal to the precision of the bag: observations are float32, and so is the range of a
+    Range.
+    """
     folder, log_map, online = drives
     found = replay(read_recording(folder / storage, log_map), log_map)
     for name in (
@@ -46,7 +52,9 @@ def test_the_identifier_on_the_bag_gives_what_it_gave_online(drives, storage):
 
 
 def test_a_bag_of_several_files_with_and_without_metadata(tmp_path):
-    """Split by the recorder, whose metadata names the files in order; then without it, as after a power cut."""
+    """Split by the recorder, whose metadata names the files in order; then without it, as after a
+    power cut.
+    """
     log_map = read_map(write_map(tmp_path))
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -208,7 +216,8 @@ def test_a_map_that_cannot_be_right_is_refused(tmp_path, changes, named):
 
 
 def stamped(path, delay, back=20):
-    """An MCAP file whose /drive has stamps of its own, recorded `delay` [s] later, and whose /odom has none.
+    """An MCAP file whose /drive has stamps of its own, recorded `delay` [s] later, and whose /odom
+    has none.
 
     From message `back` on the clock of the stamps is set back by a second.
     """
@@ -230,7 +239,9 @@ def stamped(path, delay, back=20):
 
 
 def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
-    """Readings of the two topics belong together by the clock of the recording; by the header they are 3 s apart."""
+    """Readings of the two topics belong together by the clock of the recording; by the header they
+    are 3 s apart.
+    """
     bag = stamped(tmp_path / "a.mcap", delay=3.0)
     by_header = read_recording(bag, read_map(write_map(tmp_path)))
     assert by_header.start == 100 * NS and any("/odom" in note for note in by_header.notes)
@@ -244,7 +255,9 @@ def test_the_clock_is_that_of_the_header_or_of_the_recording(tmp_path):
 
 
 def test_stamps_that_go_back_are_counted_by_topic(tmp_path):
-    """A clock that is set back: the stamps of one topic from then on are left out, but for one within max_gap."""
+    """A clock that is set back: the stamps of one topic from then on are left out, but for one
+    within max_gap.
+    """
     found = read_recording(
         stamped(tmp_path / "a.mcap", 0.0, back=15), read_map(write_map(tmp_path))
     )
@@ -297,9 +310,8 @@ def test_a_cut_mcap_gives_what_is_whole_and_says_so(tmp_path, share):
     assert any("cut.mcap" in note for note in part.notes) and not whole.notes
     assert 0 < len(part) < len(whole)
     for name, values in part.readings.items():
-        inside = values[
-            : len(part) - 1
-        ]  # messages of the last step may lie on both sides of the cut
+        # Messages of the last step may lie on both sides of the cut.
+        inside = values[: len(part) - 1]
         assert np.array_equal(inside, whole.readings[name][: inside.size])
     (tmp_path / "cut.mcap").write_bytes(content[:-100])  # of the index, which is not needed
     part = read_recording(tmp_path / "cut.mcap", log_map)
@@ -371,9 +383,8 @@ def test_time_stamps_of_every_unit_and_empty_cells(tmp_path, unit):
     changes = COLUMNS | {"time": {"column": "t", "unit": unit}}
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, changes)))
     assert found.start == 1_770_000_000 * NS
-    assert found.time == pytest.approx([0.0, 0.1, 0.2]) and found.readings[
-        "speed"
-    ] == pytest.approx([0.25, 0.3, 0.35])
+    assert found.time == pytest.approx([0.0, 0.1, 0.2])
+    assert found.readings["speed"] == pytest.approx([0.25, 0.3, 0.35])
     assert np.isnan(found.readings["torque"]).all() and found.channels["speed"].readings == 2
 
 
@@ -394,7 +405,9 @@ def test_a_table_with_nothing_whole_in_it(tmp_path, content, named):
 
 
 def test_time_that_goes_back_in_a_table(tmp_path):
-    """A row that is late by less than max_gap is put where it belongs; others are left out, and counted."""
+    """A row that is late by less than max_gap is put where it belongs; others are left out, and
+    counted.
+    """
     times = [0.0, 0.1, 0.2, 0.4, 0.3, *(0.1 * k for k in range(5, 10)), 0.1, 0.2, 1.0]
     (tmp_path / "a.csv").write_text(HEADER + "".join(lines(times)))
     found = read_recording(tmp_path / "a.csv", read_map(write_map(tmp_path, COLUMNS)))

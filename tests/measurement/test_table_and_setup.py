@@ -1,4 +1,6 @@
-"""Measurement tables and setups: what is read, and the message for each thing that cannot be right."""
+"""Measurement tables and setups: what is read, and the message for each thing that cannot be
+right.
+"""
 
 import math
 
@@ -32,7 +34,8 @@ def refusal(read, *arguments):
 def test_reads_a_full_table(tmp_path):
     path = written(
         tmp_path,
-        "\ufeffrun, slip ,load,speed,pass,grade_deg,time,wheel_radius,wheel_width,grouser_height,sinkage,torque",
+        "\ufeffrun, slip "
+        ",load,speed,pass,grade_deg,time,wheel_radius,wheel_width,grouser_height,sinkage,torque",
         "a b,-1,100,0.1,2,-8.5,0,0.2,,0.01,0.02,1e1",
         "",
         '"x, y",1,1e2,,,,,,,,,-4',
@@ -148,8 +151,12 @@ def test_reads_a_setup(tmp_path):
         written(
             tmp_path,
             "wheel: {radius: 0.1, width: 0.1, grouser_height: 0.01, grouser_count: 18}",
-            "slip_reference: tip\nload: vertical\ntilt_deg: {value: 0, sd: 1}\nignore_columns: [note, x]",
-            "soil: {friction_angle_deg: {value: 30, sd: 1.5}, cohesion: 3700, k_c: 1000, k_phi: {value: 7e5, sd: 8e4}}",
+            "slip_reference: tip\n"
+            "load: vertical\n"
+            "tilt_deg: {value: 0, sd: 1}\n"
+            "ignore_columns: [note, x]",
+            "soil: {friction_angle_deg: {value: 30, sd: 1.5}, cohesion: 3700, k_c: 1000, k_phi: "
+            "{value: 7e5, sd: 8e4}}",
             "noise: {sinkage: 0.001}",
         )
     )
@@ -251,7 +258,9 @@ def test_comments_and_ignored_columns_are_passed_over(tmp_path):
 
 
 def test_slip_by_the_lug_tips_is_turned_into_slip_by_the_rim(tmp_path):
-    """Speeds of an 18-lug wheel, r 0.1 m, h 0.01 m: V and w give both slips, driving and braking."""
+    """Speeds of an 18-lug wheel, r 0.1 m, h 0.01 m: V and w give both slips, driving and
+    braking.
+    """
     omega = 3.0
     travel = np.array([0.1, 0.25, 0.32, 0.4])
 

@@ -1,4 +1,6 @@
-"""The source paper beside its printed numbers: soil_env/paper/printed.yaml is the golden data, as printed."""
+"""The source paper beside its printed numbers: soil_env/paper/printed.yaml is the golden data, as
+printed.
+"""
 
 import dataclasses
 import math
@@ -43,7 +45,9 @@ def test_forces_against_the_independent_judge(compaction):
 
 
 def test_simpson_converges_to_the_quadrature():
-    """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by more than 8."""
+    """For n = 1 the integrand is smooth enough for order 4: doubling m must divide the error by
+    more than 8.
+    """
     e = AS_PRINTED._replace(exponent=1.0, compaction=False)
     entry = 0.9
     judge = reference.forces(
@@ -52,9 +56,8 @@ def test_simpson_converges_to_the_quadrature():
     expected = np.array([judge.drawbar_pull, judge.load, judge.torque / e.radius])
     errors = []
     for m in (2, 4, 8, 16):
-        found = model.forces(SAND, 0.3, e.radius * (1.0 - math.cos(entry)), e._replace(simpson=m))[
-            0, :3
-        ]
+        sinkage = e.radius * (1.0 - math.cos(entry))
+        found = model.forces(SAND, 0.3, sinkage, e._replace(simpson=m))[0, :3]
         errors.append(np.abs(found / [1.0, 1.0, e.radius] - expected).max() / judge.scale)
     assert all(fine < coarse / 8.0 for coarse, fine in zip(errors[:-1], errors[1:], strict=True)), (
         errors
@@ -74,7 +77,9 @@ def test_derivatives_against_central_differences(e, soil):
 
 
 def bounded(start):
-    """(phi [deg], K, S) of the three points as printed by a trust-region method in (phi, ln K, ln S), from `start`."""
+    """(phi [deg], K, S) of the three points as printed by a trust-region method in (phi, ln K, ln
+    S), from `start`.
+    """
     bounds = np.transpose([np.radians([1.0, 89.0]), np.log([2e-4, 0.3]), np.log([1e3, 1e13])])
 
     def soil(x):
@@ -92,9 +97,12 @@ def test_an_independent_solver_finds_the_same_root():
 
 
 def test_drawbar_pull_and_cohesion_to_the_last_digit():
-    """With Wong & Reece's peak and radius. The printed 1150 N cannot be right: 1200 N gives the printed cohesion.
+    """With Wong & Reece's peak and radius.
 
-    The tolerance on the cohesion is the rounding of Table 2's k_c and k_phi, which moves DP by 0.006 N.
+    The printed 1150 N cannot be right: 1200 N gives the printed cohesion.
+
+    The tolerance on the cohesion is the rounding of Table 2's k_c and k_phi, which moves DP by
+    0.006 N.
     """
     w = P.working_point
     assert compare.pull(WONG_REECE) == pytest.approx(w.drawbar_pull, abs=0.005)
@@ -105,7 +113,9 @@ def test_drawbar_pull_and_cohesion_to_the_last_digit():
 
 
 def test_drawbar_pull_of_the_equations_as_printed():
-    """1050.25 N (9), 1095.05 N (12) and 1318.42 N (11) integrated exactly: an independent quadrature gives these."""
+    """1050.25 N (9), 1095.05 N (12) and 1318.42 N (11) integrated exactly: an independent
+    quadrature gives these.
+    """
     assert compare.pull(AS_PRINTED) == pytest.approx(1050.25, abs=0.005)
     rules = {name: values[0] for name, *values in compare.rules()}
     assert rules["(12), exact"] == pytest.approx(1095.05, abs=0.02)
@@ -115,7 +125,9 @@ def test_drawbar_pull_of_the_equations_as_printed():
 
 
 def test_table_1_to_one_unit_of_the_last_digit():
-    """One unit, because the inputs of Table 2 are rounded; errors follow from the identified values."""
+    """One unit, because the inputs of Table 2 are rounded; errors follow from the identified
+    values.
+    """
     rows = [row for row in compare.table_1() if row.name != "error [%]"]
     assert len(rows) == 12
     for row in rows:
@@ -125,10 +137,11 @@ def test_table_1_to_one_unit_of_the_last_digit():
 
 
 def rounding(e):
-    """Largest rounding error, in halves of the last printed digit, that the printed set and points need to fit exactly.
+    """Largest rounding error, in halves of the last printed digit, that the printed set and points
+    need to fit exactly.
 
-    The least one that does, by linear programming to first order over the set and each slip, sinkage and drawbar pull:
-    1 or less means that rounding explains the difference.
+    The least one that does, by linear programming to first order over the set and each slip,
+    sinkage and drawbar pull: 1 or less means that rounding explains the difference.
     """
     at = model.forces(PRINTED_SET, *MEASURED[:2], e)
     halves = np.array([math.radians(0.005), 0.00005, 0.5])  # of phi, K, S
@@ -139,15 +152,16 @@ def rounding(e):
     effects.append(-0.005 * np.eye(3))
     A = np.hstack(effects)
     n = A.shape[1]
-    within = np.block(
-        [[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)]
-    )  # |error| <= the largest
+    # |error| <= the largest.
+    within = np.block([[sign * np.eye(n), -np.ones((n, 1))] for sign in (1.0, -1.0)])
     fits = np.hstack([A, np.zeros((3, 1))]), MEASURED.pull - at[:, 0]
     return linprog(np.eye(n + 1)[n], within, np.zeros(2 * n), *fits, bounds=(None, None)).x[n]
 
 
 def test_table_3_is_a_root_with_wong_and_reeces_peak():
-    """Within the rounding of the printed digits; as printed it is none, by 150 N at the first of them."""
+    """Within the rounding of the printed digits; as printed it is none, by 150 N at the first of
+    them.
+    """
     assert rounding(HELD[1]) < 1.0 and rounding(HELD[0]) > 10.0
     np.testing.assert_allclose(
         model.forces(PRINTED_SET, *MEASURED[:2], HELD[1])[:, 0], MEASURED.pull, atol=1.0
@@ -158,7 +172,9 @@ def test_table_3_is_a_root_with_wong_and_reeces_peak():
 
 
 def test_table_4_range_of_K(results):
-    """Within 6 % of the printed range with Wong & Reece's peak; the paper does not say what it held fixed."""
+    """Within 6 % of the printed range with Wong & Reece's peak; the paper does not say what it held
+    fixed.
+    """
     low, high = (row.ours[1] for row in results.rows["table4"] if row.name.startswith("K"))
     printed_low, printed_high = P.table4["shear_modulus"]
     assert [low, high] == pytest.approx(
@@ -167,7 +183,9 @@ def test_table_4_range_of_K(results):
 
 
 def test_guesses_that_converge():
-    """A large S is forgotten; a guess in a corner of Table 4 is lost by the plain iteration, not within bounds."""
+    """A large S is forgotten; a guess in a corner of Table 4 is lost by the plain iteration, not
+    within bounds.
+    """
     np.testing.assert_allclose(
         model.newton_raphson(MEASURED, (33.0, 0.038, 1e12), HELD[0]), compare.root(HELD[0])
     )
@@ -176,7 +194,9 @@ def test_guesses_that_converge():
 
 
 def test_noise_of_table_5():
-    """The printed errors lie in the middle half of ours; without noise there is nothing but Table 3."""
+    """The printed errors lie in the middle half of ours; without noise there is nothing but
+    Table 3.
+    """
     noise = compare.table_5(HELD[1], seed=0, draws=300)
     assert np.all((noise.below > 0.25) & (noise.below < 0.75)) and 0.8 < noise.converged <= 1.0
     assert np.all(np.diff(noise.quantiles, axis=0) > 0.0)

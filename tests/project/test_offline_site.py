@@ -1,4 +1,6 @@
-"""The site opened from the disk: no network, no server, formulas and search all the same; `on_env` keeps torch out."""
+"""The site opened from the disk: no network, no server, formulas and search all the same; `on_env`
+keeps torch out.
+"""
 
 import json
 import re
@@ -32,7 +34,8 @@ def test_nothing_is_loaded_from_elsewhere(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
     loading = re.compile(
-        r'<(?:script|img|iframe|source)[^>]*src="([^"]*)"|<link rel="?stylesheet"?[^>]*href="([^"]*)"'
+        r'<(?:script|img|iframe|source)[^>]*src="([^"]*)"'
+        r'|<link rel="?stylesheet"?[^>]*href="([^"]*)"'
     )
     for page in pages:
         for source in (a or b for a, b in loading.findall(page.read_text(encoding="utf-8"))):

@@ -25,7 +25,9 @@ ALLOWED = {
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built without network from a copy of what the Dockerfile copies: a build leaves products beside the sources."""
+    """Built without network from a copy of what the Dockerfile copies: a build leaves products
+    beside the sources.
+    """
     pytest.importorskip("setuptools", "77", reason="setuptools is in the extra test")
     source = tmp_path_factory.mktemp("source")
     target = tmp_path_factory.mktemp("wheel")
@@ -84,14 +86,17 @@ def run(*command, cwd):
 
 
 def test_the_installed_package_has_the_same_names(tmp_path):
-    """And no others: `agents`, a name of the distribution openai-agents, and `configs` are not importable outside."""
+    """And no others: `agents`, a name of the distribution openai-agents, and `configs` are not
+    importable outside.
+    """
     try:
         metadata.version("soil_env")
     except metadata.PackageNotFoundError:
         pytest.skip("soil_env is not installed")
     program = (
-        "import importlib.util as u, soil_env_agents.controllers; from soil_env.parameters import scenario_names;"
-        "print(u.find_spec('agents'), u.find_spec('configs'), len(scenario_names()) > 3)"
+        "import importlib.util as u, soil_env_agents.controllers; from soil_env.parameters import "
+        "scenario_names;print(u.find_spec('agents'), u.find_spec('configs'), len(scenario_names()) "
+        "> 3)"
     )
     assert run(sys.executable, "-c", program, cwd=tmp_path).split() == ["None", "None", "True"]
     said = run(Path(sysconfig.get_path("scripts"), "soil-env"), "evaluate", "--help", cwd=tmp_path)
@@ -100,10 +105,11 @@ def test_the_installed_package_has_the_same_names(tmp_path):
 
 @pytest.mark.slow
 def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
-    """Neither site-packages nor HOME: code is compiled for the process, which says so, and predicts; configs are found.
+    """Neither site-packages nor HOME: code is compiled for the process, which says so, and
+    predicts; configs are found.
 
-    That of one prediction: the environment's is compiled and kept in the same way, in 30 s. Files in the place of the
-    folders that caches would go to stop even root, as whom containers run.
+    That of one prediction: the environment's is compiled and kept in the same way, in 30 s. Files
+    in the place of the folders that caches would go to stop even root, as whom containers run.
     """
     home = tmp_path / "site"
     nowhere = tmp_path / "home"
@@ -122,13 +128,13 @@ def test_first_use_where_nothing_can_be_written(wheel, tmp_path):
         "LOCALAPPDATA": str(nowhere),
     }
     program = (
-        "import sys, soil_env; assert 'soil_env.env' not in sys.modules; soil_env.SoilWheelEnv, soil_env.SoilRoverEnv;"
-        "import soil_env_agents.controllers;"
-        "from soil_env.terramechanics.model import ModelWheel, WheelSoilModel;"
-        "from soil_env.parameters import load_scenario, scenario_names, soils;"
-        "[load_scenario(name) for name in scenario_names()];"
-        "model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()['lete_sand'], {});"
-        "print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, soil_env.__file__)"
+        "import sys, soil_env; assert 'soil_env.env' not in sys.modules; soil_env.SoilWheelEnv, "
+        "soil_env.SoilRoverEnv;import soil_env_agents.controllers;from "
+        "soil_env.terramechanics.model import ModelWheel, WheelSoilModel;from soil_env.parameters "
+        "import load_scenario, scenario_names, soils;[load_scenario(name) for name in "
+        "scenario_names()];model = WheelSoilModel(ModelWheel(0.15, 0.15), soils()['lete_sand'], "
+        "{});print(model.predict({'slip': [0.2], 'load': 100.0}).drawbar_pull[0] > 0.0, "
+        "soil_env.__file__)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True

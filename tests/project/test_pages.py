@@ -1,7 +1,8 @@
-"""Pages against the code: snippets run, commands parse, tables of the contract agree, named code exists.
+"""Pages against the code: snippets run, commands parse, tables of the contract agree, named code
+exists.
 
-Links within the site are checked by `mkdocs build --strict`. `python -m tests.project.test_pages` writes the table of
-named effects into its page again.
+Links within the site are checked by `mkdocs build --strict`. `python -m tests.project.test_pages`
+writes the table of named effects into its page again.
 """
 
 import functools
@@ -141,7 +142,9 @@ def help_of(*command: str) -> str:
 
 
 def check_options(words: list[str], text: str) -> None:
-    """Every option is in the help text; --changes.course.length also as --changes.KEY, --ppo.history as --ppo.KEY."""
+    """Every option is in the help text; --changes.course.length also as --changes.KEY,
+    --ppo.history as --ppo.KEY.
+    """
     for word in words:
         if word.startswith("--"):
             option = word.partition("=")[0]
@@ -226,9 +229,8 @@ def test_the_observation_tables(page, env_id, variant, once, twice):
     """Entries of the tables `twice` come again, for the line beside or the other axle."""
     found = tables(DOCS / "guide" / page)
     expected = entries(f"soil_env:{env_id}", observation=variant)
-    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(
-        variant, ()
-    )  # numbered as with "identified"
+    # Numbered as with "identified".
+    sensors = {"true_soil": ("Sensors", "Camera", "Body", "Axles")}.get(variant, ())
     agree([row for name in (*once, *twice) if name not in sensors for row in found[name]], expected)
     assert sum(len(found[name]) for name in once) + 2 * sum(
         len(found[name]) for name in twice

@@ -15,15 +15,19 @@ import sys
 from pathlib import Path
 import gymnasium, numpy as np
 from soil_env._numba import cache
+from soil_env.identification.online.lanes import cache as of_identifier
 from soil_env.cli.warmup import warm_up
 
 warm_up()
-late, compiled = [], cache._Once.__call__
-def noted(once, signature):
-    if signature not in once._dispatcher.overloads:
-        late.append(once._dispatcher.py_func.__qualname__)
-    return compiled(once, signature)
-cache._Once.__call__ = noted
+late = []
+def note(once, compiled):
+    def noted(self, signature):
+        if signature not in self._dispatcher.overloads:
+            late.append(self._dispatcher.py_func.__qualname__)
+        return compiled(self, signature)
+    once.__call__ = noted
+for kept in (cache, of_identifier):
+    note(kept._Once, kept._Once.__call__)
 
 folder = Path(sys.argv[1])
 from soil_env.cli import main
@@ -41,13 +45,15 @@ rows = "".join(f"{0.1 * k},2,{0.27 - 0.02 * (k // 20 % 2)},0.02,5\\n" for k in r
 (folder / "a.csv").write_text("t,wheel_speed,speed,sinkage,torque\\n" + rows)
 names = "wheel_speed", "speed", "sinkage", "torque"
 channels = "".join(f"  {n}: {{column: {n}}}\\n" for n in names)
-(folder / "map.yaml").write_text("wheel: planetary_rover\\ntime: {column: t}\\nchannels:\\n" + channels)
-assert main(["logs", str(folder / "a.csv"), "--map", str(folder / "map.yaml"), "--out", str(folder / "out")]) == 0
+log, log_map = folder / "a.csv", folder / "map.yaml"
+log_map.write_text("wheel: planetary_rover\\ntime: {column: t}\\nchannels:\\n" + channels)
+assert main(["logs", str(log), "--map", str(log_map), "--out", str(folder / "out")]) == 0
 envs = gymnasium.make_vec("SoilWheel-v0", 8, "vector_entry_point")
 observations, _ = envs.reset(seed=0)
 envs.unwrapped.simulation.true_soils()  # of a teacher
 for name in ("best_slip_identified", "best_slip_true"):
-    make_controller(name, load_scenario("mixed")).predict(observations, None, np.ones(8, dtype=bool))
+    controller = make_controller(name, load_scenario("mixed"))
+    controller.predict(observations, None, np.ones(8, dtype=bool))
 env = gymnasium.make("SoilWheel-v0", render_mode="rgb_array")
 env.reset(seed=1)
 env.step(np.array([0.3], dtype=np.float32))

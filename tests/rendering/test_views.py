@@ -1,4 +1,6 @@
-"""Pictures of a wheel and of a rover: wheels, stresses and ruts where they are, history, windows, video."""
+"""Pictures of a wheel and of a rover: wheels, stresses and ruts where they are, history, windows,
+video.
+"""
 
 import math
 import os
@@ -52,7 +54,9 @@ def ground(simulation):
 
 
 def hubs(simulation):
-    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units per metre."""
+    """Places [axles, 2] (column, row) of the hubs in a picture of the design's size, and its units
+    per metre.
+    """
     left, top, width, height = SCENE
     scale = width / width_of(simulation)
     wheels = shown_wheels(simulation, 0)
@@ -95,7 +99,9 @@ def integral(values, x):
 @pytest.mark.parametrize("command", [0.5, 0.9, -0.3])
 @VEHICLES
 def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
-    """Load, pull and torque of the state, by the trapezoidal rule; the load is what the suspension gives."""
+    """Load, pull and torque of the state, by the trapezoidal rule; the load is what the suspension
+    gives.
+    """
     simulation, view = start(rover)
     drive(simulation, view, 15, command)
     world = simulation.numbers.world.wheel
@@ -143,9 +149,8 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
         for p in (with_rut, without)
     ]
     assert depth > 3.0 and sky[0] - sky[1] == pytest.approx(depth, abs=4.0)
-    ahead = np.s_[
-        200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]
-    ]  # below the key of the stresses
+    # Below the key of the stresses.
+    ahead = np.s_[200:, int(places[0, 0] + 1.7 * radius) : SCENE[2]]
     assert np.array_equal(with_rut[ahead], without[ahead])
 
 
@@ -185,7 +190,8 @@ def test_a_window_shows_the_picture(monkeypatch):
 
     pygame.display.quit()
     fast = {"control": {"period": 0.01, "substep": 0.01}}
-    (simulation, a), (_, b) = start(mode="human", changes=fast), start(mode="human", changes=fast)
+    simulation, a = start(mode="human", changes=fast)
+    _, b = start(mode="human", changes=fast)
     off_screen = CourseView(simulation.scenario, "rgb_array")
     for _ in range(3):
         drive(simulation, a, 1)

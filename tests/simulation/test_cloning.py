@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.rows import Rows
-from soil_env.driving.cloning import clone
-from soil_env.driving.wheels import STEP, Simulation
+from soil_env.envs.cloning import clone
+from soil_env.envs.wheels import STEP, Simulation
 from soil_env.parameters import load_scenario
 from soil_env.simulation.task import Cause
 from tests.simulation.wheels import started
@@ -19,7 +18,7 @@ def memory(part, wheel, wheels, name="worlds"):
     """{name: numbers} of everything that is kept of one wheel."""
     if part is None:
         return {}
-    if isinstance(part, Rows):
+    if hasattr(type(part), "NAMES"):
         each = part.count // wheels
         return {name: part.data[:, wheel * each : (wheel + 1) * each].copy()}
     if isinstance(part, tuple):

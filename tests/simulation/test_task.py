@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soil_env.driving.estimator import Results, knowledge, show_estimate
-from soil_env.env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
+from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
+from soil_env.identification.online.board import knowledge
+from soil_env.identification.online.on_board import show_estimate
 from soil_env.parameters import Belief, load_scenario, soils
-from soil_env.rover_env import SoilRoverEnv
+from soil_env.parameters.readings import Results
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.observation import write_observation
@@ -85,7 +87,7 @@ def observed_again(sim, ground=None, estimate=None):
     reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
     write_observation(out, worlds.state, worlds.counts, 0, reading, courses, NOTHING_SEEN, numbers)
     if sim.belief is not None:
-        known = sim._estimator
+        known = sim._on_board.memory
         if estimate is not None:
             known = known._replace(ids=known.ids._replace(estimate=known.ids.estimate + estimate))
         results = Results(out[None], worlds.terms, worlds.reward, worlds.cause)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.env import SoilWheelVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
 from soil_env.simulation.task.rules import task_numbers
 from soil_env.simulation.world.sensors import sense

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._numba.random_streams import seed_stream
-from soil_env.driving.rovers import RoverSimulation
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
 from soil_env.simulation.world import courses as drawing, dynamics, terrain
 from soil_env.simulation.world.wheel import (

@@ -32,7 +32,9 @@ LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
 def check_folder(folder: Path) -> None:
-    """Raise `ParameterError` where report files could not be written into `folder`; creates nothing."""
+    """Raise `ParameterError` where report files could not be written into `folder`; creates
+    nothing.
+    """
     try:
         check_outputs(folder, FILES)
     except OSError as error:
@@ -40,7 +42,9 @@ def check_folder(folder: Path) -> None:
 
 
 def write(report: Report, folder: Path) -> None:
-    """Write report.json, report.html and model.yaml into `folder`: all are made before the first is written."""
+    """Write report.json, report.html and model.yaml into `folder`: all are made before the first is
+    written.
+    """
     values = content(report)
     files = {
         "report.json": json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False) + "\n",

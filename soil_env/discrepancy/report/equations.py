@@ -1,4 +1,6 @@
-"""Additions to the model as equations with the fitted numbers: for the terminal, the page and report.json."""
+"""Additions to the model as equations with the fitted numbers: for the terminal, the page and
+report.json.
+"""
 
 import math
 import re
@@ -97,7 +99,10 @@ def _of_law(report: Report) -> Block:
     numbers = [
         (
             f"{plain(t.coefficient)}{product(t.powers)}",
-            f" in {TITLES[t.channel]}: 95 % interval of the coefficient {plain(c.low)} to {plain(c.high)}",
+            (
+                f" in {TITLES[t.channel]}: 95 % interval of the coefficient {plain(c.low)} to "
+                f"{plain(c.high)}"
+            ),
         )
         for t, c in zip(terms, report.law.coefficients(), strict=True)
     ]
@@ -106,7 +111,10 @@ def _of_law(report: Report) -> Block:
         j = CHANNELS.index(channel)
         (unit, scale) = UNITS[channel]
         added = scale * report.law.offset[report.problem.used[:, j], j]
-        said = f"it adds {added.min():.3g} to {added.max():.3g} {unit} of {TITLES[channel]} in this table"
+        said = (
+            f"it adds {added.min():.3g} to {added.max():.3g} {unit} of {TITLES[channel]} in this "
+            "table"
+        )
         numbers.append(("", said))
         symbol = {"sinkage": "z", "drawbar_pull": "DP", "torque": "T"}[channel]
         where[f"{symbol}, {symbol}_0"] = f"{TITLES[channel]} with and without the law"
@@ -117,8 +125,8 @@ def _of_law(report: Report) -> Block:
             seen = f", seen from {low:.3g} to {high:.3g}" if math.isfinite(low) else ""
             where.setdefault(symbol, meaning + seen)
     source = (
-        "found by a symbolic search in these data, no published law. Outside the seen ranges each group keeps the "
-        "value of the nearer end."
+        "found by a symbolic search in these data, no published law. Outside the seen ranges each "
+        "group keeps the value of the nearer end."
     )
     return Block("a law without a name", list(formulas(terms).values()), [], numbers, where, source)
 
@@ -132,9 +140,8 @@ def mathematics(text: str) -> str:
     text = escape(text, quote=False)
     out = []
     unit = re.compile(r"\(-?[\d.e+-]+ [^()]+\)")
-    for piece in re.split(
-        r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text
-    ):  # a number with its unit stays as it is
+    # A number with its unit stays as it is.
+    for piece in re.split(r"(\(-?[\d.e+-]+ [A-Za-z][^()]*\))", text):
         out.append(
             piece if unit.fullmatch(piece) else re.sub(r"(?<![&\w])[A-Za-z]\w*", _symbol, piece)
         )

@@ -21,11 +21,19 @@ MANY = 1200  # points of a plot above which they are drawn as an image
 CURVES = 4  # groups of rows whose curves over slip are drawn
 CAPTIONS = {
     "predicted": "Held-out predictions against the measured values; grey: twice the noise.",
-    "slip": "Measured values and models over slip, in a few groups of rows that differ in slip alone, from where "
-    "the base model does best (top) to where it does worst. A red cross was left out as an outlier.",
-    "next": "Predictions of the most probable candidates at the next runs, with two standard deviations. A run decides "
-    "between candidates whose bars do not overlap.",
-    "ranking": "Probability of each effect, and that nothing listed is missing. Dark: stated; light: alternatives.",
+    "slip": (
+        "Measured values and models over slip, in a few groups of rows that differ in slip alone, "
+        "from where the base model does best (top) to where it does worst. A red cross was left "
+        "out as an outlier."
+    ),
+    "next": (
+        "Predictions of the most probable candidates at the next runs, with two standard "
+        "deviations. A run decides between candidates whose bars do not overlap."
+    ),
+    "ranking": (
+        "Probability of each effect, and that nothing listed is missing. Dark: stated; light: "
+        "alternatives."
+    ),
 }
 COLOURS = (AFTER, BEFORE, "#6b4c9a", "#7a7a7a")  # of candidates
 _STYLE = {
@@ -106,10 +114,11 @@ def _both(report: Report, before, after):
 
 
 def groups(report: Report) -> list[tuple[str, np.ndarray]]:
-    """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by slip).
+    """At most `CURVES` groups of rows that differ in slip alone, (what they share, rows sorted by
+    slip).
 
-    Of all groups with three slips or more, evenly from the one that the base model misses least to the one that it
-    misses most.
+    Of all groups with three slips or more, evenly from the one that the base model misses least to
+    the one that it misses most.
     """
     data = report.problem.data
     varied = report.problem.data.varied
@@ -148,9 +157,8 @@ def _slip(report: Report) -> Figure:
         axis.set_title(f"{TITLES[name]} [{UNITS[name][0]}]")
     for axis in axes[-1]:
         axis.set_xlabel("slip")
-    tilt = (
-        report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
-    )  # of the rig; a model has none
+    # Of the rig; a model has none.
+    tilt = report.soil["tilt_deg"].value if "tilt_deg" in report.soil else 0.0
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         middle = data.rows.wheels[rows[len(rows) // 2]]

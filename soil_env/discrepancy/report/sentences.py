@@ -1,4 +1,6 @@
-"""Sentences of a report: summary, cautions, disagreements and next tests, by the templates of this folder."""
+"""Sentences of a report: summary, cautions, disagreements and next tests, by the templates of this
+folder.
+"""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -45,8 +47,8 @@ CONDITIONS = {
     "grouser_height": ("grouser height", " m"),
 }
 IN_MODEL = (
-    "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, has the values that "
-    "predict best so."
+    "Values and intervals allow for errors of the laws; model.yaml, which simulates without them, "
+    "has the values that predict best so."
 )
 _MORE = {
     "sinkage": ("deeper", "shallower"),
@@ -129,13 +131,14 @@ def disagreement(report: Report, d: Disagreement) -> str:
     parts += [f"every {listed(others)}"] if others else []
     return (
         f"measured {TITLES[d.channel]} is on average {amount(d.channel, abs(d.size))} "
-        f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) at "
-        f"{', '.join(parts)}"
+        f"{_MORE[d.channel][d.size < 0.0]} than the model's ({abs(d.size_sd):.1f} times the noise) "
+        f"at {', '.join(parts)}"
     )
 
 
 def _limit(name: str, limits: tuple[float, float], values: np.ndarray) -> str:
-    (low, high), (label, unit) = (f"{x:.3g}" for x in limits), CONDITIONS[name]
+    low, high = (f"{x:.3g}" for x in limits)
+    label, unit = CONDITIONS[name]
     if low == high:
         return f"{label} {low}{unit}"
     if limits[1] >= values.max():
@@ -162,7 +165,9 @@ def right_now(report: Report) -> float:
 
 
 def runs_help(report: Report) -> bool:
-    """True if there are next runs that should raise that probability by `LITTLE` or more, or one to repeat."""
+    """True if there are next runs that should raise that probability by `LITTLE` or more, or one to
+    repeat.
+    """
     runs = report.next_tests
     return bool(runs) and (runs[0].repeat or runs[-1].sure - right_now(report) >= LITTLE)
 
@@ -171,13 +176,19 @@ def after_next(report: Report) -> str:
     """Sentence on the probability of the right candidate after the next runs."""
     now = percent(right_now(report))
     if report.verdict == "unlisted":
-        return "These runs repeat what the model misses most, or tell listed effects apart, not what is in no catalogue"
+        return (
+            "These runs repeat what the model misses most, or tell listed effects apart, not what "
+            "is in no catalogue"
+        )
     if not runs_help(report):
-        return f"These runs would hardly help: the right candidate has {now} on average now, and about as much after them"
+        return (
+            f"These runs would hardly help: the right candidate has {now} on average now, and "
+            "about as much after them"
+        )
     return (
-        "Make the runs in this order and add their rows. A candidate, here an exact set of effects, is right as often "
-        f"as its probability says. So the right one has {now} on average now, and at least "
-        f"{percent(report.next_tests[-1].sure)} after them"
+        "Make the runs in this order and add their rows. A candidate, here an exact set of "
+        f"effects, is right as often as its probability says. So the right one has {now} on "
+        f"average now, and at least {percent(report.next_tests[-1].sure)} after them"
     )
 
 
@@ -247,7 +258,9 @@ def unseen(report: Report) -> list[str]:
 
 
 def cautions(report: Report) -> list[str]:
-    """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and model.yaml."""
+    """Cautions beside the doubts of `Report.doubts`, of the table, the fit, the gap and
+    model.yaml.
+    """
     problem = report.problem
     noise = report.noise
     fit = report.fit
@@ -329,7 +342,8 @@ def _helpers() -> dict[str, object]:
 def rises(report: Report) -> list[str]:
     """Channels whose held-out error is larger with the corrected model, in sentences."""
     return [
-        f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with {added(report)}."
+        f"The held-out error of {TITLES[name]} rises by {percent(g.after / g.before - 1.0)} with "
+        f"{added(report)}."
         for name, g in report.gap.items()
         if report.corrected and g.after > (1.0 + WORSE) * g.before
     ]
@@ -345,8 +359,9 @@ def probabilities(report: Report) -> str:
     """Probabilities that are of no one effect."""
     finding = report.finding
     return (
-        f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing that is in no "
-        f"catalogue {fixed(finding.remainder, 3)} ({fixed(finding.unlisted, 3)} of it with nothing that is listed)"
+        f"probability that nothing is missing {fixed(finding.none, 3)}, that something is missing "
+        f"that is in no catalogue {fixed(finding.remainder, 3)} ({fixed(finding.unlisted, 3)} of "
+        "it with nothing that is listed)"
     )
 
 
@@ -356,13 +371,16 @@ def rule() -> str:
         f"1 to {1.0 / odds:.0f}" for odds in (ODDS, RIG_ODDS, UNNAMED_ODDS, UNLISTED_ODDS)
     )
     return (
-        f"Before the table, the odds that an effect is missing are {listed} for each that is listed, {rig} for each "
-        f"error of the instrument, {law} for each of {len(UNNAMED)} laws without a name, and {other} for anything "
-        "else. The laws of the model count as approximate, by an amount that the table decides. What has 50 % or more "
-        "is stated."
+        f"Before the table, the odds that an effect is missing are {listed} for each that is "
+        f"listed, {rig} for each error of the instrument, {law} for each of {len(UNNAMED)} laws "
+        f"without a name, and {other} for anything else. The laws of the model count as "
+        "approximate, by an amount that the table decides. What has 50 % or more is stated."
     )
 
 
 def validity(report: Report) -> str:
     """Conditions that the corrected model has seen."""
-    return f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and warns of it."
+    return (
+        f"Fitted to {in_words(report.model.validity)}; beyond, model.yaml is an extrapolation and "
+        "warns of it."
+    )

@@ -54,7 +54,9 @@ def _interval(p: Interval) -> str:
 
 
 def gap(report: Report) -> Table:
-    """Held-out error of each channel; without the column of the corrected model where nothing was added."""
+    """Held-out error of each channel; without the column of the corrected model where nothing was
+    added.
+    """
     rows = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
@@ -91,7 +93,9 @@ def next_runs(report: Report) -> Table:
 
 
 def next_predictions(report: Report, most: int | None = None) -> Table:
-    """Predictions of the candidates, the first `most` of them, at each of these runs, with one standard deviation."""
+    """Predictions of the candidates, the first `most` of them, at each of these runs, with one
+    standard deviation.
+    """
     rows = []
     for k, test in enumerate(report.next_tests, start=1):
         for p in test.predicted[:most]:

@@ -1,23 +1,24 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At the slips `SLIPS`, a lane each, the steady sinkage z is the root of ln s(z) + n ln(ratio z_b) = ln p_b. s(z) is the
-sinkage coefficient that the load mobilises, p_b the pressure that the soil bears at the bearing sinkage z_b so far,
-ratio that of digging (`effects.digging_ratio`). A step of Newton's method a point follows it. Friction, cohesion, K and
-stiffness err together, so the pull is known better than any of them: its variance is by the whole covariance.
+At the slips `SLIPS`, a lane each, the steady sinkage z is the root of ln s(z) + n ln(ratio z_b) =
+ln p_b. s(z) is the sinkage coefficient that the load mobilises, p_b the pressure that the soil
+bears at the bearing sinkage z_b so far, ratio that of digging (`effects.digging_ratio`). A step of
+Newton's method a point follows it. Friction, cohesion, K and stiffness err together, so the pull is
+known better than any of them: its variance is by the whole covariance.
 """
 
 import math
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, log, smaller
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import digging_ratio
+from soil_env.identification.online.lanes.elementary import exp, larger, log, smaller
+from soil_env.identification.online.lanes.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env.identification.online.lanes.steady import best_points
 from soil_env.identification.online.soil_nodes import SOIL, below_diagonal
 from soil_env.parameters import Scenario, SoilState
-from soil_env.terramechanics.effects import digging_ratio
-from soil_env.terramechanics.traversability import best_points
 
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])
@@ -31,7 +32,9 @@ _STEP = 0.03  # of finite differences, of the sd of the prior
 
 @compiled_inline
 def _newton(x, soil, y, gain, ln_bearing, load, numbers):
-    """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ln of ratio z_b, share of digging)."""
+    """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ln of ratio z_b, share
+    of digging).
+    """
     slip = from_array(numbers.slips, 0)
     r = numbers.radius
     z = exp(x)
@@ -56,9 +59,10 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
 
     g: Gaussian of (tan phi, c, n, ln K).
 
-    `steady` [COUNT]: ln of the steady sinkages, renewed; 0 before the first time. y: ln of the pressure that the soil
-    bears at the sinkage `bearing` [m], `slopes` [4] its derivatives by these. `of_sinkage`: variances and covariance
-    (yy, yg, gg) of what the sinkage adds to y and to the ln of the gain. `along`: a change of these six.
+    `steady` [COUNT]: ln of the steady sinkages, renewed; 0 before the first time. y: ln of the
+    pressure that the soil bears at the sinkage `bearing` [m], `slopes` [4] its derivatives by
+    these. `of_sinkage`: variances and covariance (yy, yg, gg) of what the sinkage adds to y and to
+    the ln of the gain. `along`: a change of these six.
     """
     soil = GroundSoil(fill(g[0]), fill(g[1]), fill(g[2]), fill(g[3]))
     gain = numbers.dig_gain * math.exp(ln_gain)
@@ -124,7 +128,9 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
 def prior_pull(
     mean: np.ndarray, covariance: np.ndarray, depth: float, scenario: Scenario
 ) -> tuple[float, float]:
-    """(best drawbar pull of the weight, its variance) of a Gaussian [6] of the unknowns of `soil_prior`."""
+    """(best drawbar pull of the weight, its variance) of a Gaussian [6] of the unknowns of
+    `soil_prior`.
+    """
     b = scenario.belief
     wheel = scenario.wheel
     points = np.tile(mean, (13, 1))

@@ -1,36 +1,48 @@
 """Borders between soils: where one is, by the grade and by the forces (docs/physics/estimation.md).
 
-Every reading of the pitch tests `CANDIDATES` places, evenly over the length of a border. The likelihood of a border
-over that of none is (Bayesian linear regression)
+Every reading of the pitch tests `CANDIDATES` places, evenly over the length of a border. The
+likelihood of a border over that of none is (Bayesian linear regression)
 
     (1 + A t^2/v)^-1/2 exp(B^2 / (2 v (A + v/t^2))),   A = sum w^2, B = sum w y
 
-with y the pitch less that of this soil so far and w the share of the new soil if the border were there. t is the sd of
-the unknown rise, v the variance of a reading. Place and rise are the means over all places by their likelihoods.
+with y the pitch less that of this soil so far and w the share of the new soil if the border were
+there. t is the sd of the unknown rise, v the variance of a reading. Place and rise are the means
+over all places by their likelihoods.
 """
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, larger, log
-from soil_env._numba.lanes import COUNT, fill, from_array, smallest, to_array, total
 from soil_env.identification.online.curve_fit import drop_border, fit_behind_border
 from soil_env.identification.online.filter_bank import CANDIDATES
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.elementary import exp, larger, log
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.sinkage_filter import begin_next_sinkage, keep_old_sinkage
 from soil_env.identification.online.soil_nodes import begin_next_soil, leave_old_soil
-from soil_env.terramechanics.ground import share_of_next
 
 _ODDS = 2.5  # ln odds at which a change of the grade is a border
-_AHEAD = 0.1  # [border lengths] ahead of a point at which the share of a next soil is taken: until the next point
+# [border lengths] ahead of a point at which the share of a next soil is taken: until the next point
+_AHEAD = 0.1
 _HAZARD = 0.5  # [1/m] of borders, as believed
 _KEPT = 60.0  # readings that the grade of a soil is the mean of, at most
-_KNOWN = 5.0  # readings that the grade of a new soil counts for when its border, on which it was estimated, ends
-_BETWEEN = 0.4  # [squared distances of the places tested] least variance of a place, ampler than that between two
+# readings that the grade of a new soil counts for when its border, on which it was estimated, ends
+_KNOWN = 5.0
+# [squared distances of the places tested] least variance of a place, ampler than that between two
+_BETWEEN = 0.4
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
 _FOUND = (
     1.0 / 6.0
 )  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
-_UNSURE = 0.08  # [border lengths] sd of a border's place beyond which readings on it do not count behind it
+# [border lengths] sd of a border's place beyond which readings on it do not count behind it
+_UNSURE = 0.08
 
 
 @compiled_inline
@@ -50,7 +62,9 @@ def _share(x, place, length):
 
 @compiled_inline
 def share_here(banks, k, x, spread, numbers):
-    """(share of the new soil, its derivative by the place) of wheel k at x +- spread [m]; 1 away from borders."""
+    """(share of the new soil, its derivative by the place) of wheel k at x +- spread [m]; 1 away
+    from borders.
+    """
     if banks.point.crossing[k] == 0.0:
         return 1.0, 0.0
     place = banks.point.border[k]
@@ -112,8 +126,8 @@ def _likelihoods(found, i, v, ratio):
 
 @compiled_part
 def _locate(banks, k, numbers):
-    """(ln evidence of a border over none, mean [m] and variance [m2] of its place, rise [rad] of the grade, mean and
-    mean square of the new soil's share here)."""
+    """(ln evidence of a border over none, mean [m] and variance [m2] of its place, rise [rad] of
+    the grade, mean and mean square of the new soil's share here)."""
     p = banks.point
     found = banks.candidates[k]
     v = _variance_of_pitch(p, k, numbers)
@@ -194,7 +208,9 @@ def begin(banks, k, numbers, place, place_variance, rise):
 
 @compiled_inline
 def begin_known_border(banks, k, numbers, place, place_variance):
-    """`begin` at a place that the grade does not move; the contradictions of the laws so far came from the border."""
+    """`begin` at a place that the grade does not move; the contradictions of the laws so far came
+    from the border.
+    """
     begin(banks, k, numbers, place, place_variance, 0.0)
     banks.point.fixed[k] = 1.0
     banks.point.form_error[k] = numbers.model_error
@@ -203,7 +219,9 @@ def begin_known_border(banks, k, numbers, place, place_variance):
 
 @compiled_inline
 def end(banks, k, numbers):
-    """Leave a border behind: the old soil counts for the readings on the border only, if they count at all."""
+    """Leave a border behind: the old soil counts for the readings on the border only, if they count
+    at all.
+    """
     p = banks.point
     p.crossing[k] = 0.0
     p.misfit[k] = 0.0

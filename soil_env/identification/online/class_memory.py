@@ -1,26 +1,29 @@
-"""Memory of terrain classes on a course: estimates and best drawbar pull of each, with their standard deviations.
+"""Memory of terrain classes on a course: estimates and best drawbar pull of each, with their
+standard deviations.
 
-A patch of a class counts with the last estimate made on it, away from its borders as the camera sees them. Each of
-these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and the prior (m_0, s_0) the class has
+A patch of a class counts with the last estimate made on it, away from its borders as the camera
+sees them. Each of these estimates holds the prior, which counts once: of posteriors (m_i, s_i) and
+the prior (m_0, s_0) the class has
 
     s^-2 = s_0^-2 + sum (s_i^-2 - s_0^-2),    s^-2 m = s_0^-2 m_0 + sum (s_i^-2 m_i - s_0^-2 m_0),
 
-each quantity by itself. Where two differ by more than they allow, chi-squared widens what they have together (Birge
-1932, Physical Review 40:207-227).
+each quantity by itself. Where two differ by more than they allow, chi-squared widens what they have
+together (Birge 1932, Physical Review 40:207-227).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
 from soil_env.identification.online.identifier import identifier_numbers
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 6  # those of `online.IdentifierNumbers.prior` and, last, the best drawbar pull [of load]
 PULL = UNKNOWNS - 1
 _LEAST_SD = 1e-6
-WIDER = 1.4  # sd of the pull of a patch over that of its estimate: labels may be wrong, borders are near
+# sd of the pull of a patch over that of its estimate: labels may be wrong, borders are near
+WIDER = 1.4
 _FOUND = 1.0 / 3.0  # [border lengths] behind a border until the identifier has found it out
 
 
@@ -74,7 +77,9 @@ def forget_classes(memory, k, numbers):
 
 @compiled_part
 def remember(memory, k, c, patch, ids, numbers):
-    """Renew class c by the estimate that identifier k has on a `patch`; it replaces an earlier one from there."""
+    """Renew class c by the estimate that identifier k has on a `patch`; it replaces an earlier one
+    from there.
+    """
     mean = memory.mean[k]
     precision = memory.precision[k]
     if memory.patch[k] != patch:
@@ -103,5 +108,7 @@ def remember(memory, k, c, patch, ids, numbers):
 
 @compiled_inline
 def clear_of_borders(since, left, numbers):
-    """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one soil."""
+    """True if an estimate made `since` [m] the last border and `left` [m] before the next is of one
+    soil.
+    """
     return since > (0.5 + _FOUND) * numbers.border and left > 0.5 * numbers.border

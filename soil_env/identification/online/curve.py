@@ -1,22 +1,25 @@
-"""Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and sinkage.
+"""Traction curve of the ground under a wheel: readings of pull and torque, gathered by slip and
+sinkage.
 
-Readings are averaged to points, points of like slip and sinkage to bins of the curve, by the most likely slip under the
-soil so far: why, docs/physics/estimation.md has.
+Readings are averaged to points, points of like slip and sinkage to bins of the curve, by the most
+likely slip under the soil so far: why, docs/physics/estimation.md has.
 """
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import scratch
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.lanes import scratch
 
 BINS = 8  # of a curve
-#: Of a bin: readings; mean slip, sinkage [m], pull [N] and torque [N m], each with its weight (inverse variance); load
-#: [N]; slip by which it is grouped; mean and spread [m] of its places; 1 where the soil passes into the next there.
+#: Of a bin: readings; mean slip, sinkage [m], pull [N] and torque [N m], each with its weight
+#: (inverse variance); load [N]; slip by which it is grouped; mean and spread [m] of its places; 1
+#: where the soil passes into the next there.
 READINGS, SLIP, SLIP_WEIGHT, SINKAGE, SINKAGE_WEIGHT, PULL, PULL_WEIGHT, TORQUE, TORQUE_WEIGHT = (
     range(9)
 )
 LOAD, KEY, PLACE, SPREAD, ON_BORDER, FIELDS = range(9, 15)
-# Differences that count as one: of slip, of its size, relative of the sinkage; squared, within which bins are merged.
+# Differences that count as one: of slip, of its size, relative of the sinkage; squared, within
+# which bins are merged.
 _SLIP = 0.012
 _SLIP_SHARE = 0.1
 _SINKAGE = 0.17
@@ -67,8 +70,8 @@ def _unlike(bins, a, b, border):
 
 @compiled_part
 def add(bins, count, point, border):
-    """Add a point [FIELDS] to a curve of `count` bins: (bins then, the bin that changed, the bin that the last one took
-    the place of, or -1)."""
+    """Add a point [FIELDS] to a curve of `count` bins: (bins then, the bin that changed, the bin
+    that the last one took the place of, or -1)."""
     last = count * FIELDS
     for i in range(FIELDS):
         bins[last + i] = point[i]

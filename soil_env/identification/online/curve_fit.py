@@ -1,23 +1,42 @@
-"""Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side by side.
+"""Fit of the soil to the traction curve (`curve`), for the eight nodes of ln K (`soil_nodes`) side
+by side.
 
-Each node has a maximum a posteriori with a covariance (Laplace) by the sum of docs/physics/estimation.md; the posterior
-is their mixture, weighted by the evidence. Of the ln of the determinant in it a quarter counts: all of it prefers low
-slopes, the more so the more bins there are (Neyman & Scott 1948, Econometrica 16:1-32). A bin is linearised at the slip
-that is most likely under the node.
+Each node has a maximum a posteriori with a covariance (Laplace) by the sum of
+docs/physics/estimation.md; the posterior is their mixture, weighted by the evidence. Of the ln of
+the determinant in it a quarter counts: all of it prefers low slopes, the more so the more bins
+there are (Neyman & Scott 1948, Econometrica 16:1-32). A bin is linearised at the slip that is most
+likely under the node.
 """
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, where_less
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
 from soil_env.identification.online import curve, soil_nodes
 from soil_env.identification.online.contact_slopes import GroundSoil, reaction
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.elementary import (
+    exp,
+    fma,
+    larger,
+    log,
+    smaller,
+    sqrt,
+    where_less,
+)
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.soil_nodes import OLD, SOIL, TRIANGLE, UNKNOWNS, below_diagonal
-from soil_env.terramechanics.ground import share_of_next
 
-# Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and torque as affine
-# functions of the unknowns and the slip: constant, slopes; their covariance beside that of the sensors.
+# Rows of `fits`, COUNT numbers each, of one bin: the slip at which it is linearised next; pull and
+# torque as affine functions of the unknowns and the slip: constant, slopes; their covariance beside
+# that of the sensors.
 NEXT_SLIP = 0
 OF_PULL = 1
 OF_TORQUE = 7
@@ -34,13 +53,15 @@ _STEP_COHESION = 0.3
 _LEAST_TANGENT = 0.05
 _LEAST_EXPONENT = 0.2
 _MOST_EXPONENT = 2.0
-_STALE = 2.0  # squared length of a step, in standard deviations, after which all bins are linearised anew
+# squared length of a step, in standard deviations, after which all bins are linearised anew
+_STALE = 2.0
 _MOST_STEPS = 6  # of the fit behind a border; squared length of a step below which it ends
 _STAYS_THERE = 0.05
 _UNLIKELY = -7.0  # ln weight below which a node is not followed closely
 _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
-_OLD_DOUBT = 3.0  # how much more the covariance of the old soil counts: its error is one for all bins of a border
+# how much more the covariance of the old soil counts: its error is one for all bins of a border
+_OLD_DOUBT = 3.0
 _OF_VOLUME = (
     0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
 )
@@ -51,7 +72,9 @@ _vector = scratch(UNKNOWNS * COUNT)
 
 @compiled_inline
 def share_on_border(x, spread, place, length):
-    """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread [m]; lanes."""
+    """(share of the new soil, its derivative by the place of the border) of a wheel at x +- spread
+    [m]; lanes.
+    """
     low, by_low = share_of_next((x - spread - place) * (1.0 / length))
     high, by_high = share_of_next((x + spread - place) * (1.0 / length))
     return smaller(larger(0.5 * (low + high), _LEAST_SHARE), 1.0 - _LEAST_SHARE), (
@@ -176,10 +199,11 @@ def _residual(nodes, fits, f, q, value, slip):
 
 @compiled_part
 def solve(banks, k, numbers):
-    """One Gauss-Newton step of all nodes on the linearised bins; the largest squared length of the step of a likely
-    one in standard deviations.
+    """One Gauss-Newton step of all nodes on the linearised bins; the largest squared length of the
+    step of a likely one in standard deviations.
 
-    Renews unknowns, posterior covariances and weights of the nodes, and the slips at which bins are linearised next.
+    Renews unknowns, posterior covariances and weights of the nodes, and the slips at which bins are
+    linearised next.
     """
     nodes = banks.nodes[k]
     bins = banks.bins[k]
@@ -226,7 +250,9 @@ def solve(banks, k, numbers):
 
 @compiled_inline
 def _add_bin(nodes, bins, at, fits, f, A, g, form_error, numbers):
-    """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over the sensors')."""
+    """Add a bin to normal matrix and gradient: (its chi-squared, determinant of its covariance over
+    the sensors').
+    """
     slip = bins[at + curve.SLIP]
     of_slip = 1.0 / bins[at + curve.SLIP_WEIGHT]
     error = form_error * bins[at + curve.LOAD]
@@ -312,7 +338,9 @@ def _inverse(L, out, at):
 
 @compiled_inline
 def _step(banks, k, A, g, cost, volume, numbers):
-    """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights; as `solve`."""
+    """Take the step A^-1 g of all nodes within the limits, and renew their covariances and weights;
+    as `solve`.
+    """
     nodes = banks.nodes[k]
     L = _matrix2()
     step = _vector()
@@ -374,8 +402,8 @@ def _linearise_all(banks, k, numbers):
 
 @compiled_part
 def fit(banks, k, changed, replaced, numbers):
-    """Renew what is known of the soil of wheel k after bins `changed` and `replaced` (or -1) have become others; the
-    least chi-squared.
+    """Renew what is known of the soil of wheel k after bins `changed` and `replaced` (or -1) have
+    become others; the least chi-squared.
 
     These and one other are linearised anew; all where much has changed.
     """

@@ -1,13 +1,10 @@
 """The soil that an estimate of the identifier stands for."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any
 
-from soil_env._numba.compiling import compiled_inline, compiled_root
-from soil_env.parameters import Belief, Soil, SoilState
-from soil_env.terramechanics.traversability import best_working_point
+from soil_env.identification.online.lanes.compiling import FastCall, compiled_inline, compiled_root
+from soil_env.identification.online.lanes.steady import best_working_point
+from soil_env.parameters import SoilState
 
 STIFFEST = 1e13  # largest sinkage coefficient that an estimate may stand for, whatever its exponent
 MOST_DIGGING = 20.0  # largest gain of digging that an estimate may stand for
@@ -16,7 +13,8 @@ LEAST_LOAD = 0.05  # share of the weight below which a measured load counts as t
 
 @compiled_inline
 def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
-    """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging / `dig_gain`)).
+    """`SoilState` of the estimate x [5] of (phi [rad], ln K, ln S, cohesion, ln(gain of digging /
+    `dig_gain`)).
 
     Exponent and recovery of digging are those of the belief.
     """
@@ -31,34 +29,15 @@ def soil_of_estimate(x, dig_gain, exponent, dig_recovery):
     )
 
 
-def published(x: Any, sd: Any, pull: Any, dig_gain: float, of: Any = math) -> dict[str, Any]:
-    """Published numbers of an estimate x [5] with its sd [5] and of the best drawbar pull [2] with its sd.
-
-    Of arrays [5, wheels] and [2, wheels] with `of` numpy.
-    """
-    return {
-        "friction_angle_deg": of.degrees(x[0]),
-        "shear_modulus": of.exp(x[1]),
-        "sinkage_coefficient": of.exp(x[2]),
-        "cohesion": x[3],
-        "dig_gain": dig_gain * of.exp(x[4]),
-        "friction_angle_sd_deg": of.degrees(sd[0]),
-        "shear_modulus_relative_sd": sd[1],
-        "sinkage_coefficient_relative_sd": sd[2],
-        "cohesion_sd": sd[3],
-        "dig_gain_relative_sd": sd[4],
-        "best_pull": pull[0],
-        "best_pull_sd": pull[1],
-    }
-
-
 @compiled_root(nogil=True)
 def assess_ground(rows, estimate, pull, seen, numbers, out):
-    """Write the traversability of the ground as identified under the wheels `rows` [n] into `out` [wheels, 6].
+    """Write the traversability of the ground as identified under the wheels `rows` [n] into `out`
+    [wheels, 6].
 
-    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen` [wheels, 2], load [of
-    weight] and pitch [rad]; `numbers` are `FilterNumbers`. Columns of `out`: best slip, drawbar margin and its sd [of
-    load], torques required and available [N m], 1 if the ground is passable (source paper, Section 6).
+    `estimate` [wheels, 5]; `pull` [wheels, 2], the best drawbar pull and its sd [of load]; `seen`
+    [wheels, 2], load [of weight] and pitch [rad]; `numbers` are `FilterNumbers`. Columns of `out`:
+    best slip, drawbar margin and its sd [of load], torques required and available [N m], 1 if the
+    ground is passable (source paper, Section 6).
     """
     for k in rows:
         x = estimate[k]
@@ -78,16 +57,6 @@ def assess_ground(rows, estimate, pull, seen, numbers, out):
         out[k, 5] = 1.0 if margin > 0.0 else 0.0
 
 
-_BOUNDS = {f.name: f.metadata for f in fields(Soil)}
-
-
-def soil_of_numbers(numbers: Mapping[str, float], belief: Belief) -> Soil:
-    """The soil of `published` numbers, each within its bounds; exponent and recovery of digging are the belief's."""
-    within = {
-        name: min(max(numbers[name], limit["low"]), limit["high"])
-        for name, limit in _BOUNDS.items()
-        if name in numbers
-    }
-    return Soil(
-        sinkage_exponent=belief.sinkage_exponent, dig_recovery=belief.dig_recovery, **within
-    )
+def ground_assessment() -> FastCall:
+    """`assess_ground` for many calls with arguments of the same types."""
+    return FastCall(assess_ground)

@@ -1,21 +1,24 @@
-"""The filter of the online identifier: the soil under a wheel by its readings (docs/physics/estimation.md).
+"""The filter of the online identifier: the soil under a wheel by its readings
+(docs/physics/estimation.md).
 
-Readings are averaged to points, over times in which little changes; a quantity of two sensors is their mean by
-precision. Where the grade changes, or the forces of a few points are less likely than the errors allow, the wheel comes
-to another soil (`border`). Where even other readings contradict the laws, these have a form error.
+Readings are averaged to points, over times in which little changes; a quantity of two sensors is
+their mean by precision. Where the grade changes, or the forces of a few points are less likely than
+the errors allow, the wheel comes to another soil (`border`). Where even other readings contradict
+the laws, these have a form error.
 """
 
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, smaller
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, to_array
-from soil_env._numba.rows import zero_column
 from soil_env.identification.online import border, curve
 from soil_env.identification.online.contact_slopes import GroundSoil, Slopes, reaction
 from soil_env.identification.online.curve_fit import begin_bin, fit, quadratic_form
 from soil_env.identification.online.filter_bank import restart
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import motion_from_slip, onto_fresh
+from soil_env.identification.online.lanes.elementary import larger, smaller
+from soil_env.identification.online.lanes.lanes import COUNT, fill, from_array, scratch, to_array
+from soil_env.identification.online.lanes.rows import zero_column
 from soil_env.identification.online.sinkage_filter import (
     DEPTH,
     Ground,
@@ -26,11 +29,8 @@ from soil_env.identification.online.sinkage_filter import (
     start,
 )
 from soil_env.identification.online.soil_nodes import OLD, SOIL, fit_is_sound, renew_prior
-from soil_env.slip import motion_from_slip
-from soil_env.terramechanics.effects import onto_fresh
-from soil_env.terramechanics.reaction import REST_SPEED
 
-SLOWEST = 20.0 * REST_SPEED  # [m/s] rim speed below which readings are passed over
+SLOWEST = 0.02  # [m/s] rim speed below which readings are passed over
 # Limits of a point: readings, [wheel radii], range of slip, relative range of the rim speed.
 _READINGS = 8
 _LENGTH = 0.67
@@ -40,7 +40,8 @@ _ON_BORDER = 0.6  # of the readings and the length where the soil changes
 _SPINNING = 0.9  # slips beyond which they are
 _LOCKED = -0.4
 _THROWN = 0.115  # [of gravity] acceleration of the rim above which they are
-_TURNED = 8.0  # 1-sigma error of a motor torque, of the mean torque that turns the wheel faster in the period
+# 1-sigma error of a motor torque, of the mean torque that turns the wheel faster in the period
+_TURNED = 8.0
 _MASS_DOUBT = 0.05  # relative, of the mass by the first point
 _LIFTED = 0.05  # [of the weight] load below which readings are passed over before the first point
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
@@ -48,20 +49,23 @@ _SINKAGE_SHARE = (
     2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
 )
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
-#: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum above this contradicts
-#: the laws, and one above `_ANOTHER_SOIL` the soil.
+#: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum
+#: above this contradicts the laws, and one above `_ANOTHER_SOIL` the soil.
 CONTRADICTION_OF_POINTS = 10.0
 _ANOTHER_SOIL = 7.0
-# Points of a soil up to which readings contradict the laws, not the soil; where the grade shows no borders.
+# Points of a soil up to which readings contradict the laws, not the soil; where the grade shows no
+# borders.
 _SHORT = 12.0
 _SHORTER = 4.0
 _EXPECTED = 3.5  # chi-squared of pull and torque that raises no suspicion
-# The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample, 0.7 is seldom.
+# The same of the sinkage, how much the excess counts, and at most: the errors of its law are ample,
+# 0.7 is seldom.
 _SINKAGE_EXPECTED = 0.7
 _OF_SINKAGE = 3.0
 _MOST_OF_SINKAGE = 5.0
-# Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows until that is
-# below the mean over _HARDER^2, since errors of the laws do not average out as noise does.
+# Form error: where chi-squared exceeds its mean by so many standard deviations it begins, and grows
+# until that is below the mean over _HARDER^2, since errors of the laws do not average out as noise
+# does.
 _BEGINS = 4.0
 _HARDER = 5.0
 _GROWS = 1.3
@@ -167,7 +171,7 @@ def _is_finite(r):
 
 @compiled_inline
 def _is_steady(p, k, r, turned, numbers):
-    """True if the wheel drives on the ground without spinning, locking or changing its speed much."""
+    """True if the wheel drives on the ground without spinning, locking or a jump of speed."""
     drives = r.rim_speed >= SLOWEST and _LOCKED <= r.slip <= _SPINNING
     touches = r.sinkage >= 1e-3 * numbers.radius and (
         p.mass[k] > 0.0 or r.load >= _LIFTED * numbers.weight
@@ -295,7 +299,9 @@ def _short(numbers):
 
 @compiled_inline
 def _doubt_soil_or_laws(banks, k, numbers):
-    """Begin another soil, or a form error of the laws, where the last points contradict the soil so far."""
+    """Begin another soil, or a form error of the laws, where the last points contradict the soil so
+    far.
+    """
     p = banks.point
     if p.misfit[k] <= _ANOTHER_SOIL or p.points[k] <= 2.0 or p.crossing[k] > 0.0:
         return
@@ -374,7 +380,9 @@ _HERE = 3  # the lane at the slip of the point
 
 @compiled_inline
 def _slips(point):
-    """Slips at which the forces of a point are predicted, a value a lane; that of the point is in lane `_HERE`."""
+    """Slips at which the forces of a point are predicted, a value a lane; that of the point is in
+    lane `_HERE`.
+    """
     lanes = _lane_numbers()
     step = max(0.8 * math.sqrt(point.slip_variance), 2e-3)
     for j in range(COUNT):
@@ -414,7 +422,9 @@ def _key(rows, point, load, numbers):
 
 @compiled_inline
 def _surprise(banks, k, rows, point, load, moved, variance, numbers):
-    """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has this variance."""
+    """Chi-squared of pull and torque under the soil so far; the sinkage has `moved` [m] and has
+    this variance.
+    """
     p = _one(rows, _PULL, _HERE)
     t = _one(rows, _TORQUE, _HERE)
     error = banks.point.form_error[k] * load
@@ -435,7 +445,9 @@ def _surprise(banks, k, rows, point, load, moved, variance, numbers):
 
 @compiled_inline
 def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
-    """`Slopes` of pull, torque and ln s at the slips of a point into `rows`; those by the soil into the bank."""
+    """`Slopes` of pull, torque and ln s at the slips of a point into `rows`; those by the soil into
+    the bank.
+    """
     p = banks.point
     lanes = GroundSoil(
         fill(soil.tangent), fill(soil.cohesion), fill(soil.exponent), fill(soil.ln_K)
@@ -454,7 +466,9 @@ def _predict_forces(banks, k, soil, depth, point, load, rows, numbers):
 
 @compiled_inline
 def _add_to_curve(banks, k, point, load, sinkage, variance, key, on_border, numbers):
-    """Add a point to the traction curve: (bin that changed, bin that another took the place of, or -1)."""
+    """Add a point to the traction curve: (bin that changed, bin that another took the place of, or
+    -1).
+    """
     p = banks.point
     new = curve.new_point()
     new[curve.READINGS] = point.readings

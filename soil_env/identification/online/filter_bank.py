@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_part
-from soil_env._numba.lanes import COUNT
-from soil_env._numba.rows import Rows, rows, zero_column
 from soil_env.identification.online.best_pull import SLIPS
 from soil_env.identification.online.curve import BINS, FIELDS
 from soil_env.identification.online.curve_fit import FIT_ROWS
+from soil_env.identification.online.lanes.compiling import compiled_part
+from soil_env.identification.online.lanes.lanes import COUNT
+from soil_env.identification.online.lanes.rows import Rows, rows, zero_column
 from soil_env.identification.online.sinkage_filter import SINKAGE_ROWS, new_soil
 from soil_env.identification.online.soil_nodes import GAUSSIAN, NODE_ROWS, PRIOR_SIZE, begin_soil
 from soil_env.identification.online.soil_prior import SoilPrior, depth_of, soil_prior
@@ -46,7 +46,8 @@ OpenPoint: type[Rows] = rows(
 #: Scalars of each wheel.
 FilterPoint: type[Rows] = rows(
     "FilterPoint",
-    # clocks: integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l; time [s]; and their values at the last point
+    # clocks: integrals of A dt, |r w - V| dt / l and |d(r w)| dt / l; time [s]; and their values at
+    # the last point
     "path",
     "sliding",
     "shock",
@@ -73,7 +74,7 @@ FilterPoint: type[Rows] = rows(
     "ln_s_exponent",
     "ln_s_ln_K",  # derivatives of ln(s z^n), at the last point
     "pull_share",
-    "pull_by_share",  # on a border: share of the new soil where the pull was renewed; its derivative
+    "pull_by_share",  # on a border: share of the new soil as the pull was renewed; its derivative
     "bearing",  # [m] bearing sinkage at the last point; 0: none yet
     # the border under the wheel: 1 on one, place [m] and its variance, rise of the grade [rad]
     "crossing",
@@ -92,8 +93,8 @@ FilterPoint: type[Rows] = rows(
 
 
 class FilterBanks(NamedTuple):
-    """Memory of many filters, a row a wheel; eight numbers, one a node or one a filter of the sinkage, lie side by
-    side."""
+    """Memory of many filters, a row a wheel; eight numbers, one a node or one a filter of the
+    sinkage, lie side by side."""
 
     open: Rows  # OpenPoint
     point: Rows  # FilterPoint
@@ -124,12 +125,14 @@ class FilterNumbers(NamedTuple):
     depth: float  # [m] at which pressures of soils are compared
     model_error: float  # 1-sigma of the form error of laws that are not contradicted, of the load
     prior: SoilPrior
-    noise: np.ndarray  # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
+    # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
+    noise: np.ndarray
     border: float  # [m] over which one soil passes into the next, as believed
     grade_change: (
         float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
     )
-    load_drift: float  # relative sd of the change of the load from point to point; 0: a constant mass under gravity
+    # relative sd of the change of the load from point to point; 0: a constant mass under gravity
+    load_drift: float
     stall_torque: float
     slips: np.ndarray  # [8] `best_pull.SLIPS`
     offsets: np.ndarray  # [CANDIDATES] of the places of a border [m], from the first on

@@ -2,11 +2,11 @@
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, log
-from soil_env._numba.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.best_pull import best_pull
 from soil_env.identification.online.border import share_here
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import exp, log
+from soil_env.identification.online.lanes.lanes import COUNT, from_array, scratch, total
 from soil_env.identification.online.sinkage_filter import (
     GAIN,
     OLD_GAIN,
@@ -23,15 +23,17 @@ PHI, LN_K, LN_S, COHESION, LN_GAIN = range(PUBLISHED)
 _ground = scratch(GAUSSIAN)
 _product = scratch(SOIL)
 _change = scratch(SOIL + 2)
-# Unknowns of a soil in the order of `soil_nodes`, which are (tan phi, c, n, ln K), and where they are published.
+# Unknowns of a soil in the order of `soil_nodes`, which are (tan phi, c, n, ln K), and where they
+# are published.
 _TANGENT, _C, _N, _LN_K = range(SOIL)
 _LEAST_VARIANCE = 1e-18
 _LEAST_TANGENT = 0.01  # of the friction angle that is published
-# Standard deviations as published are those of the filter times `SoilPrior.widths`. The best pull has its own factor,
-# `OF_PULL`; laws that are contradicted err by `_AWAY` times as much at other slips. Pressure and gain (their ln) have
-# an error of their own and one by the exponent, which the filter of the sinkage holds known. Where readings begin to
-# contradict the soil so far, all grow by the misfit over `_DOUBTED`, at most `_MOST`, and by `_CONTRADICTED` where they
-# contradict the laws.
+# Standard deviations as published are those of the filter times `SoilPrior.widths`. The best pull
+# has its own factor, `OF_PULL`; laws that are contradicted err by `_AWAY` times as much at other
+# slips. Pressure and gain (their ln) have an error of their own and one by the exponent, which the
+# filter of the sinkage holds known. Where readings begin to contradict the soil so far, all grow by
+# the misfit over `_DOUBTED`, at most `_MOST`, and by `_CONTRADICTED` where they contradict the
+# laws.
 OF_PULL = 0.83
 _AWAY = 2.0
 _DOUBTED = 6.0
@@ -43,7 +45,8 @@ _OF_GAIN = (0.2, 1.5)
 
 @compiled_part
 def _of_forces(banks, k, share, by_place, prior, out):
-    """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a border.
+    """Gaussian [GAUSSIAN] of the ground under the wheel by the forces: a blend of two soils on a
+    border.
 
     Away from borders it is a blend with the `prior`, as far as the grade makes a next soil likely.
     """
@@ -84,10 +87,11 @@ def _of_forces(banks, k, share, by_place, prior, out):
 
 @compiled_inline
 def _publish_forces(g, slopes, of_load, along, estimate, covariance):
-    """Mean and covariance of (phi, ln K, c) from the Gaussian `g` by the forces; variance of ln(s z^n) by them.
+    """Mean and covariance of (phi, ln K, c) from the Gaussian `g` by the forces; variance of ln(s
+    z^n) by them.
 
-    `along` [SOIL]: covariance of the unknowns with ln(s z^n), whose derivatives are `slopes` [SOIL]. `of_load`:
-    relative variance of the load, which scales all strengths.
+    `along` [SOIL]: covariance of the unknowns with ln(s z^n), whose derivatives are `slopes`
+    [SOIL]. `of_load`: relative variance of the load, which scales all strengths.
     """
     tangent = g[_TANGENT]
     c = SOIL
@@ -131,7 +135,9 @@ def _with_next_soil(found, prior, m, q):
 
 @compiled_inline
 def _widen(doubt, widths, covariance, sd):
-    """Scale the lower triangle of the covariance by `doubt` and `widths` [5], mirror it, and fill `sd` [5]."""
+    """Scale the lower triangle of the covariance by `doubt` and `widths` [5], mirror it, and fill
+    `sd` [5].
+    """
     for i in range(PUBLISHED):
         for j in range(i + 1):
             covariance[i, j] *= doubt * doubt * widths[i] * widths[j]
@@ -141,10 +147,12 @@ def _widen(doubt, widths, covariance, sd):
 
 @compiled_part
 def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
-    """Estimate of the ground under the wheel: mean [5], sd [5] and covariance [5, 5] of (phi, ln K, ln S, c, ln g).
+    """Estimate of the ground under the wheel: mean [5], sd [5] and covariance [5, 5] of (phi, ln K,
+    ln S, c, ln g).
 
-    `pull` [2], best drawbar pull of the load and its sd, is computed `anew` or follows the share of the new soil.
-    ln S is that at the exponent of the belief which bears the same pressure at the bearing sinkage.
+    `pull` [2], best drawbar pull of the load and its sd, is computed `anew` or follows the share of
+    the new soil. ln S is that at the exponent of the belief which bears the same pressure at the
+    bearing sinkage.
     """
     p = banks.point
     g = _ground()
@@ -192,7 +200,9 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
 
 @compiled_inline
 def _across(banks, k, share, out):
-    """`out` [6]: change of (tan phi, c, n, ln K, y, ln gain) from the old soil to the new one; 0 away from borders."""
+    """`out` [6]: change of (tan phi, c, n, ln K, y, ln gain) from the old soil to the new one; 0
+    away from borders.
+    """
     known = banks.known[k]
     s = banks.sinkage[k]
     for i in range(SOIL):
@@ -206,7 +216,7 @@ def _across(banks, k, share, out):
 
 @compiled_part
 def _of_sinkage(s, share, place):
-    """(mean of y, of the ln of the gain; their variances and covariance: yy, yg, gg) of the ground."""
+    """(mean of y, of ln gain; their variances and covariance: yy, yg, gg) of the ground."""
     w = share
     own = weights(s)
     y = from_array(s, PRESSURE * COUNT)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
 from soil_env.identification.online.best_pull import prior_pull
 from soil_env.identification.online.filter import CONTRADICTION_OF_POINTS, take
 from soil_env.identification.online.filter_bank import (
@@ -16,18 +15,25 @@ from soil_env.identification.online.filter_bank import (
     restart,
 )
 from soil_env.identification.online.filter_estimate import OF_PULL, PUBLISHED as SIZE, publish
+from soil_env.identification.online.lanes.compiling import (
+    compiled_inline,
+    compiled_part,
+    compiled_root,
+)
 from soil_env.identification.online.soil_prior import depth_of, prior_of_belief, published_prior
-from soil_env.identification.online.status import Status
-from soil_env.parameters import Scenario, SensorReading
+from soil_env.identification.status import Status
+from soil_env.parameters import Scenario
+from soil_env.parameters.readings import SensorReading
 
-#: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to other ground; a
-#: point was completed.
+#: Outcomes of a set of readings: the estimate is as before; the wheel moved on a border, and so to
+#: other ground; a point was completed.
 HELD = 0
 MOVED = 1
 RENEWED = 2
 _MAY_BE_NEXT = 0.02  # `next_square` above which the pull is renewed with every point
 _OFTEN = 4.0  # points of a soil after which the best drawbar pull is renewed with every third one
-FARTHEST = 60.0  # |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
+# |ln| of K, of S and of the gain over its prior, beyond which an estimate is that of no soil
+FARTHEST = 60.0
 
 
 class Identifiers(NamedTuple):

@@ -1,11 +1,13 @@
-"""Probability that a wheel will be immobilised within seconds, from its last readings and the soil as identified.
+"""Probability that a wheel will be immobilised within seconds, from its last readings and the soil
+as identified.
 
-A wheel is *immobilised* after the last moment at which it got further at the least mean speed that the task asks for.
-Seconds are of driving: halts do not count. A small network reads moving averages of the sensor `Channels`, the time
-since the last halt, the estimate of the soil and the view of the ground ahead, but neither the true soil nor the
-action; all without dimension, so one set of weights serves any wheel. Its outputs are hazards, of the first of
-`HORIZONS` and of the time from there to the second. Weights and training: immobilisation.json. It is compiled, since
-numpy would slow each step with full `info`.
+A wheel is *immobilised* after the last moment at which it got further at the least mean speed that
+the task asks for. Seconds are of driving: halts do not count. A small network reads moving averages
+of the sensor `Channels`, the time since the last halt, the estimate of the soil and the view of the
+ground ahead, but neither the true soil nor the action; all without dimension, so one set of weights
+serves any wheel. Its outputs are hazards, of the first of `HORIZONS` and of the time from there to
+the second. Weights and training: immobilisation.json. It is compiled, since numpy would slow each
+step with full `info`.
 """
 
 import functools
@@ -16,18 +18,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import FastCall, compiled_inline, compiled_root
 from soil_env.identification.online.class_memory import PULL
+from soil_env.identification.online.lanes.compiling import FastCall, compiled_inline, compiled_root
+from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
-from soil_env.terramechanics.motor import full_voltage
 
 FILE = Path(__file__).with_suffix(".json")
-HORIZONS = (3.0, 5.0)  # [s] of driving
 SCALES = (0.2, 0.7, 2.0, 5.0)  # [s] time constants of the moving averages
 LARGEST = 6.0  # [standard deviations of the training drives] beyond which an input is cut
 _LEAST_LOAD = 0.05  # [of weight] least load that forces are divided by
 _LEAST_TORQUE = 0.05  # [of stall torque] least available torque that the motor torque is divided by
-_SPEED = 3.0  # [s/radius]: speeds enter as asinh of it times radii a second, so that a slow wheel is resolved
+# [s/radius]: speeds enter as asinh of it times radii a second, so that a slow wheel is resolved
+_SPEED = 3.0
 _BEHIND = 7.0  # [radii] since the last border, beyond which the distance does not matter
 _OFTEN = 2.0  # patches of a class, beyond which more do not matter
 
@@ -47,9 +49,10 @@ class Channels(NamedTuple):
     acceleration: float  # of travel [of gravity]
 
 
-#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of lines that are out of sight. "line"
-#: is the route that the wheel is on the way to, "beside" the other one, or the same where there is one route. A margin
-#: is the best steady drawbar pull [of load] of a class over the grade; "met" counts the patches it was found on.
+#: The ground here and ahead, by the camera and the memory of terrain classes; 0 of lines that are
+#: out of sight. "line" is the route that the wheel is on the way to, "beside" the other one, or the
+#: same where there is one route. A margin is the best steady drawbar pull [of load] of a class over
+#: the grade; "met" counts the patches it was found on.
 _VIEW = (
     "camera",
     "border_behind",
@@ -85,7 +88,8 @@ BLIND = len(INPUTS) - len(_VIEW)  # of them need no camera
 _CHANNELS = len(Channels._fields)
 _AVERAGES = len(Channels._fields) * len(SCALES)
 _SEEN = _AVERAGES + 1
-#: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what is seen now.
+#: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
+#: is seen now.
 MEMORY = _SEEN + len(_VIEW)
 _PITCH, _LOAD = (
     2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load")
@@ -148,7 +152,7 @@ def _channels(reading, numbers):
     rim = reading.rim_speed / numbers.radius
     pitch = math.sin(reading.pitch)
     stall = numbers.stall_torque
-    available = max(full_voltage(stall, rim, numbers), _LEAST_TORQUE * stall)
+    available = max(stall - stall / numbers.no_load_speed * rim, _LEAST_TORQUE * stall)
     return Channels(
         reading.slip,
         reading.sinkage / numbers.radius,
@@ -175,7 +179,9 @@ def begin(recent, k, reading, numbers):
 
 @compiled_inline
 def follow(recent, k, reading, halted, numbers):
-    """Take the readings of a control period of wheel k into its averages, which stand still in halts."""
+    """Take the readings of a control period of wheel k into its averages, which stand still in
+    halts.
+    """
     if halted:
         recent[k, _AVERAGES] = 0.0
         return
@@ -190,7 +196,9 @@ def follow(recent, k, reading, halted, numbers):
 
 @compiled_inline
 def see(recent, k, image, memory, sight, numbers):
-    """Store the view of a control period of wheel k, by an `Image` and its `ClassMemory`; `sight` [m] of the camera."""
+    """Store the view of a control period of wheel k, by an `Image` and its `ClassMemory`; `sight`
+    [m] of the camera.
+    """
     out = recent[k, _SEEN:]
     sine = recent[k, _PITCH]
     here = int(image.here)
@@ -218,7 +226,9 @@ def see(recent, k, image, memory, sight, numbers):
 
 @compiled_inline
 def _write_inputs(recent, x, sd, numbers, out):
-    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c, ln of the gain)."""
+    """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c,
+    ln of the gain).
+    """
     for i in range(_AVERAGES):
         out[i] = recent[i]
     out[_AVERAGES] = math.log(0.2 + recent[_AVERAGES])
@@ -255,7 +265,9 @@ def _layer(x, weights, bias, squashed, out):
 
 @compiled_root(nogil=True)
 def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
-    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs + both layers]."""
+    """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs +
+    both layers].
+    """
     a = net.mean.size
     b = net.mean.size + net.first_bias.size
     x = hidden[:a]
@@ -292,7 +304,9 @@ def shipped_network() -> Network:
 
 
 class ImmobilisationWarning:
-    """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation keeps."""
+    """Probabilities of immobilisation within `HORIZONS` of wheels whose averages a simulation
+    keeps.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         self.numbers: WarningNumbers = warning_numbers(scenario)

@@ -1,33 +1,37 @@
 """Joint knowledge of the wheels of a rover that run over the same ground.
 
-Each wheel has a filter of its own (`filter`), which finds borders by itself. The soil between two borders is a stretch
-(`stretches`). Of each stretch a wheel keeps its estimate of (phi, ln K, c), so that those behind receive
+Each wheel has a filter of its own (`filter`), which finds borders by itself. The soil between two
+borders is a stretch (`stretches`). Of each stretch a wheel keeps its estimate of (phi, ln K, c), so
+that those behind receive
 
 - the place of a border: their filters begin with the new soil there (`border.begin_known_border`);
-- the soil. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior (m_p, P_p), which
-  both have counted, the own posterior (m, P) becomes
+- the soil. With the posterior (m_o, P_o) of another wheel on the same stretch and the prior
+  (m_p, P_p), which both have counted, the own posterior (m, P) becomes
 
       P'^-1 = P^-1 + P_o^-1 - P_p^-1,    P'^-1 m' = P^-1 m + P_o^-1 m_o - P_p^-1 m_p,
 
-  the rule for Gaussian posteriors of independent readings (channel filter: Grime & Durrant-Whyte 1994, Control
-  Engineering Practice 2:849-863, with the prior as the only common information). No filter is given what is pooled, so
-  nothing is counted twice.
+  the rule for Gaussian posteriors of independent readings (channel filter: Grime & Durrant-Whyte
+  1994, Control Engineering Practice 2:849-863, with the prior as the only common information). No
+  filter is given what is pooled, so nothing is counted twice.
 
-Where the two differ by more than they allow, chi-squared over its three degrees of freedom widens both (Birge 1932,
-Physical Review 40:207-227). On a border the ground is a blend of two soils, and so is what another wheel knows of it.
+Where the two differ by more than they allow, chi-squared over its three degrees of freedom widens
+both (Birge 1932, Physical Review 40:207-227). On a border the ground is a blend of two soils, and
+so is what another wheel knows of it.
 
-The sinkage coefficient and the gain of digging are not pooled: a wheel behind another runs on a floor that this has
-changed. They follow by their own correlation with what is pooled. `stretches.ERROR_OF_MODEL` are errors that all wheels
-have alike, so that no comparison shows them: the exponent held wrong, the law of sinkage, the curvature of the models.
+The sinkage coefficient and the gain of digging are not pooled: a wheel behind another runs on a
+floor that this has changed. They follow by their own correlation with what is pooled.
+`stretches.ERROR_OF_MODEL` are errors that all wheels have alike, so that no comparison shows them:
+the exponent held wrong, the law of sinkage, the curvature of the models.
 """
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import COUNT, scratch
 from soil_env.identification.online import stretches
+from soil_env.identification.online.axles import wheel_behind
 from soil_env.identification.online.identifier import HELD, RENEWED
-from soil_env.identification.online.status import Status
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.contact import share_of_next
+from soil_env.identification.online.lanes.lanes import scratch
 from soil_env.identification.online.stretches import (
     BELIEF,
     COHESION,
@@ -37,7 +41,7 @@ from soil_env.identification.online.stretches import (
     WHICH,
     copy_belief,
 )
-from soil_env.terramechanics.ground import share_of_next
+from soil_env.identification.status import Status
 
 _FAR = 1e6  # [m]
 _CONVERGED = Status.CONVERGED.value
@@ -49,7 +53,8 @@ _LEARNT = (
 )
 _LEAST_ANGLE = 0.01  # [rad]
 _STEEPEST = 1.5  # [rad]
-_NEARLY = 0.999  # share of the prior's information that a posterior must exceed: equal ones differ by rounding
+# share of the prior's information that a posterior must exceed: equal ones differ by rounding
+_NEARLY = 0.999
 _LEAST_SHARE = 0.02  # of the prior's information that is taken out, if any
 _LEAST = 1e-3  # information over that of the own posterior, below which it is left out
 _old = scratch(BELIEF)
@@ -64,7 +69,9 @@ _product = scratch(UNKNOWNS)
 
 @compiled_inline
 def _soil_at(pools, first, x):
-    """From where to where [m] the ground is of the soil at x [m], by the borders that wheel `first` has found."""
+    """From where to where [m] the ground is of the soil at x [m], by the borders that wheel `first`
+    has found.
+    """
     low = stretches.AT_START
     for s in range(pools.left[first]):
         if x < pools.ends[first, s]:
@@ -75,7 +82,9 @@ def _soil_at(pools, first, x):
 
 @compiled_inline
 def _find(pools, o, k, soil, numbers, belief):
-    """Store the belief of wheel o on the soil from soil[0] to soil[1] [m], of its newest stretch there; True if any."""
+    """Store the belief of wheel o on the soil from soil[0] to soil[1] [m], of its newest stretch
+    there; True if any.
+    """
     low = soil[0] - numbers.border
     high = soil[1] + numbers.border
     latest = high - 2.0 * numbers.border  # a stretch that begins later is of the next soil
@@ -120,7 +129,9 @@ def _determinant(belief):
 
 @compiled_inline
 def _information(belief, out):
-    """Inverse of the covariance of a belief, and that times its mean, into out [12]; False if singular."""
+    """Inverse of the covariance of a belief, and that times its mean, into out [12]; False if
+    singular.
+    """
     det = _determinant(belief)
     if not det > 0.0:
         return False
@@ -134,7 +145,9 @@ def _information(belief, out):
 
 @compiled_inline
 def _read(mean, P, first, column1, column2, value, precision):
-    """Kalman update of mean [5] and P [25] by a reading of shared unknown `first` and, times columns, of the next."""
+    """Kalman update of mean [5] and P [25] by a reading of shared unknown `first` and, times
+    columns, of the next.
+    """
     if precision * P[(UNKNOWNS + 1) * WHICH[first]] < _LEAST:
         return
     v = _product()
@@ -154,7 +167,9 @@ def _read(mean, P, first, column1, column2, value, precision):
 
 @compiled_inline
 def _is_positive(g, prior, share, rest):
-    """True if information g [12] less a share of the prior's is positive definite; `rest` [12] is scratch."""
+    """True if information g [12] less a share of the prior's is positive definite; `rest` [12] is
+    scratch.
+    """
     for i in range(SHARED, BELIEF):
         rest[i] = g[i] - share * prior[i]
     return rest[3] > 0.0 and _cofactor(rest, 2, 2) > 0.0 and _determinant(rest) > 0.0
@@ -164,8 +179,8 @@ def _is_positive(g, prior, share, rest):
 def _remove_prior(g, prior):
     """Subtract the prior's information from g [12] in place.
 
-    Half of it, a quarter ..., where the posterior is wider than the prior in some direction, as those of mixtures and
-    of nonlinear models may be.
+    Half of it, a quarter ..., where the posterior is wider than the prior in some direction, as
+    those of mixtures and of nonlinear models may be.
     """
     share = 1.0
     rest = _rest()
@@ -178,7 +193,8 @@ def _remove_prior(g, prior):
 
 @compiled_inline
 def _absorb(mean, P, g):
-    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of variance 1/D.
+    """Take information g [12] into mean [5] and P [25]; g is L D L', each column of L a reading of
+    variance 1/D.
 
     g is overwritten.
     """
@@ -200,8 +216,8 @@ def _absorb(mean, P, g):
 def _known_by(pools, o, k, first, numbers, ground):
     """Store the belief of wheel o on the ground under wheel k into `ground`.
 
-    Returns (True if there is one, covariance of the prior of this ground over that of one soil): on a border the ground
-    is a blend of two soils.
+    Returns (True if there is one, covariance of the prior of this ground over that of one soil): on
+    a border the ground is a blend of two soils.
     """
     x = pools.place[k]
     length = numbers.border
@@ -231,7 +247,9 @@ def _known_by(pools, o, k, first, numbers, ground):
 
 @compiled_inline
 def _disagreement(mean, P, belief, both):
-    """Chi-squared over its three degrees of freedom between an estimate and another one's belief (Birge ratio)."""
+    """Chi-squared over its three degrees of freedom between an estimate and another one's belief
+    (Birge ratio).
+    """
     for i in range(SHARED):
         both[i] = belief[i] - mean[WHICH[i]]
         for j in range(SHARED):
@@ -248,7 +266,9 @@ def _disagreement(mean, P, belief, both):
 
 @compiled_part
 def pool(pools, ids, k, first, axles, numbers):
-    """Renew what is pooled of the ground under wheel k of a rover whose front wheel is in row `first`."""
+    """Renew what is pooled of the ground under wheel k of a rover whose front wheel is in row
+    `first`.
+    """
     stretches.take_own(pools, ids, k)
     if ids.status[k] == _NO_DATA:
         return
@@ -261,7 +281,7 @@ def pool(pools, ids, k, first, axles, numbers):
         for j in range(UNKNOWNS):
             P[UNKNOWNS * i + j] = ids.covariance[k, i, j]
     for a in range(axles):
-        o = first + a * COUNT
+        o = wheel_behind(first, a)
         if o == k:
             continue
         known, spread = _known_by(pools, o, k, first, numbers, ground)
@@ -294,13 +314,14 @@ def pool(pools, ids, k, first, axles, numbers):
 def share(pools, ids, first, axles, outcome, numbers, identifier):
     """Exchange the knowledge of the wheels of a rover, after a set of readings and `note` of each.
 
-    `first`: row of the front wheel; `outcome`: the furthest of `observe` of its wheels. Where no filter was renewed,
-    only wheels on a border are on other ground than before.
+    `first`: row of the front wheel; `outcome`: the furthest of `observe` of its wheels. Where no
+    filter was renewed, only wheels on a border are on other ground than before.
     """
     if outcome == HELD:
         return
     for a in range(1, axles):
-        stretches.hand_over_border(pools, ids, first + a * COUNT, first, numbers, identifier)
+        stretches.hand_over_border(pools, ids, wheel_behind(first, a), first, numbers, identifier)
     for a in range(axles):
-        if outcome == RENEWED or pools.crossing[first + a * COUNT] > 0.0:
-            pool(pools, ids, first + a * COUNT, first, axles, numbers)
+        k = wheel_behind(first, a)
+        if outcome == RENEWED or pools.crossing[k] > 0.0:
+            pool(pools, ids, k, first, axles, numbers)

@@ -1,18 +1,36 @@
-"""Filter of the sinkage and of the two parameters of the soil that show in it: a bank of extended Kalman filters.
+"""Filter of the sinkage and of the two parameters of the soil that show in it: a bank of extended
+Kalman filters.
 
-States, each a value a lane, are (z, y, l), on a border with the old soil's (y, l) behind them. z is the sinkage [m]; y
-the ln of S depth^n [Pa], which lets the wheel `depth` deep; l the ln of the gain of digging over the nominal one. The
-law between two points: docs/physics/estimation.md. Where the sinkage is less than the bearing sinkage it comes up at
-once, in the mean over the uncertainty of both (statistical linearisation: Gelb 1974, Applied Optimal Estimation, Sec.
-6.2). Pressure and gain hide each other, so the prior of the gain is split among the filters (Gaussian sum).
+States, each a value a lane, are (z, y, l), on a border with the old soil's (y, l) behind them. z is
+the sinkage [m]; y the ln of S depth^n [Pa], which lets the wheel `depth` deep; l the ln of the gain
+of digging over the nominal one. The law between two points: docs/physics/estimation.md. Where the
+sinkage is less than the bearing sinkage it comes up at once, in the mean over the uncertainty of
+both (statistical linearisation: Gelb 1974, Applied Optimal Estimation, Sec. 6.2). Pressure and gain
+hide each other, so the prior of the gain is split among the filters (Gaussian sum).
 """
 
 import math
 from typing import NamedTuple
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp, fma, larger, log, smaller, sqrt, tanh
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import (
+    exp,
+    fma,
+    larger,
+    log,
+    smaller,
+    sqrt,
+    tanh,
+)
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 
 DEPTH, PRESSURE, GAIN, OLD_PRESSURE, OLD_GAIN, STATES = range(6)
 HERE = 3  # states away from borders
@@ -26,8 +44,8 @@ _YIELD_RATE = (
     6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
 )
 _LAG = 0.5  # share of the change in bearing sinkage since the last point that has not acted yet
-# 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the bearing sinkage, of
-# what the place of the border makes of it
+# 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the
+# bearing sinkage, of what the place of the border makes of it
 _LEAST_MOVE = 0.02
 _MOVE = 0.1
 _JOLT = 0.9
@@ -72,7 +90,9 @@ def cell(i, j):
 
 @compiled_inline
 def new_soil(banks, k, numbers):
-    """Set pressure and gain of the filters of wheel k to their prior; they are correlated with nothing else."""
+    """Set pressure and gain of the filters of wheel k to their prior; they are correlated with
+    nothing else.
+    """
     s = banks.sinkage[k]
     prior = numbers.prior
     variance = prior.sinkage_covariance[3]
@@ -158,7 +178,9 @@ def pressure_here(s, ground):
 
 @compiled_inline
 def ln_bearing(s, ground, depth):
-    """ln of the bearing sinkage [m] at which undisturbed soil has the pressure mobilised now, a value a lane."""
+    """ln of the bearing sinkage [m] at which undisturbed soil has the pressure mobilised now, a
+    value a lane.
+    """
     n = ground.exponent
     deeper = log(from_array(s, DEPTH * COUNT)) - math.log(ground.depth)
     pressure = ground.ln_s + n * math.log(ground.depth) + (ground.by_depth + n) * deeper
@@ -167,14 +189,18 @@ def ln_bearing(s, ground, depth):
 
 @compiled_inline
 def _normal_share(x):
-    """(P, p): distribution and density of the standard normal; P to 2e-4 (Page 1977, Applied Statistics 26:75-76)."""
+    """(P, p): distribution and density of the standard normal; P to 2e-4 (Page 1977, Applied
+    Statistics 26:75-76).
+    """
     share = 0.5 + 0.5 * tanh(0.7988 * (x + 0.04417 * x * x * x))
     return share, 0.3989422804014327 * exp(-0.5 * smaller(x * x, 1400.0))
 
 
 @compiled_inline
 def _lacking(lag, scatter):
-    """Mean and variance of max(lag, 0), and the probability of lag > 0, of a normal `lag` with sd `scatter`."""
+    """Mean and variance of max(lag, 0), and the probability of lag > 0, of a normal `lag` with sd
+    `scatter`.
+    """
     likely, density = _normal_share(lag / scatter)
     lacking = lag * likely + scatter * density
     square = (
@@ -185,7 +211,9 @@ def _lacking(lag, scatter):
 
 @compiled_inline
 def _covariance_with(s, slopes, size, out):
-    """Covariance of the states with a quantity that has these slopes by them, into `out`; its variance."""
+    """Covariance of the states with a quantity that has these slopes by them, into `out`; its
+    variance.
+    """
     variance = fill(0.0)
     for i in range(size):
         v = fill(0.0)
@@ -198,7 +226,9 @@ def _covariance_with(s, slopes, size, out):
 
 @compiled_inline
 def _read_sinkage(s, of_depth, e, expected, size, r):
-    """Kalman update by a reading `e` above its prediction; `of_depth`: covariance of the states with the sinkage."""
+    """Kalman update by a reading `e` above its prediction; `of_depth`: covariance of the states
+    with the sinkage.
+    """
     for i in range(size):
         to_array(from_array(of_depth, i * COUNT), s, cell(i, DEPTH))
     for i in range(size):
@@ -215,7 +245,9 @@ def _read_sinkage(s, of_depth, e, expected, size, r):
 
 @compiled_inline
 def _follow(s, ground, motion, last_bearing, size, numbers):
-    """Time update of the sinkage, and its update by the reading: (innovation, its variance), a value a lane."""
+    """Time update of the sinkage, and its update by the reading: (innovation, its variance), a
+    value a lane.
+    """
     slopes = _row()
     of_bearing = _row2()
     of_depth = _row3()

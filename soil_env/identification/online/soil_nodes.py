@@ -1,14 +1,23 @@
-"""Posterior of the soil under a wheel as eight nodes of ln K, each a Gaussian of the other unknowns.
+"""Posterior of the soil under a wheel as eight nodes of ln K, each a Gaussian of the other
+unknowns.
 
-Unknowns of a node are tan phi, cohesion and the exponent n, and the place of the border where the soil passes into the
-next. Why: docs/physics/estimation.md.
+Unknowns of a node are tan phi, cohesion and the exponent n, and the place of the border where the
+soil passes into the next. Why: docs/physics/estimation.md.
 """
 
 import math
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import exp
-from soil_env._numba.lanes import COUNT, fill, from_array, scratch, smallest, to_array, total
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.elementary import exp
+from soil_env.identification.online.lanes.lanes import (
+    COUNT,
+    fill,
+    from_array,
+    scratch,
+    smallest,
+    to_array,
+    total,
+)
 from soil_env.identification.online.sinkage_filter import DEPTH, GAIN, PRESSURE, mean, spread
 
 #: Rows of `nodes`, COUNT numbers each: the unknowns, ln K ...
@@ -16,8 +25,8 @@ TANGENT, COHESION, EXPONENT, BORDER_PLACE, LN_K = range(5)
 UNKNOWNS = 4
 SOIL = 4
 TRIANGLE = UNKNOWNS * (UNKNOWNS + 1) // 2
-# ... ln weight, chi-squared, 1 for the node of a soil that stays the same, prior mean and precision, ln prior, and the
-# posterior covariance, lower triangles row by row.
+# ... ln weight, chi-squared, 1 for the node of a soil that stays the same, prior mean and
+# precision, ln prior, and the posterior covariance, lower triangles row by row.
 LOG_WEIGHT = 5
 COST = 6
 SAME_SOIL = 7
@@ -26,12 +35,12 @@ PRECISION = 11
 LOG_PRIOR = 17
 COVARIANCE = 18
 NODE_ROWS = COVARIANCE + TRIANGLE
-# A Gaussian of a soil: mean of (tan phi, cohesion, exponent, ln K), then the lower triangle of the covariance. `known`
-# has that of the newest soil, then that of the soil before.
+# A Gaussian of a soil: mean of (tan phi, cohesion, exponent, ln K), then the lower triangle of the
+# covariance. `known` has that of the newest soil, then that of the soil before.
 GAUSSIAN = SOIL + SOIL * (SOIL + 1) // 2
 OLD = GAUSSIAN
-# Conditional prior of a soil, `prior`: mean and variance of ln K, mean of the others and their slopes by it, precision
-# of the others given it, ln of the determinant of that.
+# Conditional prior of a soil, `prior`: mean and variance of ln K, mean of the others and their
+# slopes by it, precision of the others given it, ln of the determinant of that.
 PRIOR_K = 0
 PRIOR_OTHERS = 2
 PRIOR_SLOPES = 5
@@ -63,7 +72,8 @@ def below_diagonal(i, j):
 
 @compiled_inline
 def _condition_on_ln_K(gaussian, prior):
-    """Store the Gaussian [GAUSSIAN] of the other unknowns given ln K into the conditional `prior` [PRIOR_SIZE].
+    """Store the Gaussian [GAUSSIAN] of the other unknowns given ln K into the conditional `prior`
+    [PRIOR_SIZE].
 
     phi stands for its tangent, c for the cohesion, n for the exponent.
     """
@@ -126,7 +136,9 @@ def renew_prior(banks, k, numbers):
 
 @compiled_inline
 def set_priors(banks, k):
-    """The prior of each node, given its ln K; that of the node of a soil that stays the same is the old soil."""
+    """The prior of each node, given its ln K; that of the node of a soil that stays the same is the
+    old soil.
+    """
     nodes = banks.nodes[k]
     prior = banks.prior[k]
     away = from_array(nodes, LN_K * COUNT) - prior[PRIOR_K]
@@ -186,7 +198,9 @@ def begin_soil(banks, k, numbers):
 
 @compiled_part
 def begin_next_soil(banks, k, numbers):
-    """Begin a new soil, which is the same with some probability; the soil so far becomes the old one."""
+    """Begin a new soil, which is the same with some probability; the soil so far becomes the old
+    one.
+    """
     nodes = banks.nodes[k]
     known = banks.known[k]
     old = banks.old_prior[k]
@@ -247,7 +261,9 @@ def _row(i):
 
 @compiled_part
 def gather(banks, k):
-    """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes into `known`; the least chi-squared."""
+    """Mean and covariance of (tan phi, cohesion, exponent, ln K) over all nodes into `known`; the
+    least chi-squared.
+    """
     nodes = banks.nodes[k]
     known = banks.known[k]
     w = exp(from_array(nodes, LOG_WEIGHT * COUNT))
@@ -277,7 +293,9 @@ def gather(banks, k):
 
 @compiled_part
 def spread_anew(banks, k):
-    """Spread the nodes over what is known of ln K now, if they lie too close or too far apart: True if they moved."""
+    """Spread the nodes over what is known of ln K now, if they lie too close or too far apart: True
+    if they moved.
+    """
     nodes = banks.nodes[k]
     known = banks.known[k]
     p = LN_K * COUNT
@@ -296,7 +314,7 @@ def spread_anew(banks, k):
 
 @compiled_inline
 def _respread(nodes, centre, half, before):
-    """All nodes, at centre +- half, with unknowns between those of the `before` first nodes so far."""
+    """All nodes, at centre +- half; their unknowns are between those of the `before` first ones."""
     old = _rows()
     for i in range(5 * COUNT):
         old[i] = nodes[i]

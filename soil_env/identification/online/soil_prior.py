@@ -1,7 +1,9 @@
-"""Prior of the filter: a Gaussian of the soil, that of the belief itself or the moments of its library of soils.
+"""Prior of the filter: a Gaussian of the soil, that of the belief itself or the moments of its
+library of soils.
 
-The forces show (tan phi, cohesion, exponent n, ln K), the sinkage shows (y, l): ln of the pressure S depth^n and of the
-gain of digging over the nominal one. Soils are compared by that pressure, since the unit of S depends on n.
+The forces show (tan phi, cohesion, exponent n, ln K), the sinkage shows (y, l): ln of the pressure
+S depth^n and of the gain of digging over the nominal one. Soils are compared by that pressure,
+since the unit of S depends on n.
 """
 
 import math
@@ -111,7 +113,9 @@ def moments(gaussians: list[Gaussian]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def widths(gaussians: list[Gaussian]) -> np.ndarray:
-    """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations; 1 for a Gaussian."""
+    """Half widths [SIZE] of the intervals that hold 68 % of a mixture, in its standard deviations;
+    1 for a Gaussian.
+    """
     weights = np.array([g[0] for g in gaussians])
     (mean, covariance) = moments(gaussians)
     sd = np.sqrt(np.diag(covariance))
@@ -157,7 +161,8 @@ def soil_prior(scenario: Scenario) -> SoilPrior:
 
 
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [5] and covariance [5, 5] of (phi, ln K, ln S, c, l) before any reading, S at the exponent of the belief.
+    """Mean [5] and covariance [5, 5] of (phi, ln K, ln S, c, l) before any reading, S at the
+    exponent of the belief.
 
     As wide as the 68 % intervals of the belief's library are.
     """

@@ -1,8 +1,9 @@
 """Stretches of one soil that the wheels of a rover have run over, with the estimate of each wheel.
 
-The soil between two borders is a stretch. When it leaves one, a wheel keeps its estimate of (phi, ln K, c) for the
-wheels that come after it (`pooling`). These also receive the border that the front wheel has found: their filters begin
-with the new soil there (`border.begin_known_border`), and do not first take it for the old.
+The soil between two borders is a stretch. When it leaves one, a wheel keeps its estimate of (phi,
+ln K, c) for the wheels that come after it (`pooling`). These also receive the border that the front
+wheel has found: their filters begin with the new soil there (`border.begin_known_border`), and do
+not first take it for the old.
 """
 
 import math
@@ -10,25 +11,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.lanes import COUNT
 from soil_env.identification.online.border import begin_known_border
 from soil_env.identification.online.identifier import RENEWED, identifier_numbers
+from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
+from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.sinkage_filter import PRESSURE, cell
-from soil_env.identification.online.status import Status
+from soil_env.identification.status import Status
 from soil_env.parameters import Scenario
 
 UNKNOWNS = 5  # (phi, ln K, ln S, c, ln g), as `Identifiers.estimate`
 SHARED = 3  # unknowns that a passing wheel does not change: phi, ln K, c
 BELIEF = SHARED + SHARED * SHARED
 STRETCHES = 4  # that a wheel remembers
-#: 1-sigma of what pooling leaves out of (phi [rad], ln K, ln S, c [Pa], ln g): errors that all wheels have alike,
-#: borders that are found late. Set on courses of seed 779, so that 68 % intervals hold as much. Method:
-#: docs/physics/estimation.md.
+#: 1-sigma of what pooling leaves out of (phi [rad], ln K, ln S, c [Pa], ln g): errors that all
+#: wheels have alike, borders that are found late. Set on courses of seed 779, so that 68 %
+#: intervals hold as much. Method: docs/physics/estimation.md.
 ERROR_OF_MODEL = np.array([math.radians(0.6), 0.06, 0.0, 100.0, 0.0])
 COHESION = 3
 WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
-LAG = 3  # estimates are taken this many points before a border was found, so that they hold nothing from behind it
+# estimates are taken this many points before a border was found, so that they hold nothing from
+# behind it
+LAG = 3
 AT_START = -1e6  # [m] where the first stretch begins, for all wheels
 RUT_DRIFT = (
     0.1  # 1-sigma of the change of ln S along a rut, from one point of the filter to the next
@@ -38,7 +41,7 @@ _NO_DATA = Status.NO_DATA.value
 
 
 class Pools(NamedTuple):
-    """Memory of the wheels of many rovers: arrays with one row a wheel, axles `COUNT` rows apart.
+    """Memory of the wheels of many rovers: arrays with one row a wheel (`axles`).
 
     A belief is (mean [3], covariance [3 x 3]) of (phi, ln K, c). Places [m] are of the odometry.
     """
@@ -185,7 +188,9 @@ def note(pools, ids, k, x, outcome, in_rut, numbers):
 
 @compiled_inline
 def hand_over_border(pools, ids, k, first, numbers, identifier):
-    """Begin with the new soil where wheel `first` has found a border that wheel k behind it has come to."""
+    """Begin with the new soil where wheel `first` has found a border that wheel k behind it has
+    come to.
+    """
     length = numbers.border
     p = ids.banks.point
     x = pools.place[k]

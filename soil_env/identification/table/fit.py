@@ -1,8 +1,9 @@
-"""Identification of a soil from a measurement table: the most probable parameters under the setup's priors.
+"""Identification of a soil from a measurement table: the most probable parameters under the setup's
+priors.
 
-Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion c, those are fitted
-that the setup does not give as known. `problem.py` has the equations; here the solution is turned into intervals and
-warnings.
+Of friction angle phi, shear deformation modulus K, sinkage coefficient S, exponent n and cohesion
+c, those are fitted that the setup does not give as known. `problem.py` has the equations; here the
+solution is turned into intervals and warnings.
 """
 
 import math
@@ -42,15 +43,17 @@ UNDETERMINED = 0.7  # share of the prior sd above which a parameter is not deter
 TIED = 0.98  # correlation above which two parameters are tied
 SMALL = 0.2  # [noise] rms below which residuals are smaller than the given noise allows
 SCARCE = 6.5  # degrees of freedom of an estimated noise below which that is said
-LIGHT = 1.0  # load [N] and S [N/m^(n+2)] below which kilonewtons are suspected
-SOFT = 1e3
+LIGHT = 1.0  # load [N] below which kilonewtons are suspected
+SOFT = 1e3  # S [N/m^(n+2)] below which they are
 _PASSES = 80  # of an iteration at most
 _FORM_PASSES = 2  # of the form error of the base law and the solution in turn
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """An identified parameter: estimate with the bounds of its 95 % interval; both equal `value` if it is known."""
+    """An identified parameter: estimate with the bounds of its 95 % interval; both equal `value` if
+    it is known.
+    """
 
     value: float
     low: float
@@ -62,16 +65,17 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """One channel: measured and fitted values [N] at the most probable slip and load, and its noise."""
+    """One channel: measured and fitted values [N] at the most probable slip and load, and its
+    noise.
+    """
 
     measured: np.ndarray  # nan where not measured
     fitted: np.ndarray
     noise: float  # 1-sigma
     relative: np.ndarray  # [N] that of a row over it
     estimated: bool  # the noise is estimated from the scatter
-    p_value: (
-        float  # of residuals so large by chance were the laws exact; nan if the noise is estimated
-    )
+    #: Of residuals so large by chance were the laws exact; nan if the noise is estimated.
+    p_value: float
     too_small: float  # the same of residuals so small
     unit: str
 
@@ -88,9 +92,8 @@ class TableEstimate:
 
     parameters: dict[str, Parameter]  # names as in the setup, and `reference_pressure`, S z_ref^n
     free: tuple[str, ...]  # fitted parameters in words
-    covariance: (
-        np.ndarray
-    )  # [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg])
+    #: [p, p] of the fitted among (phi [rad], ln K, ln S z_ref^n, n, c [Pa], tilt [deg]).
+    covariance: np.ndarray
     correlation: np.ndarray  # [p, p]
     condition: float  # of the whitened Jacobian in units of the prior sd
     reference_sinkage: float  # z_ref [m], the median; of the fitted where none was measured
@@ -109,10 +112,11 @@ class TableEstimate:
 def identify_table(table: Table, setup: Setup) -> TableEstimate:
     """The most probable soil under the setup's priors, with intervals and warnings.
 
-    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it enters the weights,
-    and the intervals are over its sizes. Base model: smooth rim on level, fresh soil, without slip-sinkage; a sinkage
-    that was not measured follows from the load. Raises `ParameterError` if no row has enough, nothing is to fit, or
-    measured values are fewer than fitted parameters.
+    The stress laws may be wrong by a smooth error whose size the table decides (`form_error`): it
+    enters the weights, and the intervals are over its sizes. Base model: smooth rim on level, fresh
+    soil, without slip-sinkage; a sinkage that was not measured follows from the load. Raises
+    `ParameterError` if no row has enough, nothing is to fit, or measured values are fewer than
+    fitted parameters.
     """
     problem = TableProblem(table, setup)
     u, converged = _settle(problem, problem.search())
@@ -134,7 +138,9 @@ class _Plain(NamedTuple):
 
 
 def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[np.ndarray, bool]:
-    """The solution from u with conditions and, with `guess`, noise renewed until they no longer change; whether so."""
+    """The solution from u with conditions and, with `guess`, noise renewed until they no longer
+    change; whether so.
+    """
     guessed = problem.estimated & guess
     converged = False
     share = 1.0  # of each move; lessened where they go in circles, as when the model does not fit
@@ -169,9 +175,8 @@ def _scaling(problem: TableProblem) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plain) -> TableEstimate:
     scaling, free = _scaling(problem)
-    published = np.eye(
-        len(NAMES)
-    )  # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt)
+    # (phi [rad], ln K, ln S z_ref^n, n, c, tilt) by (phi [deg], ln K, ln S, n, c, tilt).
+    published = np.eye(len(NAMES))
     published[PHI, PHI] = math.radians(1.0)
     published[LN_S, EXPONENT] = math.log(problem.z_ref)
     by_u = (published @ scaling)[free]
@@ -222,7 +227,8 @@ def _summary(problem: TableProblem, u: np.ndarray, converged: bool, plain: _Plai
 def _parameters(
     problem: TableProblem, u: np.ndarray, covariance: np.ndarray, scaling: np.ndarray
 ) -> dict[str, Parameter]:
-    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the logarithm.
+    """Estimates and 95 % intervals, within the bounds; those of K, S and p_ref are computed in the
+    logarithm.
 
     Where noise is estimated, Student's t has the degrees of freedom of the channel that has fewest.
     """
@@ -261,7 +267,8 @@ def _parameters(
 
 def _fits(problem: TableProblem, u: np.ndarray) -> dict[str, ChannelFit]:
     """`ChannelFit` of each channel, and of the load if it has noise, at the solution u."""
-    (errors, left), variances = problem.errors(u), problem.variances
+    errors, left = problem.errors(u)
+    variances = problem.variances
     out = problem.predict(u)
     fits = {}
     for j, name in enumerate(SOURCES):
@@ -307,21 +314,22 @@ def _units(
     S = parameters["sinkage_coefficient"]
     if load < LIGHT:
         words.append(
-            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, and forces and "
-            "torque where they are in kN too."
+            f"The median load is {load:.3g} N: expected newtons; if it is kN, multiply it by 1000, "
+            "and forces and torque where they are in kN too."
         )
     elif doubt := load_doubt(problem.table, problem.setup):
         words.append(doubt)
     elif S.high < SOFT and not S.known:
         words.append(
-            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: expected newtons and "
-            "metres in the table."
+            f"The sinkage coefficient came out as {S.value:.3g} {S.unit}, softer than any soil: "
+            "expected newtons and metres in the table."
         )
     for name, fit in fits.items():
         if fit.too_small < 1e-4 / len(fits):
             words.append(
-                f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise of {fit.noise:.3g} "
-                f"{fit.unit}: the noise or the unit of one of them is wrong, and the intervals are too wide."
+                f"The residuals of {name.replace('_', ' ')} are far smaller than its given noise "
+                f"of {fit.noise:.3g} {fit.unit}: the noise or the unit of one of them is wrong, "
+                "and the intervals are too wide."
             )
     return words
 
@@ -332,15 +340,17 @@ def _undetermined(
     """Warnings of parameters that the data hardly determine, alone or in pairs."""
     label = dict(zip(NAMES, LABELS, strict=True))
     words = [
-        f"The data do not determine the {label[name]}: its standard deviation is {p.sd_over_prior:.0%} of the prior's."
+        f"The data do not determine the {label[name]}: its standard deviation is "
+        f"{p.sd_over_prior:.0%} of the prior's."
         for name, p in parameters.items()
         if name in label and p.sd_over_prior > UNDETERMINED
     ]
     for i, j in combinations(range(len(labels)), 2):
         if abs(correlation[i, j]) > TIED:
             words.append(
-                f"The data tie {labels[i]} and {labels[j]} together (correlation {correlation[i, j]:+.3f}): a "
-                "combination of the two is determined, neither of them alone."
+                f"The data tie {labels[i]} and {labels[j]} together (correlation "
+                f"{correlation[i, j]:+.3f}): a combination of the two is determined, neither of "
+                "them alone."
             )
     return words
 
@@ -352,7 +362,9 @@ def _doubts(
     fits: dict[str, ChannelFit],
     converged: bool,
 ) -> list[str]:
-    """Warnings on the solution u with its `fits`, and on the model by the solution under noise alone."""
+    """Warnings on the solution u with its `fits`, and on the model by the solution under noise
+    alone.
+    """
     words = []
     label = dict(zip(NAMES, LABELS, strict=True))
     setup = problem.setup
@@ -365,7 +377,8 @@ def _doubts(
     ]
     if at_end:
         words.append(
-            f"At the end of its admissible range: {', '.join(at_end)}; its interval is not reliable."
+            f"At the end of its admissible range: {', '.join(at_end)}; its interval is not "
+            "reliable."
         )
     given = {name: getattr(setup.soil, name, None) for name in NAMES}
     given |= {
@@ -375,8 +388,8 @@ def _doubts(
     for unknown, d in zip(problem.unknowns, plain.u, strict=True):
         if given[unknown.name] is not None and abs(d) > 3.0:
             words.append(
-                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} standard deviations from "
-                "its prior: prior, table or laws are wrong."
+                f"Were the stress laws exact, the {label[unknown.name]} would be {abs(d):.1f} "
+                "standard deviations from its prior: prior, table or laws are wrong."
             )
     exact = " and ".join(_exact(problem))
     check = (
@@ -390,22 +403,23 @@ def _doubts(
         if fit.p_value < 1e-3 / len(fits):
             rms = math.sqrt(float(np.nanmean(plain.fits[name].residual ** 2)))
             words.append(
-                f"The base model does not fit the {channel} to its noise: were the stress laws exact, residuals would "
-                f"be {rms:.3g} times the given standard deviation. The intervals allow for wrong laws, not for a wrong "
-                f"unit or sign or an effect that is missing. {check}"
+                f"The base model does not fit the {channel} to its noise: were the stress laws "
+                f"exact, residuals would be {rms:.3g} times the given standard deviation. The "
+                "intervals allow for wrong laws, not for a wrong unit or sign or an effect that is "
+                f"missing. {check}"
             )
         elif fit.estimated and _follows(
             problem.rows.slip, problem.rows.load, plain.fits[name].residual
         ):
             words.append(
-                f"The residuals of {channel} follow slip and load instead of scattering: the base model does not fit, "
-                f"and its error counts here as noise. {check}"
+                f"The residuals of {channel} follow slip and load instead of scattering: the base "
+                f"model does not fit, and its error counts here as noise. {check}"
             )
     few = problem.freedom[problem.estimated]
     if few.size and np.min(few) < SCARCE:
         words.append(
-            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are wide and may still "
-            "be too narrow. Give the noise if it is known."
+            f"The noise is estimated from {np.min(few):.1f} degrees of freedom: the intervals are "
+            "wide and may still be too narrow. Give the noise if it is known."
         )
     words += _not_modelled(problem)
     if not converged:
@@ -416,7 +430,9 @@ def _doubts(
 
 
 def _not_modelled(problem: TableProblem) -> list[str]:
-    """Rows left out or taken otherwise than the table has them, and what of the rig the base model lacks."""
+    """Rows left out or taken otherwise than the table has them, and what of the rig the base model
+    lacks.
+    """
     words = []
     table = problem.table
     used = problem.use
@@ -424,7 +440,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
     unseen = int(np.sum(np.isnan(table.sinkage[used])))
     if left_out:
         words.append(
-            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left out."
+            f"{left_out} of {len(table)} rows have one force alone and no sinkage, and were left "
+            "out."
         )
     if unseen:
         words.append(
@@ -432,7 +449,8 @@ def _not_modelled(problem: TableProblem) -> list[str]:
         )
     if np.any(table.passes[used] > 1):
         words.append(
-            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by earlier passes."
+            "Rows with pass > 1 are taken as fresh soil: the base model has no compaction by "
+            "earlier passes."
         )
     if problem.setup.load == "normal" and np.any(np.abs(table.grade_deg[used]) > 0.0):
         words.append(
@@ -446,7 +464,9 @@ def _not_modelled(problem: TableProblem) -> list[str]:
 
 
 def _follows(slip: np.ndarray, load: np.ndarray, residual: np.ndarray) -> bool:
-    """True if a smooth function of slip and load explains more of the residuals than chance does (F test, 5e-4)."""
+    """True if a smooth function of slip and load explains more of the residuals than chance does (F
+    test, 5e-4).
+    """
     kept = np.isfinite(residual)
     e = residual[kept]
     i = slip[kept]

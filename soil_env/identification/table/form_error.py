@@ -1,9 +1,10 @@
-"""Form error: the laws of a model are approximations, and what they miss is a smooth function of the conditions.
+"""Form error: the laws of a model are approximations, and what they miss is a smooth function of
+the conditions.
 
-What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span a Gaussian process
-over the conditions and s_k is the unknown size of a kind of form error (docs/physics/discrepancy.md). A process is
-written in its leading eigenfunctions at the rows of the table (Karhunen-Loeve), so that its covariance becomes ordinary
-linear unknowns with unit prior.
+What is measured is y = f(u) + sum_k s_k B_k w_k + noise, w_k ~ N(0, 1), where the columns B_k span
+a Gaussian process over the conditions and s_k is the unknown size of a kind of form error
+(docs/physics/discrepancy.md). A process is written in its leading eigenfunctions at the rows of the
+table (Karhunen-Loeve), so that its covariance becomes ordinary linear unknowns with unit prior.
 """
 
 import math
@@ -15,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, lapack
 
-#: Correlation lengths of form errors: of the slip, with which shear displacements grow in proportion (Hutangkabodee et
-#: al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the wheel's radius and width, and its lug height (1 mm
-#: added); of the grade [deg]; of the time elapsed, over that of the campaign.
+#: Correlation lengths of form errors: of the slip, with which shear displacements grow in
+#: proportion (Hutangkabodee et al. 2006, Eq. (10)); of the logarithm of load, speed, pass, the
+#: wheel's radius and width, and its lug height (1 mm added); of the grade [deg]; of the time
+#: elapsed, over that of the campaign.
 LENGTHS = {
     "slip": 0.3,
     "load": 0.8,
@@ -30,37 +32,35 @@ LENGTHS = {
     "elapsed": 0.5,
 }
 _NO_SLIP = {name: length for name, length in LENGTHS.items() if name != "slip"}
-#: Of the error of the base law, one as probable as the other; log_slip: ln(1 + slip/0.05), odd in the slip.
+#: Of the error of the base law, one as probable as the other; log_slip: ln(1 + slip/0.05), odd in
+#: the slip.
 LAW_LENGTHS: tuple[Mapping[str, float], ...] = (
     LENGTHS,
     LENGTHS | {"slip": 0.6},
     {"log_slip": 0.8} | _NO_SLIP,
 )
-LITTLE_SLIP = 0.05
+LITTLE_SLIP = 0.05  # of `log_slip`: above it the logarithm counts, below it the slip
 LOGARITHMIC = ("load", "speed", "pass", "wheel_radius", "wheel_width", "grouser_height")
 #: What the base law depends on, and so its error: what goes with anything else is a missing effect.
 INPUTS = ("slip", "log_slip", "load", "wheel_radius", "wheel_width", "grouser_height")
 _LEFT = 1e-3  # share of the variance that may be left out of a basis
-_NUGGET = 1e-9
-_SHORTER = (
-    3.0  # correlation length of a contribution of all conditions over that of one condition alone
-)
-#: By an error of size 1: shift of the stress peak [of the entry angle] and change of the sinkage exponent that move and
-#: spread a parabola of stress as much; and the depth, over the sinkage, at which such a change leaves the pressure.
-_MOVED = 0.25
-_SPREAD = 0.32
-_MEAN_DEPTH = 0.75
-#: Change of ln K that moves the resultant of the shear stress as much, and the relative change of the strength per ln K
-#: that keeps the mean of the shear stress: at a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius.
-_TURNED = 2.6
-_STRONGER = 0.45
-_UNSEEN = (
-    1e-10  # share of the largest variance, or of the noise, below which a direction does not count
-)
+_NUGGET = 1e-9  # of the largest eigenvalue, below which a function is rounding
+#: Correlation length of a contribution of all conditions over that of one condition alone.
+_SHORTER = 3.0
+# By an error of size 1, that moves and spreads a parabola of stress as much:
+_MOVED = 0.25  # shift of the stress peak [of the entry angle]
+_SPREAD = 0.32  # change of the sinkage exponent
+_MEAN_DEPTH = 0.75  # depth, over the sinkage, at which such a change leaves the pressure
+# At a slip of 0.3, an entry angle of 0.7 and K of a tenth of the radius:
+_TURNED = 2.6  # change of ln K that moves the resultant of the shear stress as much
+_STRONGER = 0.45  # relative change of the strength per ln K that keeps the mean shear stress
+#: Share of the largest variance, or of the noise, below which a direction does not count.
+_UNSEEN = 1e-10
 
-#: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is exact, else log-normal
-#: about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and Janosi's laws to plates and shear rings
-#: scatter by so much (Wong 2010, Terramechanics and Off-Road Vehicle Engineering, ch. 4).
+#: Relative size alpha of the error of the stress laws, and its prior: a tenth for a law that is
+#: exact, else log-normal about 5 %, 1 to 25 % within two standard deviations. Fits of Bekker's and
+#: Janosi's laws to plates and shear rings scatter by so much (Wong 2010, Terramechanics and
+#: Off-Road Vehicle Engineering, ch. 4).
 SIZES = np.array([0.001, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.3])
 
 
@@ -73,10 +73,12 @@ def size_prior() -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Process:
-    """A Gaussian process of unit variance over the conditions, in its leading functions at the rows of a table.
+    """A Gaussian process of unit variance over the conditions, in its leading functions at the rows
+    of a table.
 
-    Its covariance is exp(-d^2/2), d the distance in correlation lengths. Where it is `additive`, half of the variance
-    goes with all conditions together, over these lengths, and half with each on its own, over a third of them.
+    Its covariance is exp(-d^2/2), d the distance in correlation lengths. Where it is `additive`,
+    half of the variance goes with all conditions together, over these lengths, and half with each
+    on its own, over a third of them.
     """
 
     names: tuple[str, ...]
@@ -95,7 +97,9 @@ class Process:
         most: int = 40,
         lengths: Mapping[str, float] = LENGTHS,
     ) -> "Process":
-        """The process over those of the conditions [N] that vary, with at most `most` functions; `of` None: of all."""
+        """The process over those of the conditions [N] that vary, with at most `most` functions;
+        `of` None: of all.
+        """
         known = [n for n in lengths if _condition(n) in conditions and (of is None or n in of)]
         names = tuple(n for n in known if np.ptp(_coordinate(n, conditions)) > 1e-6)
         points = _points(conditions, names)
@@ -131,7 +135,9 @@ class Process:
         return self._covariance(self.points) @ self.weights
 
     def left(self, conditions: Mapping[str, np.ndarray]) -> np.ndarray:
-        """[N] share of the variance at conditions [N] that the functions do not have: 1 far from the table."""
+        """[N] share of the variance at conditions [N] that the functions do not have: 1 far from
+        the table.
+        """
         return np.clip(1.0 - np.sum(self.at(conditions) ** 2, axis=1), 0.0, 1.0)
 
 
@@ -163,7 +169,9 @@ Compression = tuple[np.ndarray, np.ndarray]
 
 
 class StressChange(NamedTuple):
-    """Soil parameters in place of others, and what is added to effects, under which a stress is another."""
+    """Soil parameters in place of others, and what is added to effects, under which a stress is
+    another.
+    """
 
     soil: dict[str, float]
     effects: dict[str, float]
@@ -172,11 +180,12 @@ class StressChange(NamedTuple):
 def stress_changes(soil: Mapping[str, float], h: float, sinkage: float) -> tuple[StressChange, ...]:
     """Changes of the stresses by a form error of the relative size h; `sinkage` [m], a typical one.
 
-    The normal stress can be larger all along the arc; so can the shear stress. Where the error of the normal stress
-    changes along the arc, the stress moves and is more or less concentrated. Both are as large as an error correlated
-    over half of the arc makes them of a parabola of stress. They are written as a shift of the peak and as a change of
-    the sinkage exponent at the same mean pressure. The resultant of the shear stress moves as well, written as a change
-    of the shear deformation modulus at about the same mean shear stress.
+    The normal stress can be larger all along the arc; so can the shear stress. Where the error of
+    the normal stress changes along the arc, the stress moves and is more or less concentrated. Both
+    are as large as an error correlated over half of the arc makes them of a parabola of stress.
+    They are written as a shift of the peak and as a change of the sinkage exponent at the same mean
+    pressure. The resultant of the shear stress moves as well, written as a change of the shear
+    deformation modulus at about the same mean shear stress.
     """
     more = _SPREAD * h
     depth = _MEAN_DEPTH * max(sinkage, 1e-6)
@@ -204,7 +213,9 @@ def _stronger(soil: Mapping[str, float], share: float) -> dict[str, float]:
 
 
 def compressed(columns: np.ndarray) -> Compression:
-    """(U [M, R], share [R]) with which C^-1/2 v = v - U share U'v for the covariance C = I + B B' of `columns` B."""
+    """(U [M, R], share [R]) with which C^-1/2 v = v - U share U'v for the covariance C = I + B B'
+    of `columns` B.
+    """
     square, v = np.linalg.eigh(columns.T @ columns)  # robust where columns are as good as zero
     seen = square > _UNSEEN * max(1.0, float(square[-1]) if square.size else 0.0)
     return columns @ v[:, seen] / np.sqrt(square[seen]), 1.0 - 1.0 / np.sqrt(1.0 + square[seen])
@@ -219,7 +230,9 @@ def whitened(compression: Compression | None, v: np.ndarray) -> np.ndarray:
 
 
 class NormalEquations(NamedTuple):
-    """Products of a whitened linear problem: A'A and A'e of A = (Jacobian, form errors), e'e, columns of each part."""
+    """Products of a whitened linear problem: A'A and A'e of A = (Jacobian, form errors), e'e,
+    columns of each part.
+    """
 
     gram: np.ndarray
     along: np.ndarray
@@ -236,7 +249,9 @@ class NormalEquations(NamedTuple):
         return cls(a.T @ a, a.T @ residual, float(residual @ residual), width)
 
     def where(self, used: np.ndarray, noise: float) -> "NormalEquations":
-        """Those of the form errors that are `used` [K], under a noise relative to that of the problem."""
+        """Those of the form errors that are `used` [K], under a noise relative to that of the
+        problem.
+        """
         width = tuple(w for w, some in zip(self.width, (True, *used), strict=True) if some)
         at = np.flatnonzero(np.repeat((True, *used), self.width))
         return NormalEquations(
@@ -250,14 +265,16 @@ class NormalEquations(NamedTuple):
 def marginals(
     problem: NormalEquations, sizes: np.ndarray, u: np.ndarray, first: int = 0, noise: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes [S, K].
+    """(log evidence [S], mean [S, p], covariance [S, p, p] of the unknowns) under each row of sizes
+    [S, K].
 
-    The problem is linear about u [p], whose unit priors are about 0; `noise` is relative to its own. With A the
-    Jacobian and the form errors, and D their sizes,
+    The problem is linear about u [p], whose unit priors are about 0; `noise` is relative to its
+    own. With A the Jacobian and the form errors, and D their sizes,
 
         ln p = -(e'e + |u|^2 - h'N^-1 h)/2 - ln|N|/2,    N = I + D A'A D,    h = D A'e - u.
 
-    The unknowns and the `first` form errors are eliminated once for all rows that have the same sizes of these.
+    The unknowns and the `first` form errors are eliminated once for all rows that have the same
+    sizes of these.
     """
     used = np.any(sizes != 0.0, axis=0)
     used[:first] = True
@@ -309,11 +326,12 @@ def marginals(
 
 
 def _factor(normal: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is left as it is."""
+    """Lower Cholesky factor of I + `normal` [R, R], which is overwritten; its upper triangle is
+    left as it is.
+    """
     normal.ravel()[:: len(normal) + 1] += 1.0
-    factor, failed = lapack.dpotrf(
-        normal.T, lower=1, clean=0, overwrite_a=1
-    )  # .T: symmetric, and in Fortran's order
+    # .T: symmetric, and in Fortran's order.
+    factor, failed = lapack.dpotrf(normal.T, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise LinAlgError(
             f"covariance of the form errors: not positive definite at row {failed} of {len(normal)}"
@@ -322,14 +340,18 @@ def _factor(normal: np.ndarray) -> np.ndarray:
 
 
 def _solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """factor^-1 right, of the lower triangle of `factor` [R, R]; LAPACK at once, for systems this small."""
+    """factor^-1 right, of the lower triangle of `factor` [R, R]; LAPACK at once, for systems this
+    small.
+    """
     return lapack.dtrtrs(factor, right, lower=1)[0] if len(right) else right
 
 
 def mixed(
     share: np.ndarray, mean: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(mean [p], covariance [p, p]) of normal distributions that have the probabilities `share` [S]."""
+    """(mean [p], covariance [p, p]) of normal distributions that have the probabilities `share`
+    [S].
+    """
     centre = share @ mean
     off = mean - centre
     return centre, np.einsum("s,spq->pq", share, covariance) + np.einsum(

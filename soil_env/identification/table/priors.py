@@ -1,7 +1,7 @@
 """Unknowns of a fit to a measurement table, and what is known of a soil before it.
 
-Every unknown is fitted as u = (x - mean)/sd, x being the parameter or, for K and S, its logarithm. In u every prior is
-the standard normal, and parameters of any unit have one scale.
+Every unknown is fitted as u = (x - mean)/sd, x being the parameter or, for K and S, its logarithm.
+In u every prior is the standard normal, and parameters of any unit have one scale.
 """
 
 import math
@@ -13,9 +13,10 @@ import numpy as np
 from soil_env.measurement.setup import STEEPEST_TILT, Setup
 from soil_env.parameters import SoilState
 
-#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the parameter or its logarithm.
-#: Ours, wide enough for every preset soil of configs/soils.yaml, clays with 69 kPa among them. The mean of ln S is that
-#: of a plate that carries the median load at the median sinkage.
+#: Where the setup says nothing of a soil parameter: mean, sd, lower and upper bound, of the
+#: parameter or its logarithm. Ours, wide enough for every preset soil of configs/soils.yaml, clays
+#: with 69 kPa among them. The mean of ln S is that of a plate that carries the median load at the
+#: median sinkage.
 BROAD = MappingProxyType(
     {
         "friction_angle_deg": (30.0, 15.0, 2.0, 65.0, False),
@@ -64,7 +65,8 @@ class Unknown(NamedTuple):
 def soil_unknowns(
     setup: Setup, load: np.ndarray, sinkage: np.ndarray, widened: float = 1.0
 ) -> tuple[tuple[Unknown, ...], dict[str, float]]:
-    """(unknowns of the soil, values of what the setup knows) of a table with loads [N] and sinkages [N], nan allowed.
+    """(unknowns of the soil, values of what the setup knows) of a table with loads [N] and sinkages
+    [N], nan allowed.
 
     Of a rig that is not level, `tilt_deg` is the last of the unknowns, or among what is known.
 
@@ -115,7 +117,9 @@ def plate_coefficient(
 
 
 def known_digging(setup: Setup) -> tuple[float, float]:
-    """(gain, recovery) of the slip-sinkage that the setup knows the soil to have; (0, 0.5) where it says nothing."""
+    """(gain, recovery) of the slip-sinkage that the setup knows the soil to have; (0, 0.5) where it
+    says nothing.
+    """
     gain = setup.soil.dig_gain
     recovery = setup.soil.dig_recovery
     return (gain.value if gain else 0.0, recovery.value if recovery else 0.5)

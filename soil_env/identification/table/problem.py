@@ -1,11 +1,13 @@
-"""Weighted least squares of the steady model to a measurement table: priors, errors in slip and load, unknown noise.
+"""Weighted least squares of the steady model to a measurement table: priors, errors in slip and
+load, unknown noise.
 
 With the unknowns whitened by their priors (`priors`), the most probable ones minimise
 
     J(u) = e' V^-1 e + |u|^2,    e = y - f(u) - F (q - q^)
 
-over the measured sinkage, drawbar pull and torque y of all rows, with the covariance V of a row, F = df/dq and the
-corrected condition q^ of docs/physics/estimation.md. Noise that the setup leaves out is estimated with the soil.
+over the measured sinkage, drawbar pull and torque y of all rows, with the covariance V of a row,
+F = df/dq and the corrected condition q^ of docs/physics/estimation.md. Noise that the setup leaves
+out is estimated with the soil.
 """
 
 import math
@@ -30,13 +32,11 @@ from soil_env.terramechanics.model import Rows
 SOURCES = ("slip", "load", *MEASURED)  # of error; the last three are the channels
 STEP = 1e-3  # of a whitened unknown, for differences
 _FAR = 1e3  # [sd] residual where the model has no value
-_STARTS = 8
+_STARTS = 8  # of the least squares; the first is the prior mean
 _STRESS_STEP = 1e-3  # relative change of a stress, for differences
 _FUNCTIONS = 24  # of the form error at most
-CHANNELS_OWN = (
-    0.0,
-    1.0,
-)  # relative error of each channel by itself over that of the stresses, equally probable
+#: Relative error of each channel by itself over that of the stresses, equally probable.
+CHANNELS_OWN = (0.0, 1.0)
 
 
 class LawError(NamedTuple):
@@ -64,8 +64,8 @@ def most_probable(
 ) -> tuple[np.ndarray, float, bool]:
     """(u, J, whether it converged): the least |target - model(u)|^2 + |u|^2 within the bounds.
 
-    `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. Trust-region reflective method;
-    `options` are those of `scipy.optimize.least_squares`.
+    `target` [M] and the values [M] and derivatives [M, p] of the model are whitened. Trust-region
+    reflective method; `options` are those of `scipy.optimize.least_squares`.
     """
     if start.size == 0:
         return start, float(np.sum((target - model(start)) ** 2)), True  # everything is known
@@ -87,7 +87,9 @@ def differences(
     unknowns: Sequence[Unknown],
     base: np.ndarray,
 ) -> list[np.ndarray]:
-    """Forward differences of the whitened values, `base` at u, by each unknown; backward at an upper bound."""
+    """Forward differences of the whitened values, `base` at u, by each unknown; backward at an
+    upper bound.
+    """
     columns = []
     for k, unknown in enumerate(unknowns):
         step = STEP if unknown.mean + unknown.sd * (u[k] + STEP) < unknown.high else -STEP
@@ -104,7 +106,9 @@ def finite(columns: list[np.ndarray], size: int) -> np.ndarray:
 
 
 class TableProblem:
-    """The soil of one table as a weighted least-squares problem; `correct` and `update_noise` re-weight it."""
+    """The soil of one table as a weighted least-squares problem; `correct` and `update_noise`
+    re-weight it.
+    """
 
     def __init__(self, table: Table, setup: Setup) -> None:
         use = _usable(table, setup)
@@ -112,9 +116,8 @@ class TableProblem:
         wheels = np.stack(
             [table.radius(setup.wheel), table.width(setup.wheel), np.zeros(len(table))], axis=1
         )
-        level = np.zeros(
-            len(table)
-        )  # no speed: the base model does not depend on it, nor on the pass
+        # No speed: the base model does not depend on it, nor on the pass.
+        level = np.zeros(len(table))
         grade = np.sin(np.radians(np.nan_to_num(table.grade_deg)))
         self.table: Table = table
         self.setup: Setup = setup
@@ -141,8 +144,8 @@ class TableProblem:
         self.unknowns, self.known = soil_unknowns(setup, self.rows.load, self.y[:, 0])
         if not self.unknowns:
             raise ParameterError(
-                f"{setup.source}: soil: every parameter is known: expected at least one to identify, left out or as "
-                "{value: ..., sd: ...}"
+                f"{setup.source}: soil: every parameter is known: expected at least one to "
+                "identify, left out or as {value: ..., sd: ...}"
             )
         self.bounds: tuple[np.ndarray, ...] = tuple(
             np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True)
@@ -156,7 +159,8 @@ class TableProblem:
             )
             raise ParameterError(
                 f"{table.source}: {values} measured values (sinkage, drawbar_pull, torque) for "
-                f"{needed} parameters{unknown}: expected at least {needed + int(self.estimated.sum())}"
+                f"{needed} parameters{unknown}: expected at least "
+                f"{needed + int(self.estimated.sum())}"
             )
         wheel = dict(zip(("wheel_radius", "wheel_width"), wheels.T, strict=False))
         at = {"slip": self.rows.slip, "load": self.rows.load, **wheel}
@@ -168,7 +172,9 @@ class TableProblem:
         self.weigh(np.zeros((count, 3, 2)))
 
     def _noise(self) -> None:
-        """Set noise, its floor and whether it is estimated, from the setup or from first guesses."""
+        """Set noise, its floor and whether it is estimated, from the setup or from first
+        guesses.
+        """
         size = float(np.median(self.rows.load))
         r = float(self.rows.wheels[0, 0])
         guess = {
@@ -179,9 +185,8 @@ class TableProblem:
         self.noise: np.ndarray = np.zeros(5)
         self.estimated: np.ndarray = np.zeros(5, dtype=bool)
         self.floor: np.ndarray = np.zeros(5)
-        self.freedom: np.ndarray = np.full(
-            5, math.inf
-        )  # degrees of freedom behind an estimated noise
+        # Degrees of freedom behind an estimated noise.
+        self.freedom: np.ndarray = np.full(5, math.inf)
         for k, name in enumerate(SOURCES):
             given = (
                 getattr(self.setup.noise, name)
@@ -191,7 +196,8 @@ class TableProblem:
             least = 1e-7 * guess.get(name, 0.03 * size if name == "load" else 0.03)
             if given is not None and given < least:
                 raise ParameterError(
-                    f"{self.setup.source}: noise.{name} = {given:g}: expected at least {least:.2g}; leave it out where "
+                    f"{self.setup.source}: noise.{name} = {given:g}: expected at least "
+                    f"{least:.2g}; leave it out where "
                     + ("it counts as exact" if name in ("slip", "load") else "it is not known")
                 )
             self.estimated[k] = given is None and k >= 2 and bool(np.any(self.measured[:, k - 2]))
@@ -203,13 +209,17 @@ class TableProblem:
         return self.known | {k.name: k.value(x) for k, x in zip(self.unknowns, u, strict=True)}
 
     def predict(self, u: np.ndarray, rows: Rows | None = None) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0 where not measured."""
+        """Sinkage, drawbar pull and torque [N, 3] at the corrected conditions, or at `rows`; 0
+        where not measured.
+        """
         return np.where(self.measured, self.steady(u, rows or self.corrected), 0.0)
 
     def steady(
         self, u: np.ndarray, rows: Rows, changed: form_error.StressChange | None = None
     ) -> np.ndarray:
-        """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other stresses."""
+        """Sinkage, drawbar pull and torque [N, 3] at `rows`, measured or not; `changed`: with other
+        stresses.
+        """
         soil = self.values(u)
         fx = NO_EFFECTS
         if changed is not None:
@@ -218,7 +228,9 @@ class TableProblem:
         return predict_table(self.setup, rows, soil, _NO_WEIGHT, fx, np.zeros(rows.slip.size))
 
     def by_conditions(self, u: np.ndarray) -> np.ndarray:
-        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where these are exact."""
+        """Derivatives [N, 3, 2] of the model by slip and load at the corrected conditions; 0 where
+        these are exact.
+        """
         out = np.zeros((*self.y.shape, 2))
         at = self.corrected
         for k, (name, step) in enumerate(
@@ -236,7 +248,9 @@ class TableProblem:
         return out
 
     def weigh(self, by_conditions: np.ndarray) -> None:
-        """Fix the effect F [N, 3, 2] of the conditions' errors, and with it the covariance V [N, 3, 3] of the rows."""
+        """Fix the effect F [N, 3, 2] of the conditions' errors, and with it the covariance V [N, 3,
+        3] of the rows.
+        """
         self.F = by_conditions
         self.V = np.einsum("kcj,j,kdj->kcd", self.F, self.noise[:2] ** 2, self.F)
         for c in range(3):
@@ -258,7 +272,9 @@ class TableProblem:
         return np.einsum("kcd,kd->kc", self._whitener, values).ravel()
 
     def target(self) -> np.ndarray:
-        """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not measured."""
+        """Measured values [N, 3], less what the errors of slip and load change in them; 0 where not
+        measured.
+        """
         off = np.stack(
             [self.rows.slip - self.corrected.slip, self.rows.load - self.corrected.load], axis=1
         )
@@ -290,10 +306,11 @@ class TableProblem:
         return np.linalg.inv(np.eye(u.size) + j.T @ j)
 
     def law_errors(self, u: np.ndarray, span: int) -> tuple[np.ndarray, np.ndarray]:
-        """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of stresses, of channels.
+        """[3 N, R] form errors at the size 1 over one of the spans, whitened by the noise: of
+        stresses, of channels.
 
-        Errors of the stresses reach the three channels together. Channels that err by themselves stand for all else
-        that the model is not, such as a rig that bends.
+        Errors of the stresses reach the three channels together. Channels that err by themselves
+        stand for all else that the model is not, such as a rig that bends.
         """
         known = self.values(u)
         h = _STRESS_STEP
@@ -315,7 +332,8 @@ class TableProblem:
         )
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span), linearised at u.
+        """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
+        linearised at u.
 
         The S are in the order of `LAW_ERRORS`.
         """
@@ -359,7 +377,9 @@ class TableProblem:
         return found[:2]
 
     def search(self) -> np.ndarray:
-        """The best of several starts over the priors, all with an S under which a plate bears the median load."""
+        """The best of several starts over the priors, all with an S under which a plate bears the
+        median load.
+        """
         rng = np.random.default_rng(0)
         starts = [np.zeros(len(self.unknowns))]
         names = [k.name for k in self.unknowns]
@@ -376,9 +396,11 @@ class TableProblem:
         return best
 
     def errors(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Most probable errors [N, 5] of `SOURCES` under u, and the variance [N, 5] that the fit leaves them to show.
+        """Most probable errors [N, 5] of `SOURCES` under u, and the variance [N, 5] that the fit
+        leaves them to show.
 
-        e = B eps - J du with eps the errors of a row; they are regressed on e with gain diag(var) B' V^-1.
+        e = B eps - J du with eps the errors of a row; they are regressed on e with gain diag(var)
+        B' V^-1.
         """
         e = self.residual(u)
         j = self.by_unknowns(u)
@@ -401,45 +423,51 @@ class TableProblem:
         self.weigh(self.by_conditions(u))
 
     def update_noise(self, u: np.ndarray) -> None:
-        """Noise of the channels that the setup leaves out, from their residuals and the values spent on fitting."""
+        """Noise of the channels that the setup leaves out, from their residuals and the values
+        spent on fitting.
+        """
         if not np.any(self.estimated):
             return
-        (errors, left), variances = self.errors(u), self.variances
+        errors, left = self.errors(u)
+        variances = self.variances
         for j in np.flatnonzero(self.estimated):
             k = self.measured[:, j - 2]
             self.freedom[j] = max(float(np.sum(left[k, j] / variances[k, j])), 0.5)
-            variance = (
-                float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
-            )  # no row has an sd of its own here
+            # No row has an sd of its own here.
+            variance = float(np.sum(errors[k, j] ** 2)) / self.freedom[j]
             self.noise[j] = max(math.sqrt(variance), self.floor[j])
 
 
 def _usable(table: Table, setup: Setup) -> np.ndarray:
-    """[N] rows with a sinkage or both forces; `ParameterError` where nothing could be identified from them."""
+    """[N] rows with a sinkage or both forces; `ParameterError` where nothing could be identified
+    from them.
+    """
     seen, pull, torque = (~np.isnan(getattr(table, name)) for name in MEASURED)
     stiffness = setup.soil.lumped(setup.wheel.width) is not None
     use = seen | (pull & torque) | ((pull | torque) & stiffness)
     if not np.any(use):
         raise ParameterError(
-            f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: identification needs one of these "
-            "(without sinkage one force is enough where the setup has a prior of sinkage_coefficient)"
+            f"{table.source}: no row has a sinkage, or both drawbar_pull and torque: "
+            "identification needs one of these (without sinkage one force is enough where the "
+            "setup has a prior of sinkage_coefficient)"
         )
     if not np.any(use & (pull | torque)):
         raise ParameterError(
-            f"{table.source}: no row has drawbar_pull or torque beside its sinkage: identification needs one of them "
-            "at least"
+            f"{table.source}: no row has drawbar_pull or torque beside its sinkage: identification "
+            "needs one of them at least"
         )
     radius = table.radius(setup.wheel)
     for k in np.flatnonzero(seen):
         if not 0.0 < table.sinkage[k] <= radius[k]:
             raise ParameterError(
-                f"{table.source}: row {table.row[k]}, sinkage = {table.sinkage[k]:g}: expected metres in "
-                f"(0, {radius[k]:g}], the wheel radius"
+                f"{table.source}: row {table.row[k]}, sinkage = {table.sinkage[k]:g}: expected "
+                f"metres in (0, {radius[k]:g}], the wheel radius"
             )
     slope = use & pull & (np.nan_to_num(table.grade_deg) != 0.0)
     if setup.load == "normal" and slope.sum() > 1 and np.all(table.drawbar_pull[slope] == 0.0):
         raise ParameterError(
-            f"{table.source}: drawbar_pull = 0 on every grade, as of a wheel that climbs by itself: expected "
-            "load: vertical in the setup, so that the weight along the slope counts"
+            f"{table.source}: drawbar_pull = 0 on every grade, as of a wheel that climbs by "
+            "itself: expected load: vertical in the setup, so that the weight along the slope "
+            "counts"
         )
     return use

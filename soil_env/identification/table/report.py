@@ -20,7 +20,9 @@ LABELS = {
 
 
 def text_of(estimate: TableEstimate) -> str:
-    """Text of the estimate: what to check first, parameters, channels, correlations and other warnings."""
+    """Text of the estimate: what to check first, parameters, channels, correlations and other
+    warnings.
+    """
     parts = [
         *(f"CHECK FIRST: {doubt}" for doubt in estimate.check_first),
         *([""] if estimate.check_first else []),
@@ -105,7 +107,9 @@ def report_of(estimate: TableEstimate) -> dict[str, Any]:
 
 
 def picture(estimate: TableEstimate) -> bytes:
-    """PNG: each channel over slip, measured with error bars and fitted, and below it the residuals over their noise."""
+    """PNG: each channel over slip, measured with error bars and fitted, and below it the residuals
+    over their noise.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -159,8 +163,9 @@ def picture(estimate: TableEstimate) -> bytes:
     p = estimate.parameters
     figure.suptitle(
         f"phi {p['friction_angle_deg'].value:.1f} deg, K {1e3 * p['shear_modulus'].value:.1f} mm, "
-        f"S {p['sinkage_coefficient'].value:.3g} N/m$^{{n+2}}$, n {p['sinkage_exponent'].value:.2f}, "
-        f"c {p['cohesion'].value:.0f} Pa (points: measured, 95 % bars; lines or crosses: fitted)",
+        f"S {p['sinkage_coefficient'].value:.3g} N/m$^{{n+2}}$, n "
+        f"{p['sinkage_exponent'].value:.2f}, c {p['cohesion'].value:.0f} Pa (points: measured, 95 "
+        "% bars; lines or crosses: fitted)",
         fontsize=10,
     )
     return picture_of(figure, dpi=130)

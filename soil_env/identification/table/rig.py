@@ -1,4 +1,6 @@
-"""Measurements of a rig at the rows of a table: the steady model, with load and pull resolved as the setup says."""
+"""Measurements of a rig at the rows of a table: the steady model, with load and pull resolved as
+the setup says.
+"""
 
 import math
 
@@ -19,11 +21,13 @@ def predict_table(
     fx: Effects,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name; `guess` [N] is renewed.
+    """Sinkage, drawbar pull and torque [N, 3] of the soil with the parameters `values` by name;
+    `guess` [N] is renewed.
 
-    A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the ground and acts
-    with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of `values`), and of a vertical load the tilt
-    and the grade of the row. S of wheels of another width than the setup's is k_c/b + k_phi where these are given.
+    A force W of the rig that stands on ground inclined by b against it presses with W cos(b) on the
+    ground and acts with W sin(b) against the pull. b is the tilt of the rig (`tilt_deg` of
+    `values`), and of a vertical load the tilt and the grade of the row. S of wheels of another
+    width than the setup's is k_c/b + k_phi where these are given.
     """
     soil = soil_state(values, known_digging(setup))
     tilt = math.radians(values.get("tilt_deg", 0.0))

@@ -42,18 +42,6 @@ def _stage_of(number, h, wheel, foot, rig):
 
 
 @njit(**FINITE)
-def _keep_beside(foot, beside):
-    if beside is None:
-        foot.lift = 0.0
-    else:
-        foot.lift = beside.lift
-        foot.bulldozing = beside.bulldozing
-        foot.blades = beside.blades
-        foot.pull = beside.pull
-        foot.torque = beside.torque
-
-
-@njit(**FINITE)
 def _keep_stand(foot, at):
     """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
     put_soil(foot, at.ground.soil)
@@ -63,7 +51,11 @@ def _keep_stand(foot, at):
     foot.theta1 = at.footing.theta1
     foot.p_cos = at.footing.p_cos
     foot.p_sin = at.footing.p_sin
-    _keep_beside(foot, at.beside)
+    foot.lift = at.beside.lift
+    foot.bulldozing = at.beside.bulldozing
+    foot.blades = at.beside.blades
+    foot.pull = at.beside.pull
+    foot.torque = at.beside.torque
 
 
 @njit(**FINITE)

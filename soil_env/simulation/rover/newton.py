@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, record
+from soil_env._compiled.flags import FINITE, HUGE, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, weight_of
 from soil_env.simulation.world.newton import (
@@ -115,23 +115,6 @@ class Equation(NamedTuple):
 def equation_of(speed, duration, mass, rig):
     """`Equation` of a rover of this mass [kg] whose stage begins at V* = `speed`."""
     return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
-
-
-@njit(**EXACT)
-def _beside(foot, effects, residual):
-    """The forces beside the contact, which `foot` holds, or None where there are none."""
-    if effects is None:
-        return _of_law(foot, residual)
-    else:
-        return foot
-
-
-@njit(**EXACT)
-def _of_law(foot, residual):
-    if residual is None:
-        return None
-    else:
-        return foot
 
 
 @njit(**FINITE)
@@ -247,15 +230,13 @@ def _begin(rover, at, weight, world):
 def _evaluate(v, at, world):
     """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which gets the rest."""
     rig = world.rig
-    acting = world.acting
     pull = 0.0
     largest = 0.0
     for a in range(world.suspension.axles):
         foot = world.stages.feet[a]
         trial = world.stages.trial[a]
         u = trial.rim
-        beside = _beside(foot, acting.effects, acting.residual)
-        force = reaction(world.stages.nodes[a], foot, v, u, rig, beside, acting)
+        force = reaction(world.stages.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed, u / rig.radius, rig)
         keep_reaction(trial, force)
         trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)

@@ -14,7 +14,7 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import EXACT, FINITE, HUGE
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import RoverScenario
-from soil_env.parameters.orders import AHEAD, COMPLETE, RESTART, STEP, TRY
+from soil_env.parameters.readings import AHEAD, COMPLETE, RESTART, STEP, TRY, Record
 from soil_env.simulation.rover.body import AXLE, BODY, suspension_of, take_pitch
 from soil_env.simulation.rover.dynamics import control_period
 from soil_env.simulation.rover.newton import Rover, RoverWorld, Stages, new_stages
@@ -37,8 +37,8 @@ from soil_env.simulation.task.rules import (
     task_of,
     total_of,
 )
-from soil_env.simulation.wheels import Record, clear_reward, new_record, start_passable
-from soil_env.simulation.world.courses import course_distribution, draw_course, extend_course
+from soil_env.simulation.wheels import clear_reward, new_record, start_passable
+from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
 from soil_env.simulation.world.sensors import (
     READING,
@@ -219,7 +219,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
                 body.stream = stream
                 _settle(rover, mass, numbers, scratch)
         elif order == TRY:
-            worlds.reward[j] = draw_course(rover.course, body, course_numbers, nodes)
+            worlds.reward[j] = start_course(rover.course, body, course_numbers, nodes)
         elif order == COMPLETE or order == AHEAD:
             x = HUGE if order == COMPLETE else body.x + ahead
             extend_course(rover.course, body.mass / s.axles, x, course_numbers, nodes)

@@ -55,7 +55,9 @@ TASK = record(
 def task_of(scenario: Scenario, variant: str) -> np.ndarray:
     """Pack the task of a scenario, `TASK` [1]."""
     if variant == "identified" and scenario.belief.method == "none":
-        raise ParameterError("belief.method = 'none': expected 'filter' for observation 'identified'")
+        raise ParameterError(
+            "belief.method = 'none': expected 'filter' for observation 'identified'"
+        )
     w = scenario.wheel
     task = np.zeros(1, TASK)
     task["weight"] = scenario.weight

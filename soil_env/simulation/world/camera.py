@@ -30,7 +30,7 @@ IMAGE = record(
     "here",  # label of the ground under the wheel
     "seen",  # 1 if the patch ahead is in sight
     "chosen",  # 1 if there is no choice of a line any more
-    "count",  # lines over the patch ahead
+    "lines",  # over the patch ahead
     "taken",  # line that the wheel is on the way to
     "label_0",
     "label_1",
@@ -47,7 +47,7 @@ class Sight(NamedTuple):
     left: float  # [m] to its end
 
 
-def new_camera(scenario: Scenario) -> np.ndarray | None:
+def camera_of(scenario: Scenario) -> np.ndarray | None:
     """One `CAMERA`; None without terrain classes."""
     if not scenario.course.classes:
         return None
@@ -98,7 +98,7 @@ def seen_grade(line):
 
 
 @njit(**EXACT)
-def keep_image(image, wheel, course, sight, camera):
+def take_image(image, wheel, course, sight, camera):
     """Fill the `IMAGE` of a wheel, for what identifies the ground on board."""
     ahead = patch_ahead(course, sight, camera)
     p = max(ahead, 0)
@@ -110,7 +110,7 @@ def keep_image(image, wheel, course, sight, camera):
     image.here = label_here(course, sight)
     image.seen = 1.0 if ahead >= 0 else 0.0
     image.chosen = 1.0 if settled(wheel, course, p) else 0.0
-    image.count = course.forks[p].lines
+    image.lines = course.forks[p].lines
     image.taken = course.forks[p].taken
     image.label_0 = straight.label
     image.label_1 = beside.label

@@ -19,7 +19,9 @@ from soil_env.simulation.world.lines import draw_classes, draw_lines, repeat_lin
 from soil_env.simulation.world.passability import (
     DISTRIBUTION,
     IMPASSABLE,
+    LOWERING,
     PRESET,
+    TOLERANCE,
     CourseDistribution,
     CourseNumbers,
     capacity,
@@ -35,9 +37,9 @@ from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 REDRAWS = 30  # attempts at a soil or a patch
-ACTIONS_AHEAD = 3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
-LOWERING = 1.02  # of what a border falls short, by which the grades on both sides of it are lowered
-TOLERANCE = 1e-6  # [of weight] by which a border may fall short all the same
+ACTIONS_AHEAD = (
+    3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
+)
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:
@@ -45,7 +47,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
     return CourseNumbers(
         course_distribution(scenario, model),
         rig_of(scenario, model)[0],
-        acting_in(scenario, model),
+        acting_in(model),
     )
 
 
@@ -96,7 +98,7 @@ def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
         soils = [scenario.library[name].state(width) for name in scenario.soils]
         weights = np.array(list(scenario.soils.values()), dtype=float)
     shares = np.cumsum(weights) / weights.sum()
-    return np.array([(*soil, share) for soil, share in zip(soils, shares, strict=True)], PRESET)
+    return np.array([(share, *soil) for soil, share in zip(soils, shares, strict=True)], PRESET)
 
 
 @njit(**EXACT)

@@ -32,11 +32,12 @@ from soil_env.terramechanics.reaction import (
     Standing,
     ground_under,
     lay_footing,
-    lift_of,
 )
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
-LEAD = math.sqrt(2.0)  # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
+LEAD = math.sqrt(
+    2.0
+)  # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
 FINEST = 1024  # a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
 # Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where others take one.
 REFINED_TWICE = 0.3
@@ -52,7 +53,7 @@ class Stand(NamedTuple):
 
     ground: Ground
     footing: Footing
-    beside: Beside | None
+    beside: Beside
     along: float  # [N] weight along the grade
 
 
@@ -174,7 +175,7 @@ def stand(wheel, stage, course, ahead, world):
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, passes)
     soil, arc, beside = ground_under(standing, soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    ground = Ground(soil, sinkage, lift_of(beside), grade)
+    ground = Ground(soil, sinkage, beside.lift, grade)
     return Stand(ground, footing, beside, weight * sine)
 
 
@@ -224,7 +225,9 @@ def drive_period(wheel, drive, course, world):
         if driven == h:
             h = longest
         else:
-            h = 0.5 * h if failed else longest  # after the first failure the rest is tried once more
+            h = (
+                0.5 * h if failed else longest
+            )  # after the first failure the rest is tried once more
             failed = True
 
 

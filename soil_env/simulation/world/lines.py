@@ -8,10 +8,12 @@ import math
 
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE, INLINE
+from soil_env._compiled.flags import EXACT, HUGE
 from soil_env._compiled.random_streams import normal_pair, uniform
 from soil_env.simulation.world.passability import (
     IMPASSABLE,
+    LOWERING,
+    TOLERANCE,
     draw_soil,
     margin_between,
     scattered,
@@ -22,8 +24,6 @@ from soil_env.simulation.world.passability import (
 from soil_env.terramechanics.ground import put_soil, soil_of
 
 REDRAWS = 30  # attempts at the soil of a class
-LOWERING = 1.02  # of what a border falls short, by which the grades on both sides of it are lowered
-TOLERANCE = 1e-6  # [of weight] by which a border may fall short all the same
 
 
 @njit(**EXACT)
@@ -77,7 +77,7 @@ def _draw_line(course, line, margin, load, numbers, nodes):
     mean = soil_of(course.library[line.terrain])
     soil = scattered(mean, spec.class_scatter, course.head, spec)
     tangent, pull = steepest(load, soil, max(margin, 0.0), numbers, nodes)
-    if pull == IMPASSABLE:
+    if pull <= IMPASSABLE:
         return False
     if margin < 0.0:
         tangent = pull - margin
@@ -237,22 +237,25 @@ def next_fork(wheel, course, border):
 
 
 @njit(**EXACT)
-def plan_halt(wheel, course, border, least):
-    """Let a wheel halt before the next fork; a halt less than `least` [m] before that one waits for it."""
-    fork = next_fork(wheel, course, border)
+def plan_halt(wheel, course, rig):
+    """Let a wheel halt before the next fork; a halt that would be shortly before that one waits for it."""
+    fork = next_fork(wheel, course, rig.border)
     if fork >= 0:
         place = course.patches[fork].start + course.forks[fork].halt
-        if wheel.best_x < place and wheel.next_halt > place - least:
+        if wheel.best_x < place and wheel.next_halt > place - rig.halt_low:
             wheel.next_halt = place
 
 
 @njit(**EXACT)
-def choosing(wheel, course, camera):
-    """The patch whose line the action chooses now, or -1: at a halt with a fork in sight. `camera` as in `camera`."""
+def choosing(wheel, course, view):
+    """The patch whose line the action chooses now, or -1: at a halt with a fork in sight.
+
+    `view`: a record with `sight` and `border` [m], as those of a wheel's rig and of a camera.
+    """
     if wheel.halt_left <= 0.0:
         return -1
-    fork = next_fork(wheel, course, camera.border)
-    if fork < 0 or course.patches[fork].start - wheel.x > camera.sight:
+    fork = next_fork(wheel, course, view.border)
+    if fork < 0 or course.patches[fork].start - wheel.x > view.sight:
         return -1
     return fork
 

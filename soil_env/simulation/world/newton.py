@@ -120,7 +120,9 @@ def solve_speeds(wheel, stage, footing, along, drive, world, beside):
     else:
         try_v = v
         try_u = u
-    curvature = 1.0 + r * footing.theta1 / footing.shear_modulus  # change of shear over that of speed
+    curvature = (
+        1.0 + r * footing.theta1 / footing.shear_modulus
+    )  # change of shear over that of speed
 
     v = stage.speed
     u = stage.rim

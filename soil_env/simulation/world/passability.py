@@ -6,20 +6,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE, INLINE, record
+from soil_env._compiled.flags import EXACT, HUGE, record
 from soil_env._compiled.random_streams import between, normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
 from soil_env.terramechanics.ground import blend, soil_of
 from soil_env.terramechanics.reaction import Acting
-from soil_env.terramechanics.residual import dimensionless_groups, residual_at
-from soil_env.terramechanics.steady import Conditions, steady_state
-from soil_env.terramechanics.traversability import best_working_point
+from soil_env.terramechanics.residual import WorkingPoint, dimensionless_groups, residual_at
+from soil_env.terramechanics.steady import Conditions, Point, steady_at
+from soil_env.terramechanics.traversability import best_point_at
 
 BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
 CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
 STEEPEST_FRICTION = math.radians(60.0)  # [rad] largest friction angle that is drawn
 SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a passable course asks for
+LOWERING = 1.02  # of what a border falls short, by which the grades on both sides of it are lowered
+TOLERANCE = 1e-6  # [of weight] by which a border may fall short all the same
 IMPASSABLE = -HUGE  # [of weight] pull of a wheel that would be bogged
 
 _PAIR = ("f8", 2)  # (low, high) of a uniform distribution
@@ -51,8 +53,8 @@ DISTRIBUTION = record(
 )
 #: A soil of the mixture.
 PRESET = record(
-    *SoilState._fields,
     "cumulative",  # [-] share of the mixture up to and with this soil
+    *SoilState._fields,
 )
 
 
@@ -132,13 +134,15 @@ def _factor(variation, deviation):
 def _best_pull(load, soil, at, numbers, nodes):
     """Best steady drawbar pull over load under `Conditions`, `IMPASSABLE` where the wheel would be bogged at it."""
     spec = numbers.drawn.spec
-    best = best_working_point(nodes, load, soil, at, spec.stall_torque, numbers.rig, numbers.acting)
-    pull, torque = _residual_of(best, load, soil, at, numbers.rig, numbers.acting.residual)
+    rig = numbers.rig
+    acting = numbers.acting
+    best = best_point_at(nodes, load, soil, rig, at, acting.effects, spec.stall_torque)
+    pull, torque = _residual_of(best, load, soil, at, rig, acting.residual)
     if best.sinkage > SAFE_SINKAGE * spec.bogged_sinkage:
         return IMPASSABLE
-    if best.torque + torque * load * numbers.rig.radius > spec.stall_torque:
+    if best.torque + torque * load * rig.radius > spec.stall_torque:
         return IMPASSABLE
-    return best.drawbar_pull / load + pull
+    return max(best.drawbar_pull / load + pull, IMPASSABLE)
 
 
 @njit(**EXACT)
@@ -147,7 +151,8 @@ def _residual_of(best, load, soil, at, rig, residual):
     if residual is None:
         return 0.0, 0.0
     else:
-        groups = dimensionless_groups(best.slip, best.sinkage, load, at, soil, rig)
+        point = WorkingPoint(best.slip, best.sinkage, load, at.speed, at.passes, at.sin_grade)
+        groups = dimensionless_groups(point, soil, rig, rig.gravity)
         _, pull, torque = residual_at(residual, groups)
         return pull, torque
 
@@ -161,23 +166,15 @@ def capacity(load, soil, tangent, numbers, nodes):
     """
     sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
     at_rest = Conditions(0.0, 1.0, sin_grade)
-    rest = steady_state(nodes, 0.0, load, soil, at_rest, numbers.rig, numbers.acting)
+    point = Point(0.0, load, 0.0)
+    rest = steady_at(nodes, point, soil, numbers.rig, at_rest, numbers.acting.effects)
     spec = numbers.drawn.spec
     if rest.sinkage > SAFE_SINKAGE * spec.bogged_sinkage or not rest.supported:
         return IMPASSABLE
     pull = _best_pull(load, soil, Conditions(spec.speed, 1.0, sin_grade), numbers, nodes)
-    if _speed_matters(numbers.acting.effects):
+    if depends_on_speed(numbers.acting.effects):
         pull = min(pull, _best_pull(load, soil, at_rest, numbers, nodes))
     return pull
-
-
-@njit(**EXACT)
-def _speed_matters(effects):
-    """True if the strength of the soil goes with the speed."""
-    if effects is None:
-        return False
-    else:
-        return depends_on_speed(effects)
 
 
 @njit(**EXACT)

@@ -8,7 +8,8 @@ from numba import njit
 from soil_env._compiled.flags import FINITE, record
 from soil_env._compiled.random_streams import PAIRS, draw_normals, normal_pair
 from soil_env.parameters import Scenario, SensorReading, sensor_noise
-from soil_env.terramechanics.effects import measured_slip, slip_sinkage_ratio
+from soil_env.terramechanics.effects.slip_bias import measured_slip
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 
 #: A `SensorReading` as a record, or the standard deviations of one.

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import EXACT, HUGE, INLINE, record
 from soil_env.parameters import Scenario, SoilState
-from soil_env.terramechanics.ground import blend, soil_of
+from soil_env.terramechanics.ground import blend, put_soil, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
 CELLS_BEHIND = 10  # cells behind the start of a course
@@ -46,8 +47,8 @@ COURSE = record(
 )
 #: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line 1 beside it.
 LINE = record(
+    "grade",  # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
     *SoilState._fields,
-    "grade",  # [rad]
     "capacity",  # [of weight] best steady drawbar pull
     "grade_error",  # [rad] of the grade that a camera sees
     terrain=("i8",),  # number of its class
@@ -221,8 +222,28 @@ def leave_rut(cell, depth, dug, compaction):
     cell.depth = max(cell.depth, depth)
 
 
-def profile_at(courses: Courses, k: int, x: float, border: float) -> tuple[SoilState, float]:
-    """Return (`SoilState`, grade [rad]) of undisturbed ground of course k at x [m]: for pictures and analysis."""
-    patches = courses.patches[k]
-    soil, grade = ground_at(patches, x, patch_at(patches, x, 0), border)
-    return soil, grade
+#: Undisturbed ground at one place.
+PLACE = record(*SoilState._fields, "grade", patch=("i8",))  # grade [rad]
+
+
+@kept
+def _sample(patches, x, border, places):
+    for i in range(x.size):
+        place = places[i]
+        place.patch = patch_at(patches, x[i], 0)
+        soil, grade = ground_at(patches, x[i], place.patch, border)
+        put_soil(place, soil)
+        place.grade = grade
+
+
+def places_on(courses: Courses, k: int, x: np.ndarray, border: float) -> np.ndarray:
+    """Undisturbed ground of course k at places x [n] in m, `PLACE` [n]; `border` [m] as in `ground_at`."""
+    places = np.zeros(len(x), PLACE)
+    _sample(courses.patches[k], np.ascontiguousarray(x, dtype=float), float(border), places)
+    return places
+
+
+def soil_at(courses: Courses, k: int, x: float, border: float) -> SoilState:
+    """Undisturbed soil of course k at x [m]."""
+    place = places_on(courses, k, np.array([x]), border)[0]
+    return SoilState(*(float(place[name]) for name in SoilState._fields))

@@ -21,7 +21,7 @@ from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
-from soil_env.terramechanics.effects import acting, switched_on
+from soil_env.terramechanics.effects import acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
@@ -30,7 +30,9 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-REVERSE = 0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+REVERSE = (
+    0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+)
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
@@ -76,7 +78,9 @@ WHEEL = record(
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
-    converged=("i8",),  # 1 unless Newton's method failed at the finest step of the last control period
+    converged=(
+        "i8",
+    ),  # 1 unless Newton's method failed at the finest step of the last control period
     patch=("i8",),  # of the course, under the wheel
     cell=("i8",),  # of the rut, under the wheel
     steps=("i8",),  # control periods since reset
@@ -178,7 +182,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     if model is None:
         return BASE
     law = residual_law(model.residual) if model.residual else None
-    return acting_on(switched_on(acting(model.numbers)), law)
+    return acting_on(acting_effects(model.numbers), law)
 
 
 @njit(**FINITE)

@@ -46,22 +46,42 @@ from soil_env.terramechanics.effects import (
 )
 from soil_env.terramechanics.effects.drivetrain_friction import Friction, friction_at
 from soil_env.terramechanics.effects.entry import Effect, Passage
+from soil_env.terramechanics.effects.shear_rate import sliding_speed
+from soil_env.terramechanics.effects.slip_bias import measured_slip, true_slip
+from soil_env.terramechanics.effects.slip_sinkage import (
+    digging,
+    digging_ratio,
+    excavated_depth,
+    excavation_rate,
+    onto_fresh,
+    slip_sinkage_ratio,
+)
 
 __all__ = [
     "CATALOGUE",
     "NO_EFFECTS",
     "Effect",
     "Effects",
+    "Friction",
     "Passage",
-    "acting",
+    "acting_effects",
     "arc_ends",
     "depends_on_speed",
+    "digging",
+    "digging_ratio",
     "drive_friction",
     "drive_torque",
+    "excavated_depth",
+    "excavation_rate",
+    "measured_slip",
+    "onto_fresh",
     "pack_effects",
+    "sliding_speed",
+    "slip_sinkage_ratio",
     "soil_in_contact",
     "soil_resistance",
     "switched_on",
+    "true_slip",
 ]
 
 #: Modules of this folder, one an effect, in the order of every list of effects.
@@ -122,18 +142,21 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
     return NO_EFFECTS._replace(**values)
 
 
-def acting(fx: Effects) -> Effects:
-    """The effects that act on a wheel in a simulated world: without those of its sensors and the weight on a slope."""
+def switched_on(fx: Effects | None) -> Effects | None:
+    """The effects as compiled code takes them: None where all are neutral, which leaves their laws out."""
+    return None if fx == NO_EFFECTS else fx
+
+
+def acting_effects(fx: Effects) -> Effects | None:
+    """The effects that act on a wheel in a simulated world, as compiled code takes them.
+
+    They are those without the effects of its sensors and without the weight on a slope.
+    """
     sensed = (f"{effect.name}_{name}" for effect in CATALOGUE.values() for name in effect.sensed)
     fx = fx._replace(**{name: getattr(NO_EFFECTS, name) for name in sensed})
     if fx.slip_sinkage_apparent > 0.0:  # a sinkage that is seen, not felt
         fx = fx._replace(slip_sinkage_gain=0.0, slip_sinkage_apparent=0.0)
-    return fx
-
-
-def switched_on(fx: Effects | None) -> Effects | None:
-    """The effects as compiled code takes them: None where all are neutral, which leaves their laws out."""
-    return None if fx == NO_EFFECTS else fx
+    return switched_on(fx)
 
 
 @njit(**EXACT)

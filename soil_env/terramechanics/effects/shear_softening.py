@@ -16,17 +16,20 @@ from soil_env.terramechanics.effects.entry import (
     Form,
 )
 
+#: Eq. (10) as a `ShearLaw`.
+JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
+
 
 @njit(**EXACT)
 def mobilisation(fx):
-    """`ShearLaw` with a peak and a residual strength, or without where neither is on; None without effects.
+    """`ShearLaw` with a peak and a residual strength, or that of Eq. (10) where neither is on.
 
     (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1 (family of
     Wong 1983). It is divided by its peak, so that phi and c stay those of the peak. `shear_softening_drop` lets the
     strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
     """
     if fx is None:
-        return None
+        return JANOSI
     else:
         s = fx.shear_softening_sharpness
         drop = fx.shear_softening_drop
@@ -52,7 +55,7 @@ def shear_length_ratio(fx):
 
 
 def shear_law(fx: Any) -> ShearLaw | None:
-    """`mobilisation` for a world: None unless the strength has a peak or falls, so that its code is left out."""
+    """`mobilisation` of a world: None unless the strength has a peak or falls, which leaves its code out."""
     if fx is None or (fx.shear_softening_sharpness < 1.0 and fx.shear_softening_drop == 0.0):
         return None
     return mobilisation(fx)

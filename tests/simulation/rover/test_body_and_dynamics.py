@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soil_env.driving.rovers import RoverSimulation
+from soil_env.envs.rovers import RoverSimulation
 from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on

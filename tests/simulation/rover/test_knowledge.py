@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.drives import SHARED, UNITS, SwingingSlip, record_rover, rover_scenario
-from soil_env.driving.rover_estimator import rover_estimator_numbers
+from soil_env.identification.online.rover_on_board import rover_identifier_numbers
 from soil_env.identification.online.soil_prior import published_prior
 from soil_env.parameters import load_rover
-from soil_env.simulation.rover.task import rover_task_numbers
 
 FRICTION_AND_COHESION = [0, 3]
 
@@ -90,6 +89,5 @@ def test_pooled_is_surer_than_alone(recorded):
 )
 def test_the_torque_of_a_speed_loop_is_no_reading_of_the_soil(action, read):
     scenario = load_rover("mars_rover", {"control": {"action": action}})
-    task = rover_task_numbers(scenario, "identified")
-    noise = rover_estimator_numbers(scenario, task).identifier.filter.noise[8]
+    noise = rover_identifier_numbers(scenario).filter.noise[8]
     assert (noise < scenario.weight * scenario.wheel.radius) == read

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soil_env.parameters import rover_names
-from soil_env.rover_env import SoilRoverEnv
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import axle_names
 
 

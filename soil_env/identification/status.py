@@ -4,7 +4,7 @@ import enum
 
 
 class Status(enum.IntEnum):
-    """Status of an online estimate; 3 to 5 are unused, so that recorded numbers keep their meaning."""
+    """Status of an online estimate; 3 to 5 are unused: recorded numbers keep their meaning."""
 
     NO_DATA = 0  # no point yet: the estimate is the prior
     CONVERGED = 1

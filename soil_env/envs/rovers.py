@@ -6,15 +6,9 @@ from typing import Any
 import numpy as np
 
 from soil_env._numba.lanes import COUNT
-from soil_env.driving.core import Vehicles, asks_for_estimates
-from soil_env.driving.rover_estimator import (
-    RoverEstimator,
-    RoverEstimatorNumbers,
-    estimate_rovers,
-    new_rover_estimator,
-    rover_estimator_numbers,
-)
+from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
+from soil_env.parameters.readings import Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     RoverWorlds,
@@ -27,8 +21,9 @@ from soil_env.simulation.rover.rovers import (
 from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.terramechanics.model import WheelSoilModel
 
+_OF_ESTIMATOR = ("ids", "known")  # `identification.online.rover_on_board.RoverEstimator`
 #: Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one.
-Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *RoverEstimator._fields))
+Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *_OF_ESTIMATOR))
 
 
 class RoverSimulation(Vehicles):
@@ -37,7 +32,6 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
-    belief: RoverEstimatorNumbers | None
     _vehicle = "rover"
 
     def __init__(
@@ -61,17 +55,17 @@ class RoverSimulation(Vehicles):
         estimates = estimates or asks_for_estimates(scenario, variant)
         world = new_rover_worlds(rovers, scenario, task, estimates)
         wheels = world.wheel_streams.size
-        estimator = None
-        belief = None
+        on_board = None
         if estimates:
-            estimator = new_rover_estimator(wheels)
-            belief = rover_estimator_numbers(scenario, task)
-        self.worlds = Worlds._make((*world, *(estimator or (None, None))))
+            from soil_env.identification.online.rover_on_board import rovers_on_board
+
+            shown = Shown(variant == "identified", first_soil(scenario.axles), task.low, task.high)
+            on_board = rovers_on_board(wheels, scenario, shown)
+        known = (None,) * len(_OF_ESTIMATOR) if on_board is None else on_board.memory
+        self.worlds = Worlds._make((*world, *known))
         trial = new_rover_worlds(1, scenario, task, False)
         self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
-        self._begin(
-            lay_rovers, step_rovers, world, trial, wheels, estimate_rovers, estimator, belief
-        )
+        self._begin(lay_rovers, step_rovers, world, trial, wheels, on_board)
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""

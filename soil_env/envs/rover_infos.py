@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from soil_env.driving.infos import STUCK, asks, estimates, flat, masked
-from soil_env.driving.rovers import RoverSimulation
+from soil_env.envs.infos import STUCK, asks, estimates, flat, masked
+from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import REWARD_TERMS, Cause

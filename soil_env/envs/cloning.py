@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.rows import Rows
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.simulation.wheels import Record
 
 
@@ -55,7 +54,7 @@ def _copy(a, wheels, b, places, count, into, name):
         a is None or b is None or isinstance(a, Record)
     ):  # no estimator; a record is written anew by every step
         return
-    if isinstance(a, Rows):
+    if hasattr(type(a), "NAMES"):  # rows, of the world or of the identifier
         each = a.count // count  # columns of a wheel
         if b.count // into != each:
             raise ParameterError(

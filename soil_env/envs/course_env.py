@@ -1,4 +1,7 @@
-"""Common base of the environments of a course: one course, or many side by side. Orchestration only."""
+"""Common base of the environments of a course: one course, or many side by side.
+
+Orchestration only.
+"""
 
 import copy
 import dataclasses
@@ -14,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soil_env._io.loading import ParameterError, UnknownKeyword
-from soil_env.driving.core import Vehicles
+from soil_env.envs.vehicles import Vehicles
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import Cause, ObservedNumber
 from soil_env.simulation.task.scaling import Scaling
@@ -47,9 +50,11 @@ def scenario_changes(
     own: tuple[str, ...],
     kind: type[Scenario],
 ) -> dict[str, Any]:
-    """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those that are none.
+    """Keyword arguments of an environment as changes of a scenario of this `kind`; `own`: those
+    that are none.
 
-    Raises UnknownKeyword for a name that is neither, ParameterError for a `repeat` that is no whole number.
+    Raises UnknownKeyword for a name that is neither, ParameterError for a `repeat` that is no whole
+    number.
     """
     fields = tuple(f.name for f in dataclasses.fields(kind))
     for key in changes:
@@ -84,9 +89,8 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
     finite = np.isfinite(a)
     if not finite.all():
-        row = (
-            () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
-        )  # the first that is wrong
+        # The first that is wrong.
+        row = () if len(shape) == 1 else np.argwhere(~finite)[0, :1].tolist()
         raise ValueError(
             f"{what}{row or ''} = {a[*row].tolist()!r:.80}: expected finite numbers in [-1, 1]"
         )
@@ -94,7 +98,9 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
 
 
 class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
-    """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes the view."""
+    """Base of the environments of one course; a subclass sets `simulation` and `infos`, and makes
+    the view.
+    """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
     simulation: Vehicles
@@ -111,7 +117,8 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ParameterError(
-                f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} or None"
+                f"render_mode = {render_mode!r}: expected one of {self.metadata['render_modes']} "
+                "or None"
             )
         self.scenario = scenario
         self.observation_variant = variant
@@ -145,12 +152,16 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """New course, at rest at its start. `options` must be empty. Returns (observation, info)."""
+        """New course, at rest at its start.
+
+        `options` must be empty. Returns (observation, info).
+        """
         super().reset(seed=seed)
         if options:
             given = sorted(map(str, options)) if isinstance(options, dict) else options
             raise ValueError(
-                f"reset options {given!r:.80}: expected none; scenarios are set when the env is made"
+                f"reset options {given!r:.80}: expected none; scenarios are set when the env is "
+                "made"
             )
         if seed is not None or not self._seeded:
             self.simulation.seed(0, self.np_random)
@@ -168,7 +179,10 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
     def step(
         self, action: ArrayLike
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Drive as long as an action lasts. Returns (observation, reward, terminated, truncated, info)."""
+        """Drive as long as an action lasts.
+
+        Returns (observation, reward, terminated, truncated, info).
+        """
         if self._over:
             raise gymnasium.error.ResetNeeded(
                 "step() before reset(), or after the end of the episode"
@@ -194,7 +208,8 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         """A frame [H, W, 3] uint8 with "rgb_array"; draws into a window with "human"."""
         if self.render_mode is None:
             gymnasium.logger.warn(
-                "render() without a render_mode; make the env with render_mode='rgb_array' or 'human'."
+                "render() without a render_mode; make the env with render_mode='rgb_array' or "
+                "'human'."
             )
             return None
         return self._view().draw(self.simulation, 0)
@@ -219,7 +234,9 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
 
 
 class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and `infos`."""
+    """Base of the environments of many courses; a subclass sets `scenario`, `simulation` and
+    `infos`.
+    """
 
     simulation: Vehicles
     scenario: Any
@@ -280,7 +297,10 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Reset all courses, or those of `options["reset_mask"]` [N] bool. Returns (observations, info)."""
+        """Reset all courses, or those of `options["reset_mask"]` [N] bool.
+
+        Returns (observations, info).
+        """
         mask = self._mask(options)
         seeds = self._seeds(seed)
         if self._rngs is None:
@@ -310,7 +330,8 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         mask = np.asarray(given)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ValueError(
-                f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of {mask.dtype}"
+                f"reset_mask: expected shape ({self.num_envs},) of bool, got {mask.shape} of "
+                f"{mask.dtype}"
             )
         return mask
 
@@ -338,7 +359,10 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[NDArray[Any], NDArray[Any], NDA
         NDArray[np.bool_],
         dict[str, Any],
     ]:
-        """One action for each course. Returns (observations, rewards, terminations, truncations, info)."""
+        """One action for each course.
+
+        Returns (observations, rewards, terminations, truncations, info).
+        """
         if self._rngs is None:
             raise gymnasium.error.ResetNeeded("step() before reset()")
         commands = actions_of(actions, self._shape)

@@ -1,19 +1,18 @@
 """Info of the environments of a wheel, in the same words for one wheel and for many."""
 
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import FastCall
-from soil_env.driving.wheels import Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.identification import Status
-from soil_env.identification.online.estimate import assess_ground, published
-from soil_env.identification.online.immobilisation import HORIZONS, ImmobilisationWarning
+from soil_env.identification.published import HORIZONS, published
 from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
-from soil_env.simulation.world.wheel import WheelState
+from soil_env.simulation.world.wheel import WHEEL
 
 #: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat numbers; what costs next to
 #: nothing; nothing. "full" and "numeric" ask for an estimate of the soil.
@@ -34,7 +33,7 @@ _STATE = (
     "motor_torque",
     "grade",
 )
-_ROWS = [WheelState.NAMES.index(name) for name in _STATE]
+_PLACES = [WHEEL.names.index(name) for name in _STATE]
 _WARNING = (
     "best_slip",
     "drawbar_margin",
@@ -107,8 +106,13 @@ class Infos:
         self.kind: str = kind
         self._simulation = simulation
         wheels = simulation.count
-        self._assess = FastCall(assess_ground)
-        self._foresight = ImmobilisationWarning(self.scenario)
+        self._assess = self._foresight = None
+        if simulation.belief is not None:
+            from soil_env.identification.online.estimate import ground_assessment
+            from soil_env.identification.online.immobilisation import ImmobilisationWarning
+
+            self._assess = ground_assessment()
+            self._foresight = ImmobilisationWarning(self.scenario)
         self._seen = np.zeros(
             (wheels, 2)
         )  # load [of weight] and pitch [rad] when the estimate last changed
@@ -139,10 +143,10 @@ class Infos:
             return {
                 "cause": worlds.cause[k],
                 "immobilised": np.int64(cause in IMMOBILISED),
-                "x": worlds.state.x[k],
+                "x": worlds.state["x"][k],
                 **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
-        state = worlds.state.data[:, k].tolist()
+        state = worlds.state[k].item()
         info = {
             "cause": cause.name,
             "immobilised": cause in IMMOBILISED,
@@ -160,7 +164,7 @@ class Infos:
             foreseen = self._foreseen(worlds, only)[0].tolist()
             info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
             info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
-        info["state"] = {name: state[row] for name, row in zip(_STATE, _ROWS, strict=True)}
+        info["state"] = dict(zip(_STATE, itemgetter(*_PLACES)(state)))
         return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:

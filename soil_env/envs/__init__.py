@@ -1,0 +1,1 @@
+"""Environments of Gymnasium, and what joins world and identifier in them."""

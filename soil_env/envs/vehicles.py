@@ -1,0 +1,210 @@
+"""Simulation of many vehicles side by side: the world and, where something asks for it, the estimator on board."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from soil_env._compiled.random_streams import seed_stream
+from soil_env._io.loading import ParameterError
+from soil_env.parameters import Scenario
+from soil_env.parameters.readings import (
+    AHEAD,
+    COMPLETE,
+    IDLE,
+    RESTART,
+    STEP,
+    TRY,
+    Record,
+    Results,
+)
+
+TRIAL_COURSES = 8  # drawn before a scenario is accepted
+SHARES = 4  # of the vehicles, for each thread: those that are done early take another
+LEAST = 32  # vehicles that a thread takes at a time, at least
+
+
+def processors() -> int:
+    """Processors that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """Threads of a process; those of another do not survive its fork."""
+    return ThreadPoolExecutor(threads, "soil_env")
+
+
+def asks_for_estimates(scenario: Scenario, variant: str) -> bool:
+    """True if the observation or the reward of a scenario asks for an estimate of the soil."""
+    return variant == "identified" or scenario.reward.information > 0.0
+
+
+class Vehicles:
+    """Base of the simulations of many wheels and of many rovers.
+
+    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k follows from the
+    seed given to `seed`.
+    """
+
+    numbers: Any  # constants of the compiled step
+    worlds: Any  # all arrays, overwritten by each step
+    _actions: np.ndarray  # a row a vehicle, a column a motor
+    _vehicle = "wheel"
+
+    def __init__(self, count: int, scenario: Any, threads: int | None) -> None:
+        self.scenario = scenario
+        self.count: int = count
+        self._threads = threads or processors()
+        share = count
+        if self._threads > 1:
+            share = max(-(-count // (SHARES * self._threads)), LEAST)
+        self._share = share
+        self._orders = np.full(count, IDLE)
+        self._course_orders = np.full(count, IDLE)
+
+    def _begin(
+        self,
+        functions: tuple[Any, Any],
+        worlds: Any,
+        heads: tuple[np.ndarray, np.ndarray],
+        courses: tuple[Any, float],
+        scratch: Any,
+    ) -> None:
+        """Take the compiled functions (lay, step) with their arrays.
+
+        `heads`: the records of the vehicles and of their courses; `courses`: the numbers that courses are drawn by and
+        the final ground [m] that a vehicle needs before it; `scratch()` makes the work arrays of a thread.
+        """
+        self._lay, self._step = functions
+        self._world = worlds
+        self._heads = heads[0]
+        self._x = heads[0]["x"]
+        self._ready = heads[1]["ready"]
+        self._course_numbers, self._ahead = courses
+        self._scratch = [scratch() for _ in range(0, self.count, self._share)]
+        self._record = of_bytes(worlds.record)
+        self._results = Results(worlds.observation, worlds.terms, worlds.reward, worlds.cause)
+
+    def _board(self, on_board: Any) -> None:
+        """Take the estimators on board; None where nothing is identified."""
+        self._on_board = on_board
+        self.belief = None if on_board is None else on_board.numbers
+        if on_board is not None:
+            on_board.prepare(self._record, self._results, self._orders)
+
+    def _check_passable(self, trial: Any, vehicles: np.ndarray) -> None:
+        """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
+        vehicles["stream"] = 1
+        orders = np.array([TRY])
+        for _ in range(TRIAL_COURSES):
+            self._lay(trial, self._course_numbers, orders, self._scratch[0], 0, 1)
+            if trial.reward[0] < 0.0:
+                raise ParameterError(
+                    f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
+                    "soils; expected firmer soils, more stall torque, a lower course.margin or a lower course.grade_deg"
+                )
+
+    def seed(self, k: int, rng: np.random.Generator) -> None:
+        """Start the random stream of vehicle k from a Generator."""
+        self._heads["stream"][k] = seed_stream(rng)
+
+    def restart(self, k: int) -> None:
+        """New course and fresh start for vehicle k."""
+        self._lay_one(k, RESTART)
+        self._do(k, RESTART)
+
+    def complete(self, k: int) -> None:
+        """Draw the rest of the course of vehicle k; it goes on as it would have."""
+        self._lay_one(k, COMPLETE)
+
+    def step(self, k: int, action: Any) -> None:
+        """One step of vehicle k: the control periods of an action."""
+        self._actions[k] = action
+        if self._ready.item(k) < self._x.item(k) + self._ahead:
+            self._lay_one(k, AHEAD)
+        self._do(k, STEP)
+
+    def step_all(self, actions: np.ndarray, orders: np.ndarray) -> None:
+        """One step with `actions`, one a motor; `orders` [vehicles] int8: STEP, RESTART or IDLE."""
+        self._actions[:] = np.reshape(actions, self._actions.shape)
+        self._all(np.ascontiguousarray(orders, np.int8))
+
+    def restart_where(self, which: np.ndarray) -> None:
+        """Restart the vehicles with `which` True."""
+        if np.any(which):
+            self._all(np.where(which, RESTART, IDLE))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Control periods since the reset [vehicles]."""
+        return self._heads["steps"]
+
+    def _lay_one(self, k: int, order: np.int8) -> None:
+        orders = self._course_orders
+        orders[k] = order
+        try:
+            check_laid(
+                self._lay(self._world, self._course_numbers, orders, self._scratch[0], k, k + 1)
+            )
+        finally:
+            orders[k] = IDLE
+
+    def _do(self, k: int, order: np.int8) -> None:
+        self._orders[k] = order
+        try:
+            self._drive(self._orders, self._scratch[0], k, k + 1)
+        finally:
+            self._orders[k] = IDLE
+
+    def _all(self, orders: np.ndarray) -> None:
+        """Follow the orders, in several threads if there are many vehicles."""
+        courses = np.where(orders == RESTART, RESTART, IDLE)
+        courses[(orders == STEP) & (self._ready < self._x + self._ahead)] = AHEAD
+        laid = np.any(courses != IDLE)
+
+        def follow(number: int) -> int:
+            first = number * self._share
+            end = min(first + self._share, self.count)
+            scratch = self._scratch[number]
+            failed = 0
+            if laid:
+                failed = self._lay(self._world, self._course_numbers, courses, scratch, first, end)
+            self._drive(orders, scratch, first, end)
+            return failed
+
+        shares = range(len(self._scratch))
+        run = map if len(shares) == 1 else _pool(self._threads, os.getpid()).map
+        check_laid(sum(run(follow, shares)))
+
+    def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
+        """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
+        self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
+        if self._on_board is not None:
+            self._on_board.follow(self._record, self._results, orders, first, end)
+
+
+def of_bytes(record: Any) -> Record:
+    """The sensor record of a world as plain arrays of float64, on the same memory."""
+    return Record(
+        record.periods,
+        _numbers(record.readings),
+        record.halted,
+        record.places,
+        _numbers(record.images),
+    )
+
+
+def _numbers(records: np.ndarray) -> np.ndarray:
+    """Records of float64 fields [..., n] as numbers [..., n, fields]."""
+    return records.view(np.float64).reshape(*records.shape, len(records.dtype.names))
+
+
+def check_laid(failed: int) -> None:
+    """RuntimeError if a course was not found."""
+    if failed:
+        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")

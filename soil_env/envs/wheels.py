@@ -1,0 +1,78 @@
+"""Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
+
+from collections import namedtuple
+
+import numpy as np
+
+from soil_env.envs.vehicles import Vehicles, asks_for_estimates
+from soil_env.parameters import Scenario
+from soil_env.parameters.readings import Shown
+from soil_env.simulation.task import layout, truth
+from soil_env.simulation.wheels import (
+    WheelNumbers,
+    WheelWorlds,
+    lay_wheels,
+    new_scratch,
+    new_wheel_worlds,
+    step_wheels,
+    wheel_numbers,
+    write_true_soils,
+)
+from soil_env.simulation.world.courses import course_numbers
+from soil_env.terramechanics.model import WheelSoilModel
+
+OF_ESTIMATOR = ("ids", "memory", "changed", "recent")  # `identification.online.on_board.Estimator`
+#: Arrays of many wheels, one row a wheel: those of the world, then those of the estimator, None without one.
+Worlds = namedtuple("Worlds", (*WheelWorlds._fields, *OF_ESTIMATOR))
+
+
+class Simulation(Vehicles):
+    """`wheels` wheels under one scenario with one observation variant.
+
+    The soil is identified if the observation or the reward asks for it. `warnings`: identify in any case, and keep
+    `worlds.recent` for `identification.online.immobilisation`.
+    """
+
+    def __init__(
+        self,
+        wheels: int,
+        scenario: Scenario,
+        variant: str,
+        threads: int | None = None,
+        model: WheelSoilModel | None = None,
+        warnings: bool = False,
+    ) -> None:
+        super().__init__(wheels, scenario, threads)
+        identifies = warnings or asks_for_estimates(scenario, variant)
+        self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
+        self._actions = np.zeros(wheels)
+        worlds = new_wheel_worlds(wheels, scenario, self.numbers, identifies)
+        drawn = course_numbers(scenario, model)
+        courses = (drawn, float(drawn.drawn.spec.ahead))
+        heads = (worlds.state, worlds.courses.heads)
+        self._begin((lay_wheels, step_wheels), worlds, heads, courses, new_scratch)
+        on_board = None
+        if identifies:
+            from soil_env.identification.online.on_board import wheels_on_board  # takes a while
+
+            first = len(layout("blind"))
+            shown = Shown(variant == "identified", first, self.numbers.low, self.numbers.high)
+            on_board = wheels_on_board(wheels, scenario, shown, warnings)
+        known = (None,) * len(OF_ESTIMATOR) if on_board is None else on_board.memory
+        self.worlds = Worlds._make((*worlds, *known))
+        self._board(on_board)
+        trial = new_wheel_worlds(1, scenario, self.numbers, False)
+        self._check_passable(trial, trial.state)
+
+    def wheel(self, k: int) -> dict[str, float]:
+        """State of wheel k by name, as it is now."""
+        state = self.worlds.state
+        return dict(zip(state.dtype.names, state[k].item(), strict=True))
+
+    def true_soils(self) -> np.ndarray:
+        """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
+        entries = truth(self.scenario.course)
+        out = np.empty((self.count, len(entries)), dtype=np.float32)
+        write_true_soils(self._world, self.numbers, out)
+        low = [e.low for e in entries]
+        return np.clip(out, low, [e.high for e in entries], dtype=np.float32)

@@ -1,0 +1,39 @@
+"""Wrappers of the single environment."""
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from soil_env._io.loading import ParameterError
+from soil_env.envs.course_env import actions_of
+from soil_env.envs.wheel_env import SoilWheelEnv
+
+
+class LineAction(gymnasium.ActionWrapper, gymnasium.utils.RecordConstructorArgs):
+    """Wrapper of `SoilWheel-v0` on courses with two lines: the action is (drive, line), a
+    `Box(-1, 1, (2,))`.
+
+    The second number counts only where a line is chosen, below 0 for the line beside; else the
+    first one counts. In the plain action both are one number. SAC and TD3 learn to drive with
+    positive actions, and then hardly ever try the line beside.
+    """
+
+    def __init__(self, env: gymnasium.Env):
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.ActionWrapper.__init__(self, env)
+        inner = env.unwrapped
+        if not isinstance(inner, SoilWheelEnv) or "choice" not in inner.observation_names:
+            raise ParameterError(f"LineAction: {env}: expected SoilWheel-v0 with two lines")
+        if env.action_space.shape != (1,):
+            raise ParameterError(
+                f"LineAction: {env}: has {env.action_space}: expected an action of one number"
+            )
+        self._inner = inner
+        self._choice = inner.observation_names.index("choice")
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def action(self, action: ArrayLike) -> NDArray[np.float64]:
+        """The number that counts now, as the action [1] of the plain environment."""
+        drive, line = np.split(actions_of(action, (2,)), 2)
+        choosing = self._inner.simulation.worlds.observation[0, self._choice] > 0.5
+        return line if choosing else drive

@@ -1,0 +1,460 @@
+"""Online identifier for the readings of a rover: one call for each set of readings.
+
+    identifier = OnlineIdentifier(wheels()["planetary_rover"]) estimate =
+    identifier.update(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021, drawbar_pull=14.0,
+    torque=5.1)) estimate.friction_angle_deg, estimate.friction_angle_sd_deg, estimate.status
+
+`SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same
+estimate.
+"""
+
+import math
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from numbers import Real
+from typing import NamedTuple
+
+import numpy as np
+
+from soil_env._io.loading import ParameterError
+from soil_env.identification.online.estimate import ground_assessment
+from soil_env.identification.online.identifier import (
+    HELD,
+    IdentifierNumbers,
+    Identifiers,
+    SensorReading,
+    forget,
+    identifier_numbers,
+    new_identifiers,
+    observe_values,
+)
+from soil_env.identification.online.lanes.compiling import FastCall, compiled_root
+from soil_env.identification.online.lanes.steady import steady_state
+from soil_env.identification.published import published, soil_of_numbers
+from soil_env.identification.status import Status
+from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
+from soil_env.slip import rim_speeds, travel_speeds
+
+__all__ = [
+    "Estimate",
+    "OnlineIdentifier",
+    "Readings",
+    "Status",
+    "Traversability",
+    "largest_readings",
+    "slips",
+]
+
+_NAN = math.nan
+_REST_SPEED = 0.001  # [m/s] least speed that slip is relative to: at rest there is none
+#: [s] between two sets of readings, for which the filter is made; a warning outside.
+SHORTEST_STEP = 1e-3
+LONGEST_STEP = 10.0
+# standard deviation, in weights and the like, of what is not measured: nothing beside what is
+_UNKNOWN = 1e2
+
+
+class Readings(NamedTuple):
+    """Sensor readings of one wheel at one time, in SI units; NaN where nothing was measured.
+
+    Forward speeds, a pull in the direction of travel and an uphill pitch are positive.
+    """
+
+    wheel_speed: float = _NAN  # [rad/s]
+    speed: float = _NAN  # [m/s] travel
+    sinkage: float = _NAN  # [m] of the lowest point of the rim
+    drawbar_pull: float = _NAN  # [N] that the wheel exerts on the vehicle
+    load: float = _NAN  # [N] normal to the ground
+    torque: float = _NAN  # [N m] soil on wheel
+    slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
+    pitch: float = _NAN  # [rad]
+    motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
+    acceleration: float = (
+        _NAN  # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
+    )
+    time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
+
+
+_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")  # type: ignore[arg-type]
+
+
+def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
+    """Largest plausible readings; larger ones are faults or in another unit.
+
+    Sinkage is at most the radius, where the hub is at the ground; a force is at most 100 times the
+    weight.
+    """
+    force = 100.0 * wheel.body_mass * gravity
+    twist = force * wheel.radius
+    return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.6, twist, 500.0)
+
+
+def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
+    """Error for the first reading that is no number, or larger than its limit; None if all are
+    fine.
+    """
+    for name, value, limit, unit in zip(Readings._fields, r, largest, _UNITS, strict=True):
+        if not isinstance(value, Real):
+            expected = f"a number [{unit or '-'}], NaN where nothing was measured"
+            return TypeError(f"{name} = {value!r}: expected {expected}")
+        if value == value and limit == limit and not abs(value) <= limit:
+            return ValueError(
+                f"{name} = {value:g} {unit}".rstrip()
+                + f": expected at most {limit:g} {unit}".rstrip()
+            )
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The soil as identified so far, and how well."""
+
+    friction_angle_deg: float
+    shear_modulus: float  # K [m]
+    sinkage_coefficient: float  # S [N/m^(n+2)] at the exponent n of the belief
+    cohesion: float  # [Pa]
+    dig_gain: float  # [-] of slip-sinkage
+    friction_angle_sd_deg: float
+    shear_modulus_relative_sd: float
+    sinkage_coefficient_relative_sd: float
+    cohesion_sd: float  # [Pa]
+    dig_gain_relative_sd: float
+    best_pull: float  # [of load] highest steady drawbar pull of this soil
+    best_pull_sd: float  # from the whole covariance: known better than the soil
+    status: Status
+    renewed: bool  # whether this call changed it
+    borders: int  # to another soil that the filter has found
+
+    @property
+    def valid(self) -> bool:
+        """True if phi and ln K are much narrower than the prior and the readings agree: status
+        CONVERGED.
+        """
+        return self.status == Status.CONVERGED
+
+
+class Traversability(NamedTuple):
+    """Drawbar margin of the ground as identified (source paper, Section 6)."""
+
+    best_slip: float  # [-] of the highest steady drawbar pull
+    drawbar_margin: float  # [of load] best drawbar pull over the grade; at least -1
+    drawbar_margin_sd: float  # of the best drawbar pull
+    torque_required: float  # [N m] there
+    torque_available: float  # [N m]
+    passable: bool
+
+
+@compiled_root(nogil=True)
+def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
+    forget(ids, 0, numbers)
+
+
+def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
+    braking.
+    """
+    slip = (rim_speed - speed) / np.maximum(
+        np.maximum(np.abs(rim_speed), np.abs(speed)), _REST_SPEED
+    )
+    out: np.ndarray = np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
+    return out
+
+
+class OnlineIdentifier:
+    """Identifies friction angle, shear deformation modulus K and sinkage coefficient S under one
+    driven wheel.
+
+    `wheel`: its radius, width and the mass on it; its inertia where there is a motor torque; the
+    motor only for `traversability`. `belief`: the prior of the ground to be expected. `noise`:
+    standard deviations of the sensors. `period` [s]: time between readings without a time.
+    `relaxation` [wheel radii]: distance in which sinkage adapts. `gravity` [m/s2]. Missing readings
+    are NaN, now and then or always; docs/guide/online.md says what stands for each.
+
+    An instance is not for several threads at once; it can be pickled and copied. Raises TypeError
+    for arguments of other types, `ParameterError` for numbers out of range.
+    """
+
+    def __init__(
+        self,
+        wheel: Wheel,
+        belief: Belief = Belief(),  # noqa: B008 (frozen)
+        noise: Noise = Noise(),  # noqa: B008 (frozen)
+        *,
+        period: float = 0.1,
+        gravity: float = 9.81,
+        relaxation: float = 2.0,
+    ) -> None:
+        for name, value, kind in (
+            ("wheel", wheel, Wheel),
+            ("belief", belief, Belief),
+            ("noise", noise, Noise),
+        ):
+            if not isinstance(value, kind):
+                known = " such as wheels()['planetary_rover']" if kind is Wheel else ""
+                raise TypeError(
+                    f"{name} = {value!r}: expected a {kind.__name__} of soil_env.parameters{known}"
+                )
+        if not isinstance(belief.soils, Mapping):
+            raise TypeError(
+                f"belief.soils = {belief.soils!r}: expected a mapping of names to weights"
+            )
+        if period is None:
+            raise ParameterError("period = None: expected a number [s]")
+        any_soil = Soil(
+            30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6
+        )  # a scenario has one; nothing here reads it
+        try:
+            control = replace(Control(period=period), substep=min(period, 0.05))
+            self._set(
+                Scenario(
+                    wheel,
+                    {"any": 1.0},
+                    {"any": any_soil},
+                    gravity=gravity,
+                    relaxation=relaxation,
+                    belief=belief,
+                    noise=noise,
+                    control=control,
+                )
+            )
+        except ParameterError as error:  # begins with the class that the argument went into
+            raise ParameterError(re.sub(r"^(Control|Scenario)\.", "", str(error))) from None
+
+    @classmethod
+    def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
+        """The identifier that an environment of this scenario runs."""
+        if not isinstance(scenario, Scenario):
+            raise TypeError(
+                f"scenario = {scenario!r}: expected a Scenario, as of "
+                "soil_env.parameters.load_scenario"
+            )
+        identifier = cls.__new__(cls)
+        identifier._set(scenario)
+        return identifier
+
+    def _set(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        wheel = scenario.wheel
+        self._radius = wheel.radius
+        self._weight = scenario.weight
+        twist = self._weight * wheel.radius
+        if scenario.belief.method == "none":
+            raise ParameterError("belief.method = 'none': expected 'filter'")
+        self._start = FastCall(_start)
+        self._observe = FastCall(observe_values)
+        self._assess = ground_assessment()
+        self._numbers = identifier_numbers(scenario)
+        self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
+        top = wheel.radius * wheel.no_load_speed
+        units = (
+            1.0,
+            wheel.radius,
+            self._weight,
+            self._weight,
+            twist,
+            top,
+            top,
+            1.0,
+            twist,
+            scenario.gravity,
+        )
+        self._unknown = [_UNKNOWN * unit for unit in units]
+        self._largest = largest_readings(wheel, scenario.gravity)
+        self._sinkage = _bearing_sinkage(scenario)  # where none is measured
+        self._ids = new_identifiers(1)
+        self._values = np.zeros(len(SensorReading._fields))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all readings: back to the prior."""
+        self._start(self._ids, self._numbers)
+        self._time = _NAN
+        self._estimate = self._published(False)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate after the last update."""
+        return self._estimate
+
+    def update(self, readings: Readings) -> Estimate:
+        """Take one set of readings; the estimate after it, renewed about every eighth time, on a
+        border every time.
+
+        Raises TypeError for anything but `Readings` of numbers. Raises ValueError for a time that
+        is not later than the last, and for a reading that is infinite or larger than
+        `largest_readings`. An error changes nothing. Readings that lead to no soil at all start the
+        identifier anew. Warns of a time less than `SHORTEST_STEP` or more than `LONGEST_STEP` after
+        the last.
+        """
+        if not isinstance(readings, Readings):
+            raise TypeError(
+                f"{readings!r}: expected Readings(...), of a mapping Readings(**mapping)"
+            )
+        if refusal := _refusal(readings, self._largest):
+            raise refusal
+        period = self._period(readings.time)
+        rim, speed = self._speeds(readings)
+        outcome = HELD
+        if rim == rim and speed == speed:
+            self._put(readings, rim, speed)
+            numbers = self._numbers._replace(filter=self._numbers.filter._replace(period=period))
+            outcome = self._observe(self._ids, 0, self._values, numbers)
+        self._time = readings.time if readings.time == readings.time else self._time + period
+        if outcome != HELD or self._estimate.renewed:
+            self._estimate = self._published(outcome != HELD)
+        return self._estimate
+
+    @property
+    def on_border(self) -> bool:
+        """True where the ground under the wheel passes from one soil into the next, so far as is
+        known.
+        """
+        return bool(self._ids.banks.point.crossing[0] > 0.0)
+
+    def soil(self) -> Soil:
+        """The identified soil, with the belief's exponent and recovery of digging; each number
+        within its bounds.
+        """
+        return soil_of_numbers(asdict(self._estimate), self.scenario.belief)
+
+    def traversability(self, load: float | None = None, pitch: float = 0.0) -> Traversability:
+        """Drawbar margin under `load` [N] (the weight if left out) at `pitch` [rad], uphill
+        positive.
+
+        A load below 5 % of the weight counts as 5 % of it, as in the environments.
+
+        Raises ParameterError for a load that is no finite number above zero and a pitch beyond a
+        right angle.
+        """
+        if load is not None and not (_finite(load) and load > 0.0):
+            raise ParameterError(f"load = {load!r}: expected a finite number > 0 [N]")
+        if not _finite(pitch):
+            raise ParameterError(f"pitch = {pitch!r}: expected a finite number")
+        if abs(pitch) >= 0.5 * math.pi:
+            raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
+        seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
+        ids = self._ids
+        out = np.empty((1, 6))
+        self._assess(
+            np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out
+        )
+        found = Traversability(*out[0].tolist())
+        return found._replace(passable=found.passable > 0.0)
+
+    def _period(self, time: float) -> float:
+        """Time [s] since the last update."""
+        if abs(time) == math.inf:
+            raise ValueError(
+                f"time = {time!r} s: expected a finite number, or NaN for one period after the last"
+            )
+        passed = time - self._time
+        if 0.0 < passed < math.inf:
+            if not SHORTEST_STEP <= passed <= LONGEST_STEP:
+                warnings.warn(
+                    f"time = {time!r} s: {passed:.3g} s after the last readings: expected "
+                    f"{SHORTEST_STEP:g} to {LONGEST_STEP:g} s; average faster "
+                    "readings, call reset() after a longer gap",
+                    stacklevel=3,
+                )
+            return passed
+        if passed != passed:
+            return self._numbers.filter.period
+        raise ValueError(
+            f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s"
+        )
+
+    def _speeds(self, r: Readings) -> tuple[float, float]:
+        """Rim and travel speed [m/s] of a wheel going forward, one of the two from a measured slip;
+        NaN without it.
+        """
+        rim = r.wheel_speed * self._radius
+        speed = r.speed
+        if speed != speed:
+            speed = float(travel_speeds(rim, r.slip))
+        elif rim != rim and r.slip < 1.0:
+            rim = float(rim_speeds(speed, r.slip))
+        if abs(rim) > self._largest.wheel_speed * self._radius or abs(speed) > self._largest.speed:
+            raise ValueError(
+                f"{r}: expected the speeds of a wheel; the slip leads beyond {self._largest}"
+            )
+        return rim, speed
+
+    def _put(self, r: Readings, rim: float, speed: float) -> None:
+        """Store readings and their standard deviations for the compiled code; missing ones have no
+        weight.
+        """
+        pitch = 0.0 if r.pitch != r.pitch else r.pitch
+        load = self._weight * math.cos(pitch)
+        slip = r.slip
+        if slip != slip:
+            slip = float(slips(np.array([rim]), np.array([speed]))[0])
+        given = (
+            r.slip,
+            r.sinkage,
+            r.drawbar_pull,
+            r.load,
+            r.torque,
+            r.speed,
+            r.wheel_speed,
+            0.0,
+            r.motor_torque,
+            r.acceleration,
+        )
+        instead = (
+            min(max(slip, -1.0), 1.0),
+            self._sinkage,
+            0.0,
+            load,
+            0.0,
+            speed,
+            rim,
+            pitch,
+            0.0,
+            0.0,
+        )
+        noise = self._numbers.filter.noise
+        values = self._values
+        for i, measured in enumerate(given):
+            missing = measured != measured
+            values[i] = instead[i] if missing or i in _DERIVED else measured
+            noise[i] = self._unknown[i] if missing else self._sd[i]
+
+    def _published(self, renewed: bool) -> Estimate:
+        ids = self._ids
+        gain = self.scenario.belief.dig_gain
+        numbers = published(
+            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), gain
+        )
+        return Estimate(
+            **numbers,
+            status=_STATUS[ids.status.item(0)],
+            renewed=renewed,
+            borders=int(ids.borders[0]),
+        )
+
+
+def _finite(given: object) -> bool:
+    """True for a number that is neither infinite nor NaN nor a bool."""
+    return isinstance(given, Real) and not isinstance(given, bool) and math.isfinite(given)
+
+
+def _bearing_sinkage(scenario: Scenario) -> float:
+    """Sinkage [m] of the wheel at rest under its weight on the soil of the belief."""
+    b = scenario.belief
+    wheel = scenario.wheel
+    soil = SoilState(
+        math.tan(math.radians(b.friction_angle_deg)),
+        b.cohesion,
+        b.shear_modulus,
+        b.sinkage_coefficient,
+        b.sinkage_exponent,
+        0.0,
+        b.dig_recovery,
+    )
+    return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width, 0.0).sinkage)
+
+
+_DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
+_STATUS = {status.value: status for status in Status}
