@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import AHEAD, COMPLETE, RESTART, STEP, TRY, Record
@@ -159,7 +159,7 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
     return replace(scenario, course=longer)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _rover_of(worlds, j):
     """Rover j."""
     return Rover(
