@@ -5,6 +5,7 @@ others take one; one whose iteration fails goes on by steps halved down to `FINE
 """
 
 import math
+from typing import NamedTuple
 
 from numba import njit
 
@@ -16,6 +17,7 @@ from soil_env.simulation.world.terrain import COMPACTION, ground_at, patch_at, r
 from soil_env.simulation.world.wheel import (
     Ground,
     Path,
+    begin_period,
     commanded,
     end_period,
     leave_ruts,
@@ -24,7 +26,13 @@ from soil_env.simulation.world.wheel import (
 )
 from soil_env.terramechanics.ground import stiffened
 from soil_env.terramechanics.motor import motor_torque
-from soil_env.terramechanics.reaction import Standing, ground_under, lay_footing
+from soil_env.terramechanics.reaction import (
+    Beside,
+    Footing,
+    Standing,
+    ground_under,
+    lay_footing,
+)
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
 LEAD = math.sqrt(
@@ -38,6 +46,15 @@ REFINED_EIGHT_TIMES = 1.2
 DRIVING = 1e-9  # [s] of a halt left, up to which a wheel drives
 OVER = 1e-9  # [of a step] time left that counts as none
 LARGEST_LOWERING = 0.1  # [of the sinkage] change of it that is foreseen in a stage, at most
+
+
+class Stand(NamedTuple):
+    """A wheel on the ground in a stage of a step."""
+
+    ground: Ground
+    footing: Footing
+    beside: Beside
+    along: float  # [N] weight along the grade
 
 
 @njit(**FINITE)
@@ -146,23 +163,31 @@ def move(wheel, end, stage, ground, drive, rig):
 
 
 @njit(**FINITE)
-def take_stage(wheel, stage, drive, forced, course, world):
-    """A stage of a step; False if Newton's method fails, with the wheel as before, unless it is `forced` on."""
+def stand(wheel, stage, course, ahead, world):
+    """`Stand` of a wheel in a stage, which `ahead` wheels have passed before it."""
     rig = world.rig
     soil, grade = soil_ahead(wheel, stage, course, rig)
     sine, cosine = sin_cos(grade)
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
-    passes = 2.0 if course.cells[wheel.cell].depth > 0.0 else 1.0
+    passes = (2.0 if course.cells[wheel.cell].depth > 0.0 else 1.0) + ahead
     rim = rig.radius * wheel.wheel_speed
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, passes)
     soil, arc, beside = ground_under(standing, soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    end = solve_speeds(wheel, stage, footing, weight * sine, drive, world, beside)
+    ground = Ground(soil, sinkage, beside.lift, grade)
+    return Stand(ground, footing, beside, weight * sine)
+
+
+@njit(**FINITE)
+def take_stage(wheel, stage, drive, forced, course, world):
+    """A stage of a step; False if Newton's method fails, with the wheel as before, unless it is `forced` on."""
+    at = stand(wheel, stage, course, 0.0, world)
+    end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
     if not (end.converged or forced):
         return False
-    move(wheel, end, stage, Ground(soil, sinkage, beside.lift, grade), drive, rig)
-    leave_ruts(wheel, course.cells, soil, COMPACTION)
+    move(wheel, end, stage, at.ground, drive, world.rig)
+    leave_ruts(wheel, course.cells, at.ground.soil, COMPACTION)
     return True
 
 
@@ -186,10 +211,7 @@ def take_step(wheel, h, drive, forced, course, world):
 def drive_period(wheel, drive, course, world):
     """Drive a wheel for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
-    wheel.motor_work = 0.0
-    wheel.soil_work = 0.0
-    wheel.numerical_work = 0.0
-    wheel.converged = 1
+    begin_period(wheel)
     longest = rig.period / (
         rig.substeps * steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
     )
@@ -228,7 +250,8 @@ def control_period(wheel, action, course, world):
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """
     x_start = wheel.x
-    drive_period(wheel, commanded(wheel, action, world.rig), course, world)
+    drive = commanded(wheel, action, wheel.halt_left > 0.0, world.rig)
+    drive_period(wheel, drive, course, world)
     _at_fork(wheel, course, course.lines, action, world.rig)
     measure_slip(wheel, world.rig)
     end_period(wheel, x_start, wheel, world.rig)
