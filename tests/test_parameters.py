@@ -127,8 +127,8 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
         parameters.soils()["snow"],
     ]
     width = scenario.wheel.width
-    drawn = course_numbers(scenario).drawn.library
-    assert [tuple(row) for row in drawn] == [
+    drawn = course_numbers(scenario).drawn.presets
+    assert [preset.item()[1:] for preset in drawn] == [
         s.state(width) for s in (beach, sand, parameters.soils()["snow"])
     ]
     assert parameters.soils()["dry_sand"].cohesion == 1040.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
-from soil_env.simulation.wheels import Record
+from soil_env.parameters.readings import Record
 
 
 def clone(
@@ -50,11 +50,9 @@ def _wheels(worlds: Any) -> int:
 
 def _copy(a, wheels, b, places, count, into, name):
     """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds `into`."""
-    if (
-        a is None or b is None or isinstance(a, Record)
-    ):  # no estimator; a record is written anew by every step
-        return
-    if hasattr(type(a), "NAMES"):  # rows, of the world or of the identifier
+    if a is None or b is None or isinstance(a, Record):
+        return  # no estimator; a record is written anew by every step
+    if hasattr(type(a), "NAMES"):  # rows of the identifier
         each = a.count // count  # columns of a wheel
         if b.count // into != each:
             raise ParameterError(

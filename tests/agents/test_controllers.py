@@ -68,7 +68,7 @@ def drive(controller, scenario, steps, seed=0):
         action, state = controller.predict(sim.worlds.observation, state, fresh)
         fresh = np.array([False])
         sim.step(0, float(action[0, 0]))
-        w = sim.worlds.state[0]
+        w = sim.wheel(0)
         rows.append(
             (w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], w["halt_left"] > 0.0)
         )
@@ -226,14 +226,14 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     right = 0
     *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
     worlds = sim.worlds
-    lines = worlds.courses.lines
-    edges = worlds.courses.edges
+    courses = worlds.courses
+    margins = courses.lines["capacity"] - np.tan(courses.lines["grade"])
     for k in range(40):
-        for p in range(worlds.courses.patches[k]):
-            margins = lines.capacities[k, p] - np.tan(lines.grades[k, p])
-            if worlds.state["best_x"][k] > edges[k, p] and margins.min() < 0.0:
+        for p in range(courses.heads["patches"][k]):
+            passed = worlds.state["best_x"][k] > courses.patches["start"][k, p]
+            if passed and margins[k, p].min() < 0.0:
                 forks += 1
-                right += margins[lines.taken[k, p]] > 0.0
+                right += margins[k, p, courses.forks["taken"][k, p]] > 0.0
     assert forks > 20 and right > 0.9 * forks
 
 
@@ -311,8 +311,7 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
         assert all(np.array_equal(before[k][n], after[n], equal_nan=True) for n in after)
     clones = oracle.clones.worlds
     assert (clones.state["x"] != 0.0).any()  # they have driven
-    own = np.repeat(sim.worlds.streams, COUNT)
-    assert not np.isin(clones.streams, own).any()
+    assert not np.isin(clones.state["stream"], sim.worlds.state["stream"]).any()
 
 
 @pytest.mark.slow

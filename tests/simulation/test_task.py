@@ -7,23 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soil_env._compiled.cache import kept
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.on_board import show_estimate
-from soil_env.parameters import Belief, load_scenario, soils
+from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.parameters.readings import Results
 from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
-from soil_env.simulation.task.observation import write_observation
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.world import sensors
+from soil_env.simulation.wheels import _observe, _sense, new_scratch
 from soil_env.simulation.world.camera import Sight
-from tests.simulation.wheels import started
+from soil_env.simulation.world.sensors import READING
+from soil_env.simulation.world.terrain import course_of
+from tests.simulation.wheels import set_soil, started
 
 SENSORS = len(layout("blind"))  # entries that every variant has
-NOTHING_SEEN = Sight(0, 0.0, 0.0)
 
 
 def simulation(variant="identified", seed=0, changes=None):
@@ -75,17 +76,31 @@ def test_all_variants_share_the_first_entries(variant):
     np.testing.assert_array_equal(blind, other[..., : blind.shape[-1]])
 
 
-def observed_again(sim, ground=None, estimate=None):
+@kept
+def _write(worlds, numbers, scratch, rows, sensed):
+    wheel = worlds.state[0]
+    course = course_of(worlds.courses, 0)
+    for i in range(len(rows)):
+        reading = scratch.reading[0]
+        if sensed:
+            reading = _sense(worlds, numbers, 0, 0, course, scratch)
+        _observe(rows[i], wheel, reading, course, Sight(0, 0.0, 0.0), numbers)
+
+
+def written(sim, count=1, scratch=None):
+    """Observations [count, D] of the present state, each with readings of its own, or with those of a `scratch`."""
+    sensed = scratch is None
+    stream = sim.worlds.state["stream"].copy()
+    rows = np.zeros((count, sim.numbers.low.size), dtype=np.float32)
+    _write(sim._world, sim.numbers, scratch or new_scratch(), rows, sensed)
+    sim.worlds.state["stream"] = stream
+    return rows
+
+
+def observed_again(sim, estimate=None):
     """The observation written anew from the present state, the random stream untouched."""
     worlds = sim.worlds
-    numbers = sim.numbers.task
-    courses = worlds.courses
-    streams = worlds.streams.copy()
-    out = np.zeros_like(worlds.observation[0])
-    if ground is not None:
-        courses = courses._replace(soils=courses.soils * ground)
-    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    write_observation(out, worlds.state, worlds.counts, 0, reading, courses, NOTHING_SEEN, numbers)
+    out = written(sim)[0]
     if sim.belief is not None:
         known = sim._on_board.memory
         if estimate is not None:
@@ -101,7 +116,9 @@ def test_only_true_soil_shows_the_soil(variant):
     for _ in range(20):
         sim.step(0, 0.3)
     before = observed_again(sim)
-    after = observed_again(sim, ground=np.full(7, 1.3))
+    patches = sim.worlds.courses.patches
+    set_soil(patches, [1.3 * patches[name] for name in SoilState._fields])
+    after = observed_again(sim)
     changed = before != after
     expected = np.zeros(len(before), dtype=bool)
     if variant == "true_soil":
@@ -111,9 +128,10 @@ def test_only_true_soil_shows_the_soil(variant):
 
 def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim = simulation("true_soil", changes={"course": {"border": 0.01}})
-    sim.worlds.state["x"] = 0.5 * sim.worlds.courses.edges[0, 1:3].sum()  # amid the second patch
-    sim.worlds.courses.rut_factors[:] = 0.5
-    tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
+    second = sim.worlds.courses.patches[0, 1]
+    sim.worlds.state["x"] = 0.5 * (second.start + second.end)
+    sim.worlds.courses.cells["factor"] = 0.5
+    tan_phi, c, k, s, n, gain, recovery = (second[name] for name in SoilState._fields)
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
     np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)
 
@@ -158,19 +176,9 @@ def test_readings_scatter_as_stated():
     w = sim.wheel(0)
     n = sim.scenario.noise
     radius = sim.scenario.wheel.radius
-    worlds = sim.worlds
     weight = sim.scenario.weight
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out = np.zeros(SENSORS, np.float32)
-    rows = []
-    streams = worlds.streams.copy()
-    numbers = sim.numbers.task
-    for _ in range(20_000):
-        reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-        write_observation(
-            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
-        )
-        rows.append(out[[*range(8), 11, 12]].astype(float))
+    rows = written(sim, 20_000)[:, [*range(8), 11, 12]].astype(float)
     truth, sd = np.array(
         [
             (w["slip"], n.slip),
@@ -201,19 +209,16 @@ def test_the_observation_follows_from_readings_alone():
     sim = simulation("blind")
     for _ in range(30):
         sim.step(0, 0.3)
-    worlds = sim.worlds
-    numbers = sim.numbers.task
+    state = sim.worlds.state
+    scratch = new_scratch()
+    scratch.reading[0] = np.full(1, 0.3).repeat(len(READING.names)).view(READING)[0]
     seen = []
-    reading = sensors.sense(worlds.state, 0, worlds.streams.copy(), numbers.sensors)
     for factor in (1.0, 1.7):
-        for name in worlds.state.NAMES:
-            if name not in ("last_action", "rim_command", "halt_left", "odometer"):
-                worlds.state[name] *= factor
-        out = np.zeros_like(worlds.observation[0])
-        write_observation(
-            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
-        )
-        seen.append(out)
+        for name in state.dtype.names:
+            shown = name in ("last_action", "rim_command", "halt_left", "odometer")
+            if not shown and state.dtype[name] == float:
+                state[name] *= factor
+        seen.append(written(sim, scratch=scratch))
     np.testing.assert_array_equal(*seen)
 
 
