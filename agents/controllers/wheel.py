@@ -217,8 +217,7 @@ class BestSlipIdentified(SlipFollower):
         known = state["known"]
         now = np.column_stack([soils, load])
         rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
-        slip, _ = best_points(soils[rows], load[rows], self.scenario.wheel)
-        state["slip"][rows] = slip
+        state["slip"][rows] = best_points(soils[rows], load[rows], self.scenario.wheel)[0]
         known[rows] = now[rows]
         return state["slip"]
 

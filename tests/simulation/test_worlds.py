@@ -8,9 +8,7 @@ import pytest
 
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
-from soil_env.simulation.task.rules import task_numbers
-from soil_env.simulation.world.sensors import sense
-from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, acting_effects, pack_effects
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
@@ -44,36 +42,35 @@ def settled(case, grade_deg):
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
-        wheels.courses.rut[0, :] = 1e-3
+        wheels.courses.cells["depth"] = 1e-3
         passes = 2.0
     wheels.drive([0.35] * 250)
     before = wheels.now().sinkage
     wheels.drive([0.35] * 5)
     w = wheels.now()
-    gravity = wheels.world.wheel.gravity
-    sensors = task_numbers(load_scenario("mixed", STILL), "blind", model_of(effects)).sensors
-    read = sense(wheels.state, 0, np.ones(1, dtype=np.uint64), sensors)
+    scenario = wheels.simulation.scenario
+    gravity = scenario.gravity
+    unit_weight = 1500.0 * gravity
+    slip, sunk, pull, _, torque = (float(x) for x in wheels.simulation.worlds.observation[0, :5])
     assert w.x > 2.0 and w.speed > 0.05
     assert w.sinkage == pytest.approx(before, rel=1e-6)
     weight = w.mass * gravity
     if "grousers" in effects:
         effects["grousers"]["slip_at_rim"] = 1.0  # the slip of the world is that of the rim
     at = Conditions(w.speed, passes, math.sin(w.grade))
-    rim = Rim(WHEEL.radius, WHEEL.width, LUG)
+    rim = Rim(WHEEL.radius, WHEEL.width, LUG, unit_weight)
     pulled = {"grade": {"share": 1.0}}
     stated = [
-        steady_with(read.slip, weight, soil, rim, at, 1500.0 * gravity, pack_effects(fx), 0.0)
+        steady_with(slip, weight, soil, rim, at, pack_effects(fx))
         for fx in ({**effects, "grade": {**pulled["grade"], **effects.get("grade", {})}}, pulled)
     ]
-    rows = np.array([[x.sinkage, x.drawbar_pull, x.torque] for x in (read, *stated)]) / [
-        0.15,
-        weight,
-        weight * 0.15,
-    ]
-    rows[0, 1] -= (
-        at.sin_grade
-    )  # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
-    return rows
+    shown = scenario.weight / weight  # the observation counts in weights without payload
+    # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
+    read = [sunk, pull * shown - at.sin_grade, torque * shown]
+    scale = [0.15, weight, weight * 0.15]
+    return np.array(
+        [read, *(np.array([x.sinkage, x.drawbar_pull, x.torque]) / scale for x in stated)]
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -106,7 +103,7 @@ def test_a_residual_law_acts_as_it_predicts():
     wheels = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
     wheels.drive([0.35] * 250)
     w = wheels.now()
-    weight = w.mass * wheels.world.wheel.gravity
+    weight = w.mass * wheels.rig.gravity
     conditions = {"slip": w.slip, "load": weight, "speed": w.speed, "grade_deg": -3.0}
     stated, without = (
         np.array([p.drawbar_pull[0] / weight, p.torque[0] / weight / 0.15])
@@ -194,7 +191,7 @@ def test_random_driving_converges(case):
                 [-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum()
             )
             simulation.step_all(command, np.zeros(wheels, dtype=np.int8))
-            failures += np.sum(simulation.worlds.counts.converged == 0)
+            failures += np.sum(simulation.worlds.state["converged"] == 0)
         assert np.ptp(simulation.worlds.state["x"]) > 0.1
     assert failures <= 0.001 * 2 * wheels * periods
 
@@ -204,25 +201,25 @@ def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
     """Starting and at half speed; steepness is used up, so that the effect is seen in the grades and not as slack."""
     scenario = load_scenario("mixed")
     model = model_of(CASES[case])
-    wheel, (low, high), found, grades = scenario.wheel, scenario.course.margin, [], []
+    wheel = scenario.wheel
+    low, high = scenario.course.margin
+    found = []
+    grades = []
     rate = CATALOGUE[case.split("-")[0]].speed_dependent is not None
     speed = 0.5 * wheel.no_load_speed * wheel.radius
-    rim = Rim(wheel.radius, wheel.width, LUG)
+    rim = Rim(wheel.radius, wheel.width, LUG, 1500.0 * scenario.gravity)
     for seed in range(25):
         courses, mass, _ = bench.course(seed, scenario, model)
         load = mass * scenario.gravity
-        for soil, grade in zip(
-            courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False
-        ):
+        for soil, grade in zip(*bench.soils_of(courses), strict=True):
             grades.append(math.degrees(grade))
             for v in (0.0, speed) if rate else (speed,):
                 best = best_working_point_with(
                     load * math.cos(grade),
-                    SoilState(*soil),
+                    soil,
                     rim,
                     Conditions(v, 1.0, math.sin(grade)),
-                    1500.0 * scenario.gravity,
-                    acting(model.numbers),
+                    acting_effects(model.numbers),
                     wheel.stall_torque,
                 )
                 found.append(best.drawbar_pull / load - math.sin(grade))
@@ -237,7 +234,7 @@ def test_a_residual_law_counts_on_the_grades():
     tangents = []
     for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
         drawn = [
-            bench.course(seed, scenario, model_of({}, residual))[0].grades[0, 0]
+            bench.course(seed, scenario, model_of({}, residual))[0].patches["grade"][0, 0]
             for seed in range(20)
         ]
         tangents.append(np.tan(drawn))
@@ -259,7 +256,8 @@ def test_patches_are_drawn_from_the_soil_of_the_model():
     )
     model = model_of({}, soil=soil)
     courses = bench.course(0, load_scenario("mixed", {"spread": bench.EVEN}), model)[0]
-    patches = courses.soils[0, : courses.patches[0]]
-    np.testing.assert_allclose(patches, np.broadcast_to(soil.state(0.15), patches.shape), rtol=1e-9)
-    friction = bench.course(0, load_scenario("mixed"), model)[0].soils[0, :3, 0]
+    for drawn in bench.soils_of(courses)[0]:
+        np.testing.assert_allclose(drawn, soil.state(0.15), rtol=1e-9)
+    scattered, _ = bench.soils_of(bench.course(0, load_scenario("mixed"), model)[0])
+    friction = [drawn.tan_phi for drawn in scattered]
     assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)
