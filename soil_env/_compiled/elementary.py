@@ -1,7 +1,9 @@
-"""Elementary functions written out as arithmetic, which LLVM vectorises in loops over the nodes of a contact arc.
+"""Elementary functions written out as arithmetic, which LLVM vectorises in loops over the nodes
+of a contact arc.
 
-Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos of a half angle 2e-15 of
-full scale, of a whole one 4e-15. The coefficients are those of minimax polynomials, those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
+Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos of a half
+angle 2e-15 of full scale, of a whole one 4e-15. The coefficients are those of minimax polynomials,
+those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
 """
 
 import math
