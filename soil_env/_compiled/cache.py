@@ -82,7 +82,7 @@ class Kept:
     def __call__(self, *arguments: Any) -> Any:
         if not self._opened:
             return self._first_call(arguments)
-        result = self._function(*arguments)
+        result = self._call(arguments)
         if len(self._function.overloads) != self._versions:
             with self._alone():
                 self._note()
@@ -97,10 +97,17 @@ class Kept:
                 return self._function(*arguments)
             with self._alone():
                 self._check()
-                result = self._function(*arguments)
+                result = self._call(arguments)
                 self._opened = True
                 self._note()
         return result
+
+    def _call(self, arguments: tuple[Any, ...]) -> Any:
+        try:
+            return self._function(*arguments)
+        except OSError as error:  # numba has compiled the function and cannot write it
+            tell(f"compiled code is not kept: {error}")
+            return self._function(*arguments)
 
     @contextmanager
     def _alone(self):
@@ -109,7 +116,7 @@ class Kept:
             if self._folder is not None:
                 with suppress(OSError, NotImplementedError):
                     self._folder.mkdir(parents=True, exist_ok=True)
-                    lock = self._folder.with_suffix(".lock")
+                    lock = self._folder.with_name(f"{self._folder.name}.lock")
                     try:
                         held.enter_context(FileLock(lock, timeout=0))
                     except Timeout:
