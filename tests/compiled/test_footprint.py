@@ -12,7 +12,8 @@ import gc, json, operator, signal, sys
 import numba
 import numpy as np
 from numba.core.datamodel.registry import default_manager
-from numba.core.registry import cpu_target, dispatcher_registry
+from numba.core.registry import cpu_target
+from numba.core.target_extension import CPU, dispatcher_registry
 from numba.core.typing.templates import builtin_registry
 from numba.core.typing.typeof import typeof_impl
 
@@ -29,14 +30,15 @@ def left():
     context.refresh()
     known = context._functions
     templates = [[repr(t) for t in builtin_registry.functions if t.key is f] for f in OPERATORS]
-    typed = [[type(known[f]).__name__, len(known[f].templates)] for f in OPERATORS if f in known]
+    of_operators = [known[f] for f in OPERATORS if f in known]
+    typed = [len(x if isinstance(x, list) else x.templates) for x in of_operators]
     ours = [*typeof_impl.registry, *default_manager._handlers, *builtin_registry.functions]
     return {
         "templates of operators": templates,
         "typing of operators": typed,
         "registered by us": [repr(x) for x in ours if x.__module__.startswith("soil_env")],
-        "options": sorted(cpu_target.options.OPTIONS),
-        "dispatcher": repr(dispatcher_registry[numba.core.target_extension.CPU]),
+        "options": dir(cpu_target.options),
+        "dispatcher": repr(dispatcher_registry[CPU]),
         "cache": numba.config.CACHE_DIR,
         "signals": {int(s): repr(signal.getsignal(s)) for s in signal.valid_signals()},
         "garbage": [gc.isenabled(), len(gc.callbacks), gc.get_threshold()],
