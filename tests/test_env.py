@@ -15,6 +15,7 @@ import yaml
 from gymnasium.utils.env_checker import check_env
 
 from soil_env._io.loading import config_dir
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.parameters import (
     ParameterError,
@@ -23,7 +24,6 @@ from soil_env.parameters import (
     rover_names,
     scenario_names,
 )
-from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import VARIANTS, Cause
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_working_point

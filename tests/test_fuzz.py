@@ -30,14 +30,18 @@ BROKEN_ONCE = (40, 106)
 _x, _w = np.polynomial.legendre.leggauss(8)
 _PIECES = 4
 #: Places and weights of the quadrature over a way, and its ends.
-_PLACES = np.append(np.add.outer(np.arange(_PIECES), 0.5 * (_x + 1.0)).ravel() / _PIECES, [0.0, 1.0])
+_PLACES = np.append(
+    np.add.outer(np.arange(_PIECES), 0.5 * (_x + 1.0)).ravel() / _PIECES, [0.0, 1.0]
+)
 _WEIGHTS = np.append(np.tile(0.5 * _w / _PIECES, _PIECES), [0.0, 0.0])
 MOST_STEPS = 8  # steps of a wheel where others take one
 NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
 
 def climbs(courses, before, after, border):
-    """Height gained [m] by each wheel between two x, and the least and the largest sin(grade) on the way."""
+    """Height gained [m] by each wheel between two x, and the least and the largest sin(grade) on
+    the way.
+    """
     out = []
     for k, (start, end) in enumerate(zip(before, after, strict=True)):
         sine = np.sin(places_on(courses, k, start + _PLACES * (end - start), border)["grade"])

@@ -10,10 +10,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soil_env.envs.infos import flat
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.identification import Status
 from soil_env.parameters import rover_names
-from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.terramechanics.model import WheelSoilModel
 

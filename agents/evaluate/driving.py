@@ -12,8 +12,8 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.wheels import Simulation
 from soil_env.envs.wheel_env import IMMOBILISED
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause

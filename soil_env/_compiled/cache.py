@@ -1,9 +1,10 @@
 """Functions that Python calls, compiled once and kept on disk by numba's own cache.
 
-Numba notices an edit of a function's own file, not of the files of the functions that it calls. So each version of the
-sources has a folder of its own, named by their hash, with a folder for each function. A lock file lets one process
-compile while others wait for its result. Checksums beside the files tell a damaged file, which is dropped and compiled
-anew. Where nothing can be written, every process compiles for itself.
+Numba notices an edit of a function's own file, not of the files of the functions that it calls. So
+each version of the sources has a folder of its own, named by their hash, with a folder for each
+function. A lock file lets one process compile while others wait for its result. Checksums beside
+the files tell a damaged file, which is dropped and compiled anew. Where nothing can be written,
+every process compiles for itself.
 """
 
 import hashlib
@@ -36,7 +37,8 @@ COMPILED = not config.DISABLE_JIT
 def folder() -> Path | None:
     """Folder of the compiled code of these sources; None where none can be written.
 
-    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's cache.
+    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's
+    cache.
     """
     installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
     own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
@@ -63,8 +65,8 @@ def _hash_of_sources() -> str:
 class Kept:
     """A function that Python calls, compiled for the types that it gets and kept on disk.
 
-    The first call in a process checks the files of the function, and compiles, or loads, under a lock. `py_func` is the
-    function as Python runs it.
+    The first call in a process checks the files of the function, and compiles, or loads, under a
+    lock. `py_func` is the function as Python runs it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -152,7 +154,9 @@ class Kept:
                 partial.replace(found)
 
     def _checksums(self) -> dict[str, str] | None:
-        """Checksums by file as they were written; empty before the first time, None if they cannot be read."""
+        """Checksums by file as they were written; empty before the first time, None if they cannot
+        be read.
+        """
         assert self._folder is not None
         try:
             known = json.loads((self._folder / CHECKSUMS).read_text())
@@ -185,7 +189,7 @@ def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
 
 
 class _Interpreted:
-    """A function that is not compiled: it divides by zero without a warning, as compiled code does."""
+    """A function that is not compiled; it divides by zero without a warning, as compiled ones."""
 
     overloads: tuple[Any, ...] = ()
 
@@ -209,7 +213,9 @@ _told: set[str] = set()  # lines that this process has said
 
 
 def tell(line: str) -> None:
-    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
+    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and
+    not in tests.
+    """
     if not COMPILED or line in _told or "PYTEST_CURRENT_TEST" in os.environ:
         return
     if multiprocessing.parent_process() is None:

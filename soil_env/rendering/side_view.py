@@ -237,7 +237,7 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     episode.
     """
     cells = (
-        ("distance", f"{body['x']:.2f} of {simulation.numbers.task["length"][0]:g} m"),
+        ("distance", f"{body['x']:.2f} of {simulation.scenario.course.length:g} m"),
         ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
         ("pitch", f"{math.degrees(body['pitch']):+.1f}°"),
     )

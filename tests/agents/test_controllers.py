@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from agents.controllers.oracle import COUNT, Oracle
+from agents.controllers.oracle import Oracle
 from agents.drive import _drive
 from agents.evaluate import driving
 from agents.evaluate.driving import drive as evaluation_drive, run_courses

@@ -80,6 +80,4 @@ def test_python_gives_what_the_compiled_code_gives(name, tmp_path):
     for key, value in compiled.items():
         tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
         scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
-        np.testing.assert_allclose(
-            interpreted[key], value, rtol=tolerance, atol=scale, err_msg=key
-        )
+        np.testing.assert_allclose(interpreted[key], value, rtol=tolerance, atol=scale, err_msg=key)

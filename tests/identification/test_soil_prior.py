@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from soil_env._io.loading import ParameterError
 from soil_env._compiled.cache import kept
 from soil_env._compiled.random_streams import seed_stream
+from soil_env._io.loading import ParameterError
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
 from soil_env.parameters import (

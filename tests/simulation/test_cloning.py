@@ -1,4 +1,6 @@
-"""Clones of wheels: stepped alike they give the same, bit for bit; what belongs to the original stays as it is."""
+"""Clones of wheels: stepped alike they give the same, bit for bit; what belongs to the original
+stays as it is.
+"""
 
 import numpy as np
 import pytest

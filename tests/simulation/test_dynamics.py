@@ -50,7 +50,7 @@ def test_the_steps_converge(model, level):
 
 
 def test_half_the_step_changes_a_drive_of_30_s_by_less_than_a_percent():
-    """Distance, sinkage and speed of eight wheels on courses of their own, under a swinging torque."""
+    """Distance, sinkage and speed of eight wheels on courses of their own; the torque swings."""
     runs = []
     for times in (1, 2):
         wheels = on_random_courses(range(8), course=EASY).refined(times)
@@ -64,7 +64,9 @@ def test_half_the_step_changes_a_drive_of_30_s_by_less_than_a_percent():
 
 @pytest.mark.parametrize(("every", "error"), [(1, 0.06), (2, 0.04), (5, 0.03)])
 def test_reversals_of_the_torque_are_followed(every, error):
-    """Full reversals every 0.1 to 0.5 s: distance and work against steps 32 times as short, median of 16 courses."""
+    """Full reversals every 0.1 to 0.5 s: distance and work against steps 32 times as short, median
+    of 16 courses.
+    """
     rng = np.random.default_rng(1)
     runs = []
     size = rng.uniform(0.2, 1.0, (60, 16))
@@ -126,7 +128,9 @@ def test_motor_slope(speed_command):
 )
 @pytest.mark.parametrize("soil", ["dry_sand", "lete_sand", "grenville_loam", "lunar_nominal"])
 def test_a_wheel_without_a_command_stays_nearly_at_rest(soil, mode, grades, fastest, furthest):
-    """Held by its speed loop on a grade the wheel creeps, downhill if anywhere; idle it stays on gentle ground."""
+    """Held by its speed loop on a grade the wheel creeps, downhill if anywhere; idle it stays on
+    gentle ground.
+    """
     for grade_deg in grades:
         wheels = start(mode, soil, grade_deg)
         wheels.drive([0.0] * 100)
@@ -167,7 +171,9 @@ def test_rolling_out_and_back_keeps_the_rut():
 
 @pytest.mark.parametrize("amplitude", [0.003, 0.02])
 def test_rocking_on_the_spot_heals_nothing(amplitude):
-    """A wheel in a hole of 10 cm that rocks by some mm stays in it: what moves under it is the ground it has dug up."""
+    """A wheel in a hole of 10 cm that rocks by some mm stays in it: what moves under it is the
+    ground it has dug up.
+    """
     wheels = start(soil="dry_sand", mode="wheel_speed")
     wheels.drive([0.3] * 30)
     wheels.state["sinkage"] = 0.1
@@ -186,7 +192,9 @@ def test_rocking_on_the_spot_heals_nothing(amplitude):
 
 
 def test_a_rut_is_left_by_digging_and_not_by_lag():
-    """From soft to firm ground at little slip: the wheel comes out of its depth and does not loosen the firm ground."""
+    """From soft to firm ground at little slip: the wheel comes out of its depth and does not loosen
+    the firm ground.
+    """
     wheels = start(soil="dry_sand_loose", mode="wheel_speed")
     soft, firm = (soils()[name].state(0.15) for name in ("dry_sand_loose", "grenville_loam"))
     lay_patches(wheels.courses, (0.0, 1.0, 1e3), [soft, firm], [0.0, 0.0])

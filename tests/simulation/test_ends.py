@@ -61,7 +61,9 @@ def test_each_end_has_its_threshold(state, steps, cause):
 
 
 def onward(way, halted=()):
-    """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those in a halt."""
+    """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those
+    in a halt.
+    """
     sim = simulation("blind")
     w = sim.worlds.state
     causes = []
@@ -75,7 +77,7 @@ def onward(way, halted=()):
 
 
 def test_slow_is_not_stuck():
-    """18 mm/s gets 0.1 m further in 10 s, and 9 mm/s does not, wherever the wheel rocks meanwhile."""
+    """18 mm/s gets 0.1 m further in 10 s, and 9 mm/s does not, even if the wheel rocks."""
     assert set(onward(0.03 * np.arange(300))) == {Cause.RUNNING}
     slow = 0.0018 * np.arange(1, 500)
     slower = 0.0009 * np.arange(1, 500)
@@ -104,7 +106,9 @@ EVASIONS = {  # what a stuck wheel can do, as commands over control periods
 
 @pytest.mark.parametrize("evasion", EVASIONS)
 def test_a_stuck_wheel_cannot_evade_its_end(evasion):
-    """Before a slope that it cannot climb it has dug in; whatever it does then, it is immobilised, and that costs."""
+    """Before a slope that it cannot climb it has dug in; whatever it does then, it is immobilised,
+    and that costs.
+    """
     for seed in range(4):
         changes = {
             "soils": {"dry_sand": 1},

@@ -21,7 +21,9 @@ def same(a, b, which=slice(None)):
 
 
 def test_a_wheel_that_fails_goes_on_alone():
-    """A wheel in a state that no iteration gets through leaves the others as they are, and goes on by itself."""
+    """A wheel in a state that no iteration gets through leaves the others as they are, and goes on
+    by itself.
+    """
     alone, among, free = (on_random_courses(range(WHEELS)) for _ in range(3))
     for w in (alone, among):
         wheel = w.state[3]
@@ -60,7 +62,9 @@ def stresses(theta1, n, r):
 
 
 def reaction(v, u, sinkage, load, soil, r, b):
-    """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written for numpy."""
+    """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written
+    for numpy.
+    """
     theta1 = math.acos(1.0 - sinkage / r)
     theta, w, p = stresses(theta1, soil.sinkage_exponent, r)
     speed = math.hypot(u, REST_SPEED)
@@ -84,7 +88,9 @@ def reaction(v, u, sinkage, load, soil, r, b):
 
 
 def one_step(before, command, soil, rig, guess):
-    """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r w)."""
+    """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r
+    w).
+    """
     h = rig.period
     weight = before.mass * rig.gravity
     g = 1.0 - math.sqrt(0.5)
@@ -164,7 +170,9 @@ def one_step(before, command, soil, rig, guess):
 
 
 def test_one_step_as_scipy_solves_it():
-    """Driving, braking, spinning, rolling back: every number of the state, by another quadrature and solver."""
+    """Driving, braking, spinning, rolling back: every number of the state, by another quadrature
+    and solver.
+    """
     wheels = on_random_courses(range(40))
     wheels.rig.period = 0.02
     wheels.rig.substeps = 1

@@ -1,4 +1,6 @@
-"""The task: observation, its documented layout and scales, reward, and the numbers that the agent may not see."""
+"""The task: observation, its documented layout and scales, reward, and the numbers that the agent
+may not see.
+"""
 
 import math
 import re
@@ -8,13 +10,13 @@ import numpy as np
 import pytest
 
 from soil_env._compiled.cache import kept
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.on_board import show_estimate
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.parameters.readings import Results
-from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
@@ -28,7 +30,9 @@ SENSORS = len(layout("blind"))  # entries that every variant has
 
 
 def simulation(variant="identified", seed=0, changes=None):
-    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
+    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say
+    otherwise.
+    """
     return started(
         load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes),
         variant,
@@ -88,7 +92,9 @@ def _write(worlds, numbers, scratch, rows, sensed):
 
 
 def written(sim, count=1, scratch=None):
-    """Observations [count, D] of the present state, each with readings of its own, or with those of a `scratch`."""
+    """Observations [count, D] of the present state, each with readings of its own, or with those of
+    a `scratch`.
+    """
     sensed = scratch is None
     stream = sim.worlds.state["stream"].copy()
     rows = np.zeros((count, sim.numbers.low.size), dtype=np.float32)
@@ -162,7 +168,7 @@ def test_estimate_in_the_observation():
 
 
 def test_readings_scatter_as_stated():
-    """Mean and standard deviation of 20 000 readings of one state, in the units of the observation."""
+    """Mean and deviation of 20 000 readings of one state, in the units of the observation."""
     sim = simulation("blind")
     for name, value in {
         "slip": 0.4,
@@ -202,7 +208,7 @@ def test_readings_scatter_as_stated():
 
 
 def test_the_observation_follows_from_readings_alone():
-    """With the readings held, no number of the true state shows, but that of the halt, which is commanded.
+    """With the readings held, no number of the true state shows, but the commanded halt.
 
     The estimator is given nothing but the record of the sensors.
     """
@@ -216,14 +222,16 @@ def test_the_observation_follows_from_readings_alone():
     for factor in (1.0, 1.7):
         for name in state.dtype.names:
             shown = name in ("last_action", "rim_command", "halt_left", "odometer")
-            if not shown and state.dtype[name] == float:
+            if not shown and state.dtype[name].kind == "f":
                 state[name] *= factor
         seen.append(written(sim, scratch=scratch))
     np.testing.assert_array_equal(*seen)
 
 
 def test_odometry_is_off_as_stated():
-    """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
+    """Scale and noise of the odometry over many courses; its difference is the reading of the
+    speed.
+    """
     changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
     sim = started(load_scenario("mixed", changes), "blind", range(400))
     length = sim.scenario.course.length
@@ -324,7 +332,9 @@ def documented(env):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
-    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers without a camera."""
+    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers
+    without a camera.
+    """
     rows = documented(SoilWheelEnv)
     bounds = {row[1:] for row in rows}
     numbered = {row[:2] for row in rows}
@@ -349,7 +359,9 @@ def test_entries_are_the_documented_ones(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_scaled_and_physical_are_the_same_drive(variant):
-    """Also where S is 1e6 exactly, the centre of its scale and the value of a line whose class was never met."""
+    """Also where S is 1e6 exactly, the centre of its scale and the value of a line whose class was
+    never met.
+    """
     scenario = replace(load_scenario("two_lines"), belief=Belief(sinkage_coefficient=1e6))
     env, seen = driven(scenario, observation=variant)
     other, values = driven(scenario, observation=variant, scaled=False)

@@ -1,4 +1,6 @@
-"""Simulations, courses and wheels for tests: at rest on courses, stepped a control period at a time."""
+"""Simulations, courses and wheels for tests: at rest on courses, stepped a control period at a
+time.
+"""
 
 import math
 from types import SimpleNamespace
@@ -26,7 +28,9 @@ EVEN = dict.fromkeys(
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
-    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its course."""
+    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its
+    course.
+    """
     kind = RoverSimulation if isinstance(scenario, RoverScenario) else Simulation
     simulation = kind(len(seeds), scenario, variant, threads=1, **options)
     for k, seed in enumerate(seeds):
@@ -78,7 +82,9 @@ class Wheels:
         self.rig = simulation.numbers.rig[0]
 
     def step(self, commands, which=None) -> None:
-        """One control period of the wheels `which`, or of all, with one command for all or one for each wheel."""
+        """One control period of the wheels `which`, or of all, with one command for all or one for
+        each wheel.
+        """
         orders = np.full(len(self.state), IDLE)
         given = np.zeros(len(self.state))
         orders[slice(None) if which is None else which] = STEP
@@ -95,7 +101,7 @@ class Wheels:
         return SimpleNamespace(**self.simulation.wheel(k))
 
     def drive(self, commands) -> np.ndarray:
-        """Rows (x, sinkage, speed, slip) [steps, 4] of the first wheel after each control period."""
+        """Rows (x, sinkage, speed, slip) [steps, 4] of the first wheel after each period."""
         rows = []
         for command in commands:
             self.step(command)
@@ -104,7 +110,7 @@ class Wheels:
 
 
 def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
-    """One wheel for each seed at rest at the start of its own random course, all of which is drawn."""
+    """One wheel for each seed at rest at the start of its own random course, drawn to its end."""
     control = {"action": mode, "repeat": 1}
     scenario = load_scenario("mixed", {"control": control, "course": course or {}})
     simulation = started(scenario, "blind", seeds, model=model)
