@@ -9,42 +9,32 @@ import numpy as np
 import pytest
 import yaml
 
-from soil_env._compiled.cache import kept
-from soil_env._compiled.random_streams import seed_stream
 from soil_env._io.loading import ParameterError
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
 from soil_env.parameters import (
     Belief,
+    SoilState,
     load_rover,
     load_scenario,
     rover_names,
     scenario_names,
     to_dict,
 )
-from soil_env.simulation.world.courses import course_numbers
-from soil_env.simulation.world.passability import draw_soil
-from soil_env.simulation.world.terrain import COURSE, SOIL
-from soil_env.terramechanics.ground import put_soil
+from soil_env.simulation.world.courses import course_distribution
+from soil_env.simulation.world.terrain import SOIL
 from tests.logs.bags import write_map
+from tests.simulation.courses import draw_soils, stream_of
 
 MIXED = load_scenario("mixed")
 EVERY = [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in rover_names()]
 
 
-@kept
-def _draw(heads, drawn, soils):
-    for k in range(len(soils)):
-        put_soil(soils[k], draw_soil(heads[0], drawn))
-
-
 def test_the_library_is_what_the_world_draws():
-    """Moments of the mixture against 4000 soils as `draw_soil` draws them, passable or not."""
-    heads = np.zeros(1, COURSE)
-    heads["stream"] = seed_stream(np.random.default_rng(0))
-    soils = np.zeros(4000, SOIL)
-    _draw(heads, course_numbers(MIXED).drawn, soils)
-    tangent, cohesion, K, S, n, gain = (soils[name] for name in SOIL.names[:6])
+    """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, passable or not."""
+    drawn = np.zeros(4000, SOIL)
+    draw_soils(stream_of(0), course_distribution(MIXED), drawn)
+    tangent, cohesion, K, S, n, gain = (drawn[name] for name in SoilState._fields[:6])
     y = np.log(S) + n * math.log(soil_prior.depth_of(MIXED))
     rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / MIXED.belief.dig_gain)])
     mean, covariance = soil_prior.prior_of_belief(MIXED)

@@ -56,7 +56,8 @@ SIZES = {
 }
 
 
-#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel soon settles.
+#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel
+#: soon settles.
 TUNED = {
     "bulldozing": {"rankine": 1.0, "hegedus": 0.7},
     "grade": {"share": 1.0, "weakening": 0.7},
