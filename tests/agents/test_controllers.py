@@ -23,8 +23,9 @@ from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 from tests.agents.drivers import observations
+from tests.simulation.courses import EVEN
 from tests.simulation.test_cloning import memory
-from tests.simulation.wheels import EVEN, started
+from tests.simulation.wheels import started
 
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))

@@ -16,6 +16,7 @@ from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from tests.simulation import wheels as bench
+from tests.simulation.courses import EVEN, course
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, WHEEL
 
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
@@ -223,14 +224,15 @@ def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
     speed = 0.5 * wheel.no_load_speed * wheel.radius
     rim = Rim(wheel.radius, wheel.width, LUG, 1500.0 * scenario.gravity)
     for seed in range(25):
-        courses, mass, _ = bench.course(seed, scenario, model)
-        load = mass * scenario.gravity
-        for soil, grade in zip(*bench.soils_of(courses), strict=True):
+        drawn = course(seed, scenario, model)
+        load = drawn.mass * scenario.gravity
+        for patch in drawn.patches:
+            grade = float(patch.grade)
             grades.append(math.degrees(grade))
             for v in (0.0, speed) if rate else (speed,):
                 best = best_working_point_with(
                     load * math.cos(grade),
-                    soil,
+                    SoilState(*(patch[name] for name in SoilState._fields)),
                     rim,
                     Conditions(v, 1.0, math.sin(grade)),
                     acting_effects(model.numbers),
@@ -248,8 +250,7 @@ def test_a_residual_law_counts_on_the_grades():
     tangents = []
     for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
         drawn = [
-            bench.course(seed, scenario, model_of({}, residual))[0].patches["grade"][0, 0]
-            for seed in range(20)
+            course(seed, scenario, model_of({}, residual)).patches["grade"][0] for seed in range(20)
         ]
         tangents.append(np.tan(drawn))
     low, high = np.tan(np.radians(scenario.course.grade_deg))
@@ -269,9 +270,8 @@ def test_patches_are_drawn_from_the_soil_of_the_model():
         dig_recovery=0.5,
     )
     model = model_of({}, soil=soil)
-    courses = bench.course(0, load_scenario("mixed", {"spread": bench.EVEN}), model)[0]
-    for drawn in bench.soils_of(courses)[0]:
-        np.testing.assert_allclose(drawn, soil.state(0.15), rtol=1e-9)
-    scattered, _ = bench.soils_of(bench.course(0, load_scenario("mixed"), model)[0])
-    friction = [drawn.tan_phi for drawn in scattered]
+    even = course(0, load_scenario("mixed", {"spread": EVEN}), model).patches
+    for name, value in zip(SoilState._fields, soil.state(0.15), strict=True):
+        np.testing.assert_allclose(even[name], value, rtol=1e-9)
+    friction = course(0, load_scenario("mixed"), model).patches["tan_phi"]
     assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)

@@ -2,29 +2,19 @@
 time.
 """
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import HUGE
-from soil_env._compiled.random_streams import seed_stream
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
-from soil_env.parameters.readings import IDLE, RESTART, STEP, TRY
-from soil_env.simulation.wheels import lay_wheels, new_scratch, new_wheel_worlds, wheel_numbers
-from soil_env.simulation.world.courses import course_numbers
+from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.world.terrain import course_of
 from soil_env.simulation.world.wheel import World, settle_at
 from soil_env.terramechanics.contact import ARC_NODES
-from soil_env.terramechanics.traversability import best_working_point
-
-#: `spread` of a scenario whose soils do not scatter.
-EVEN = dict.fromkeys(
-    ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0
-)
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
@@ -39,37 +29,10 @@ def started(scenario, variant="blind", seeds=(0,), **options):
     return simulation
 
 
-def course(seed, scenario, model=None, whole=True):
-    """(courses, mass, numbers) of one course, or of its start only."""
-    worlds = new_wheel_worlds(1, scenario, wheel_numbers(scenario, "blind", model), False)
-    numbers = course_numbers(scenario, model)
-    worlds.state["stream"] = seed_stream(np.random.default_rng(seed))
-    orders = np.array([TRY if whole else RESTART])
-    lay_wheels(worlds, numbers, orders, new_scratch(), 0, 1)
-    mass = worlds.reward[0] if whole else worlds.state["mass"][0]
-    return worlds.courses, float(mass), numbers
-
-
-def soils_of(courses, k=0):
-    """`SoilState` of each patch of course k that is drawn, and their grades [rad]."""
-    patches = courses.patches[k, : courses.heads["patches"][k]]
-    soils = [SoilState(*(float(p[name]) for name in SoilState._fields)) for p in patches]
-    return soils, patches["grade"]
-
-
 def set_soil(patches, soil):
     """Give patches a soil (`SoilState` of numbers or of arrays that fit the patches)."""
     for name, value in zip(SoilState._fields, soil, strict=True):
         patches[name] = value
-
-
-def margin(soil, grade, mass, scenario):
-    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
-    wheel = scenario.wheel
-    load = mass * scenario.gravity
-    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
-    assert best.torque <= wheel.stall_torque
-    return best.drawbar_pull / load - math.tan(grade)
 
 
 class Wheels:
