@@ -483,7 +483,8 @@ def test_traversability_is_that_of_the_estimate():
             load = max(float(observation[3]), 0.05) * env.scenario.weight
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-            assert found["best_slip"] == best.slip and found["torque_required"] == best.torque
+            assert found["best_slip"] == best.slip
+            assert found["torque_required"] == pytest.approx(best.torque, rel=1e-9)
             estimate = info["estimate"]
             assert found["drawbar_margin"] == pytest.approx(
                 estimate["best_pull"] - math.tan(observation[7])

@@ -83,13 +83,25 @@ class Vehicles:
         """
         self._lay, self._step = functions
         self._world = worlds
-        self._heads = heads[0]
-        self._x = heads[0]["x"]
-        self._ready = heads[1]["ready"]
+        self._heads, self._course_heads = heads
         self.course_numbers, self._ahead = courses
         self._scratch = [scratch() for _ in range(0, self.count, self._share)]
-        self._record = of_bytes(worlds.record)
+        self._view()
         self._results = Results(worlds.observation, worlds.terms, worlds.reward, worlds.cause)
+
+    def _view(self) -> None:
+        """Views of the arrays, which are no views any more in a copy until they are made anew."""
+        self._x = self._heads["x"]
+        self._ready = self._course_heads["ready"]
+        self._record = of_bytes(self._world.record)
+
+    def __getstate__(self) -> dict[str, Any]:
+        views = ("_x", "_ready", "_record")
+        return {name: value for name, value in self.__dict__.items() if name not in views}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._view()
 
     def _board(self, on_board: Any) -> None:
         """Take the estimators on board; None where nothing is identified."""
