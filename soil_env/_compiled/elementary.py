@@ -121,7 +121,9 @@ def asin_root(t):
 
 @njit(**EXACT)
 def smoothed_sign(speed, floor):
-    """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor` [m/s]."""
+    """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor`
+    [m/s].
+    """
     square = speed * speed + floor * floor
     length = math.sqrt(square)
     return speed / length, floor * floor / (square * length)

@@ -1,4 +1,6 @@
-"""Simulation of many vehicles side by side: the world and, where something asks for it, the estimator on board."""
+"""Simulation of many vehicles side by side: the world and, where something asks for it, the
+estimator on board.
+"""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -47,8 +49,8 @@ def asks_for_estimates(scenario: Scenario, variant: str) -> bool:
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
-    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k follows from the
-    seed given to `seed`.
+    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k
+    follows from the seed given to `seed`.
     """
 
     numbers: Any  # constants of the compiled step
@@ -78,8 +80,9 @@ class Vehicles:
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `heads`: the records of the vehicles and of their courses; `courses`: the numbers that courses are drawn by and
-        the final ground [m] that a vehicle needs before it; `scratch()` makes the work arrays of a thread.
+        `heads`: the records of the vehicles and of their courses; `courses`: the numbers that
+        courses are drawn by and the final ground [m] that a vehicle needs before it; `scratch()`
+        makes the work arrays of a thread.
         """
         self._lay, self._step = functions
         self._world = worlds
@@ -111,7 +114,9 @@ class Vehicles:
             on_board.prepare(self._record, self._results, self._orders)
 
     def _check_passable(self, trial: Any, vehicles: np.ndarray) -> None:
-        """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
+        """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of
+        a training.
+        """
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
