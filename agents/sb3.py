@@ -9,14 +9,13 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.envs.course_env import CourseVectorEnv
-from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.wheels import Simulation
-from soil_env.envs.wheel_env import SoilWheelVectorEnv
-from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.envs.rover_env import SoilRoverVectorEnv
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
+from soil_env.envs.wheels import Simulation
+from soil_env.parameters import DEFAULT_ROVER, DEFAULT_SCENARIO
 from soil_env.simulation.task import Cause, layout, truth
 from soil_env.terramechanics.model import load_model
-from soil_env.parameters import DEFAULT_ROVER
 
 
 class NativeVecEnv(VecEnv):

@@ -10,13 +10,12 @@ from agents.controllers import make_controller
 from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
-from soil_env._numba.compiling import compiled_root
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.wheels import IDLE, STEP
 from soil_env.identification.online.identifier import identifier_numbers
-from soil_env.parameters import RoverScenario, Scenario, load_rover
+from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
+from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
-from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.terrain import Courses, places_on
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 
@@ -29,15 +28,15 @@ SWING_PERIOD = 4.0  # [s]
 _READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
 
 
-@compiled_root
-def _grounds(x, patch, course, courses, border, out):
-    """Soil [7] under each wheel, number of its patch, distance behind its beginning [m]."""
-    for k in range(x.size):
-        soil, _, here = ground_at(courses, course[k], x[k], patch[k], border)
-        for j in range(7):
-            out[k, j] = soil[j]
-        out[k, 7] = here
-        out[k, 8] = x[k] - courses.edges[course[k], here]
+def _grounds(courses: Courses, x: np.ndarray, border: float) -> np.ndarray:
+    """Soil [7] at x [courses, n] m, number of the patch, distance behind its beginning [m]."""
+    rows = []
+    for k, at in enumerate(x):
+        places = places_on(courses, k, at, border)
+        behind = at - courses.patches["start"][k, places["patch"]]
+        soils = [places[name] for name in SoilState._fields]
+        rows.append(np.column_stack([*soils, places["patch"], behind]))
+    return np.array(rows)
 
 
 class SwingingSpeed(ConstantSpeed):
@@ -86,14 +85,11 @@ def record(
     readings = []
     known = []
     running = []
-    ground = np.empty((courses, 9))
     for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
         w = sim.worlds
-        x = np.array(w.state["x"])
-        patch = np.array(w.counts["patch"])
-        _grounds(x, patch, np.arange(courses), w.courses, scenario.course.border, ground)
+        soil = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0, :7]
         load = np.array(w.state["mass"]) * scenario.gravity
-        true.append(truth(ground[:, :7], np.array(w.state["bearing_sinkage"]), load, scenario))
+        true.append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
         halts.append(np.array(w.state["halt_left"]))
         readings.append(w.observation[:, _READ] * scale)
         known.append(
@@ -133,9 +129,8 @@ def truth(
     """`QUANTITIES` [T, 6] of soils [T, 7], in SI units and rad, at true bearing sinkages [m] and
     loads [N].
     """
-    wheel = scenario.wheel
     belief = scenario.belief
-    _, pull = best_points(soil, np.ascontiguousarray(load), wheel)
+    _, pull = best_points(soil, load, scenario.wheel)
     depth = np.log(np.maximum(bearing, 1e-4))
     ln_s = np.log(soil[:, 3]) + (soil[:, 4] - belief.sinkage_exponent) * depth
     gain = np.log(soil[:, 5] / belief.dig_gain)
@@ -208,20 +203,16 @@ def record_rover(
     rows = simulation.wheels
     going = np.ones(courses, dtype=bool)
     log = []
-    course = np.repeat(np.arange(courses), rows.shape[1])
-    ground = np.empty((rows.size, 9))
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
-        x = np.array(w.rovers.wheels["x"])[rows.ravel()]
-        patch = np.array(w.rovers.counts["patch"])[rows.ravel()]
-        _grounds(x, patch, course, w.courses, scenario.course.border, ground)
-        soil = np.column_stack(
-            [np.arctan(ground[:, 0]), np.log(ground[:, 2]), ground[:, 1], ground[:, 7:]]
-        )
-        driven = going & (np.array(w.rovers.body["halt_left"]) == 0.0)
+        ground = _grounds(w.courses, w.wheels["x"], scenario.course.border)
+        soil = ground[..., [0, 2, 1, 7, 8]]
+        soil[..., 0] = np.arctan(soil[..., 0])
+        soil[..., 1] = np.log(soil[..., 1])
+        driven = going & (w.body["halt_left"] == 0.0)
         log.append(
             {
-                "soil": soil.reshape(*rows.shape, 5),
+                "soil": soil,
                 "driven": np.repeat(driven[:, None], rows.shape[1], 1),
                 "alone": w.ids.estimate[rows],
                 "alone_sd": w.ids.sd[rows],

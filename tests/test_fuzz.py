@@ -15,12 +15,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import compiled_root
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import REWARD_TERMS
-from soil_env.simulation.world.dynamics import MOST_STEPS
-from soil_env.simulation.world.terrain import ground_at
-from soil_env.simulation.world.wheel import WheelState
+from soil_env.simulation.world.terrain import places_on
 from soil_env.terramechanics.reaction import REST_SPEED
 from tests.fuzz_cases import Case, Random, draw_case
 
@@ -31,36 +28,25 @@ BROKEN_ONCE = (40, 106)
 
 
 _x, _w = np.polynomial.legendre.leggauss(8)
-_NODES = tuple(0.5 * (_x + 1.0))
-_WEIGHTS = tuple(0.5 * _w)
 _PIECES = 4
+#: Places and weights of the quadrature over a way, and its ends.
+_PLACES = np.append(
+    np.add.outer(np.arange(_PIECES), 0.5 * (_x + 1.0)).ravel() / _PIECES, [0.0, 1.0]
+)
+_WEIGHTS = np.append(np.tile(0.5 * _w / _PIECES, _PIECES), [0.0, 0.0])
+MOST_STEPS = 8  # steps of a wheel where others take one
 NEWTON = 1e-4  # [m/s] largest residual of a stage that counts as converged
 
 
-@compiled_root
-def _climbs(courses, before, after, border, rise, low, high):
-    """Height gained [m] by each wheel between two x, and the range of sin(grade) on the way."""
-    for k in range(before.size):
-        step = (after[k] - before[k]) / _PIECES
-        total = 0.0
-        least = 1.0
-        most = -1.0
-        for piece in range(_PIECES):
-            for i in range(len(_NODES)):
-                _, grade, _ = ground_at(
-                    courses, k, before[k] + (piece + _NODES[i]) * step, 0, border
-                )
-                s = math.sin(grade)
-                total += _WEIGHTS[i] * s * step
-                least = min(least, s)
-                most = max(most, s)
-        for x in (before[k], after[k]):
-            _, grade, _ = ground_at(courses, k, x, 0, border)
-            least = min(least, math.sin(grade))
-            most = max(most, math.sin(grade))
-        rise[k] = total
-        low[k] = least
-        high[k] = most
+def climbs(courses, before, after, border):
+    """Height gained [m] by each wheel between two x, and the least and the largest sin(grade) on
+    the way.
+    """
+    out = []
+    for k, (start, end) in enumerate(zip(before, after, strict=True)):
+        sine = np.sin(places_on(courses, k, start + _PLACES * (end - start), border)["grade"])
+        out.append((_WEIGHTS @ sine * (end - start), sine.min(), sine.max()))
+    return np.array(out).T
 
 
 class Ledger(NamedTuple):
@@ -84,7 +70,7 @@ class Ledger(NamedTuple):
         return np.abs(self.motor) + np.abs(self.kinetic) + np.abs(self.height) + np.abs(self.soil)
 
 
-def ledger(before: WheelState, worlds, scenario) -> Ledger:
+def ledger(before: np.ndarray, worlds, scenario) -> Ledger:
     """Balance of the last control period; `before` is a copy of the state [wheels] from before it.
 
     The stages of a step, multiplied by their speeds and summed, are an energy balance:
@@ -103,19 +89,7 @@ def ledger(before: WheelState, worlds, scenario) -> Ledger:
     inertia = scenario.wheel.inertia
     substeps = math.ceil(scenario.control.period / scenario.control.substep - 1e-9)
     h = scenario.control.period / substeps
-    n = len(after)
-    rise = np.zeros(n)
-    low = np.zeros(n)
-    high = np.zeros(n)
-    _climbs(
-        worlds.courses,
-        np.ascontiguousarray(before["x"]),
-        np.ascontiguousarray(after["x"]),
-        scenario.course.border,
-        rise,
-        low,
-        high,
-    )
+    rise, low, high = climbs(worlds.courses, before["x"], after["x"], scenario.course.border)
     m = after["mass"]
     weight = after["mass"] * scenario.gravity
     dv = after["speed"] - before["speed"]
@@ -173,7 +147,9 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
             reward, sum(term.values()), rtol=1e-12, atol=1e-12
         ),
         "energy term <= 0": ~(term["energy"] <= 0.0),
-        "state finite": ~np.logical_and.reduce([np.isfinite(state[name]) for name in state.NAMES]),
+        "state finite": ~np.logical_and.reduce(
+            [np.isfinite(state[name]) for name in state.dtype.names]
+        ),
         "sinkage in [1e-4, 1.5] radii": ~(
             (state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)
         ),
@@ -231,8 +207,7 @@ def drive(case: Case, rng: np.random.Generator, wheels: int = 64, steps: int = 5
         if mode == AutoresetMode.SAME_STEP:  # the state is that of the new course already
             stepped = ~ended
             done = np.zeros(wheels, dtype=bool)
-            state = env.simulation.worlds.state.data[:, :wheels]
-            before.data[:, :wheels][:, ended] = state[:, ended]
+            before[ended] = env.simulation.worlds.state[ended]
         else:
             stepped = ~done
             done = ended
@@ -246,7 +221,7 @@ def unbalanced(env, before, stepped, case: Case) -> dict[str, np.ndarray]:
     """{Name of a fault of the energy balance: wheels} of the wheels that were driven."""
     worlds = env.simulation.worlds
     balance = ledger(before, worlds, case.scenario)
-    sure = stepped & (worlds.counts["converged"] == 1)
+    sure = stepped & (worlds.state["converged"] == 1)
     slack = balance.tolerance + 1e-9 * balance.turnover
     found = {
         "motor work = work against resistance, grade and inertia": sure

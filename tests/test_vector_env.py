@@ -10,15 +10,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soil_env.envs.infos import flat
+from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
 from soil_env.identification import Status
 from soil_env.parameters import rover_names
-from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
 MODES = ("torque", "wheel_speed", "rim_acceleration")
-ROVERS = 11  # a block of eight and a part of one
+VEHICLES = 5
 
 
 class Kind(NamedTuple):
@@ -116,7 +116,7 @@ def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
     """
     lines = changes is TWO_LINES
     changes = {**kind.quick, "control": {"time_limit": 5.0}, "observation": variant, **changes}
-    count, steps = (3, 450) if lines else (ROVERS, 70)
+    count, steps = (3, 450) if lines else (VEHICLES, 70)
     many = kind.many(count, threads=2, **changes)
     one = [kind.one(**changes) for _ in range(count)]
     observations, info = many.reset(seed=11)
@@ -142,7 +142,7 @@ def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
             same_info(info, k, expected[4])
             done[k] = expected[2]
             ends += done[k]
-    assert many.simulation.worlds.courses.lines.taken.any() if lines else ends >= ROVERS
+    assert many.simulation.worlds.courses.forks["taken"].any() if lines else ends >= VEHICLES
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -330,4 +330,4 @@ def test_stepping_wheels_that_were_never_reset_is_refused(mode):
     except (gymnasium.error.ResetNeeded, ValueError):
         return
     assert np.all(np.isfinite(observations))
-    assert env.simulation.worlds.courses.patches[1] > 0  # or it was reset by the step
+    assert env.simulation.worlds.courses.heads["patches"][1] > 0  # or it was reset by the step

@@ -21,8 +21,9 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.cloning import clone
-from soil_env.envs.wheels import IDLE, STEP, Simulation
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import Scenario
+from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -152,7 +153,7 @@ class Oracle:
         clone(simulation, wheels, self.clones, places)
         streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
         # The same noise for all plans of a wheel.
-        self.clones.worlds.streams[places] = np.repeat(streams, COUNT)
+        self.clones.worlds.state["stream"][places] = np.repeat(streams, COUNT)
         self.dreamer.plans = Plans(*(x.ravel() for x in tried))
         score = self._tried(
             batch[wheels], {name: values[wheels] for name, values in memory.items()}

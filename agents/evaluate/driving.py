@@ -12,9 +12,10 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.envs.wheels import IDLE, STEP, Simulation
 from soil_env.envs.wheel_env import IMMOBILISED
+from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, Scenario
+from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -338,18 +339,17 @@ class _OfRovers(_Totals):
 
     @property
     def body(self):
-        return self.worlds.rovers.body
+        return self.worlds.body
 
     def work(self) -> np.ndarray:
         return 2.0 * self.body["motor_work"]  # of both sides
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         driving = super().add(alive)
-        wheels = self.worlds.rovers.wheels
-        rows = self.sim.wheels
-        pull = wheels["drawbar_pull"][rows]
+        wheels = self.worlds.wheels
+        pull = wheels["drawbar_pull"]
         weight = self.body["mass"] * self.scenario.gravity
-        force = np.abs(wheels["torque"][rows]).max(axis=1) / self.scenario.wheel.radius
+        force = np.abs(wheels["torque"]).max(axis=1) / self.scenario.wheel.radius
         against = 0.5 * (np.abs(pull).sum(axis=1) - np.abs(pull.sum(axis=1)))
         self.fighting += np.where(driving, against / weight, 0.0)
         self.force += np.where(driving, force * self.axles / weight, 0.0)

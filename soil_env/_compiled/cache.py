@@ -1,9 +1,10 @@
 """Functions that Python calls, compiled once and kept on disk by numba's own cache.
 
-Numba notices an edit of a function's own file, not of the files of the functions that it calls. So each version of the
-sources has a folder of its own, named by their hash, with a folder for each function. A lock file lets one process
-compile while others wait for its result. Checksums beside the files tell a damaged file, which is dropped and compiled
-anew. Where nothing can be written, every process compiles for itself.
+Numba notices an edit of a function's own file, not of the files of the functions that it calls. So
+each version of the sources has a folder of its own, named by their hash, with a folder for each
+function. A lock file lets one process compile while others wait for its result. Checksums beside
+the files tell a damaged file, which is dropped and compiled anew. Where nothing can be written,
+every process compiles for itself.
 """
 
 import hashlib
@@ -36,7 +37,8 @@ COMPILED = not config.DISABLE_JIT
 def folder() -> Path | None:
     """Folder of the compiled code of these sources; None where none can be written.
 
-    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's cache.
+    It is below NUMBA_CACHE_DIR where that is set, beside the sources of a clone, else in the user's
+    cache.
     """
     installed = not {"site-packages", "dist-packages"}.isdisjoint(PACKAGE.parts)
     own = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "soil_env"
@@ -63,8 +65,8 @@ def _hash_of_sources() -> str:
 class Kept:
     """A function that Python calls, compiled for the types that it gets and kept on disk.
 
-    The first call in a process checks the files of the function, and compiles, or loads, under a lock. `py_func` is the
-    function as Python runs it.
+    The first call in a process checks the files of the function, and compiles, or loads, under a
+    lock. `py_func` is the function as Python runs it.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -82,7 +84,7 @@ class Kept:
     def __call__(self, *arguments: Any) -> Any:
         if not self._opened:
             return self._first_call(arguments)
-        result = self._function(*arguments)
+        result = self._call(arguments)
         if len(self._function.overloads) != self._versions:
             with self._alone():
                 self._note()
@@ -97,10 +99,17 @@ class Kept:
                 return self._function(*arguments)
             with self._alone():
                 self._check()
-                result = self._function(*arguments)
+                result = self._call(arguments)
                 self._opened = True
                 self._note()
         return result
+
+    def _call(self, arguments: tuple[Any, ...]) -> Any:
+        try:
+            return self._function(*arguments)
+        except OSError as error:  # numba has compiled the function and cannot write it
+            tell(f"compiled code is not kept: {error}")
+            return self._function(*arguments)
 
     @contextmanager
     def _alone(self):
@@ -109,7 +118,7 @@ class Kept:
             if self._folder is not None:
                 with suppress(OSError, NotImplementedError):
                     self._folder.mkdir(parents=True, exist_ok=True)
-                    lock = self._folder.with_suffix(".lock")
+                    lock = self._folder.with_name(f"{self._folder.name}.lock")
                     try:
                         held.enter_context(FileLock(lock, timeout=0))
                     except Timeout:
@@ -145,7 +154,9 @@ class Kept:
                 partial.replace(found)
 
     def _checksums(self) -> dict[str, str] | None:
-        """Checksums by file as they were written; empty before the first time, None if they cannot be read."""
+        """Checksums by file as they were written; empty before the first time, None if they cannot
+        be read.
+        """
         assert self._folder is not None
         try:
             known = json.loads((self._folder / CHECKSUMS).read_text())
@@ -178,7 +189,7 @@ def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
 
 
 class _Interpreted:
-    """A function that is not compiled: it divides by zero without a warning, as compiled code does."""
+    """A function that is not compiled; it divides by zero without a warning, as compiled ones."""
 
     overloads: tuple[Any, ...] = ()
 
@@ -202,7 +213,9 @@ _told: set[str] = set()  # lines that this process has said
 
 
 def tell(line: str) -> None:
-    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and not in tests."""
+    """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and
+    not in tests.
+    """
     if not COMPILED or line in _told or "PYTEST_CURRENT_TEST" in os.environ:
         return
     if multiprocessing.parent_process() is None:

@@ -1,7 +1,9 @@
-"""Elementary functions written out as arithmetic, which LLVM vectorises in loops over the nodes of a contact arc.
+"""Elementary functions written out as arithmetic, which LLVM vectorises in loops over the nodes
+of a contact arc.
 
-Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos 2e-15 of full scale. The
-coefficients are those of minimax polynomials, those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
+Errors relative to the true value: exp 3e-15, log 1e-15 (absolute below 1); sin and cos of a half
+angle 2e-15 of full scale, of a whole one 4e-15. The coefficients are those of minimax polynomials,
+those of exp, log and asin as in fdlibm (Sun Microsystems 1993).
 """
 
 import math
@@ -35,7 +37,7 @@ def exp(x):
     r2 = r * r
     a = r * 0.1666666666664829 + 0.5
     b = r * 0.008333333353729397 + 0.04166666666665136
-    c = r * 0.00019841232708536384 + 0.0013888888905881542
+    c = r * 0.00019841208732536384 + 0.0013888888905881542
     d = r2 * 2.761380686153829e-07 + (r * 2.762511557828763e-06 + 2.4801536388690766e-05)
     p = (r2 * r2) * (r2 * d + c) + (r2 * b + a)
     power_of_two = (np.float64(shifted).view(np.int64) << MANTISSA) + ONE_BITS
@@ -119,7 +121,9 @@ def asin_root(t):
 
 @njit(**EXACT)
 def smoothed_sign(speed, floor):
-    """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor` [m/s]."""
+    """(sign of a speed in (-1, 1), its derivative [s/m]), smooth through rest over about `floor`
+    [m/s].
+    """
     square = speed * speed + floor * floor
     length = math.sqrt(square)
     return speed / length, floor * floor / (square * length)

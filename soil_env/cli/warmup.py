@@ -11,7 +11,7 @@ import click
 import gymnasium
 import numpy as np
 
-from soil_env._numba.cache import place
+from soil_env._compiled.cache import place
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
@@ -53,6 +53,7 @@ def warm_up() -> None:
         envs.step(np.full((64, 1), 0.4, dtype=np.float32))
         envs.simulation.true_soils()
         envs.close()
+    _drive("SoilWheel-v0", 0.4, scenario="two_lines")
     _drive("SoilRover-v0", 0.4)
     identifier = OnlineIdentifier(wheels()["planetary_rover"])
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))

@@ -1,9 +1,10 @@
 """Clones of simulated wheels, for planners that try out what would happen.
 
-A clone is a copy of everything that is known of a wheel: its state, the ground under it with its ruts, its identifier,
-its random streams. Stepped alike it gives the same numbers, bit for bit, noise of the sensors and places of halts to
-come included. A planner that is not to foresee those gives its clones random streams of their own (`Simulation.seed`);
-the ground to come is drawn from the stream of the course and stays as it is.
+A clone is a copy of everything that is known of a wheel: its state, the ground under it with its
+ruts, its identifier, its random streams. Stepped alike it gives the same numbers, bit for bit,
+noise of the sensors and places of halts to come included. A planner that is not to foresee those
+gives its clones random streams of their own (`Simulation.seed`); the ground to come is drawn from
+the stream of the course and stays as it is.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
-from soil_env.simulation.wheels import Record
+from soil_env.parameters.readings import Record
 
 
 def clone(
@@ -24,8 +25,9 @@ def clone(
 ) -> None:
     """Make wheel `places[i]` of `target` a clone of wheel `wheels[i]` of `source`.
 
-    Both simulations are of one scenario, observation and model; reward and time limit may differ. A wheel may be cloned
-    to many places. Raises `ParameterError` where the numbers of wheels and places differ, or the simulations' memories.
+    Both simulations are of one scenario, observation and model; reward and time limit may differ. A
+    wheel may be cloned to many places. Raises `ParameterError` where the numbers of wheels and
+    places differ, or the simulations' memories.
     """
     wheels = np.asarray(wheels, dtype=np.intp)
     places = np.asarray(places, dtype=np.intp)
@@ -49,17 +51,17 @@ def _wheels(worlds: Any) -> int:
 
 
 def _copy(a, wheels, b, places, count, into, name):
-    """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds `into`."""
-    if (
-        a is None or b is None or isinstance(a, Record)
-    ):  # no estimator; a record is written anew by every step
-        return
-    if hasattr(type(a), "NAMES"):  # rows, of the world or of the identifier
+    """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds
+    `into`.
+    """
+    if a is None or b is None or isinstance(a, Record):
+        return  # no estimator; a record is written anew by every step
+    if hasattr(type(a), "NAMES"):  # rows of the identifier
         each = a.count // count  # columns of a wheel
         if b.count // into != each:
             raise ParameterError(
-                f"clone: {name} has {each} columns a wheel in one simulation and {b.count // into} in "
-                "the other: expected the same scenario"
+                f"clone: {name} has {each} columns a wheel in one simulation and "
+                f"{b.count // into} in the other: expected the same scenario"
             )
         columns = np.arange(each)
         here, there = ((each * rows[:, None] + columns).ravel() for rows in (wheels, places))

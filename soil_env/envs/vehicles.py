@@ -24,6 +24,7 @@ from soil_env.parameters.readings import (
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 SHARES = 4  # of the vehicles, for each thread: those that are done early take another
+VIEWS = ("_x", "_ready")  # attributes of `Vehicles`
 LEAST = 32  # vehicles that a thread takes at a time, at least
 
 
@@ -84,10 +85,21 @@ class Vehicles:
         self._lay, self._step = functions
         self._world = worlds
         self._heads = vehicles
-        self._x = vehicles["x"]
-        self._ready = worlds.courses.heads["ready"]
         self.course_numbers, self._ahead = courses
         self._scratch = [scratch() for _ in range(0, self.count, self._share)]
+        self._view()
+
+    def _view(self) -> None:
+        """Views of the arrays, which are no views any more in a copy until they are made anew."""
+        self._x = self._heads["x"]
+        self._ready = self._world.courses.heads["ready"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._view()
 
     def _board(self, on_board: Any, record: Record, results: Results) -> None:
         """Take the estimators on board, None where nothing is identified, with what they read and where they write."""

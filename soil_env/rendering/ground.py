@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._numba.compiling import compiled_root
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
 from soil_env.rendering.charts import nice, ticks
-from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, Courses, ground_at
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, Courses, places_on
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)
@@ -31,24 +30,14 @@ class Profile(NamedTuple):
         return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
 
 
-@compiled_root(allocates=True)
-def _along(courses, k, x, border):
-    """(grade [rad], phi [deg]) of course k at each x [m]."""
-    grade = np.empty(x.size)
-    friction = np.empty(x.size)
-    patch = 0
-    for i in range(x.size):
-        soil, grade[i], patch = ground_at(courses, k, x[i], patch, border)
-        friction[i] = math.degrees(math.atan(soil.tan_phi))
-    return grade, friction
-
-
 def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float) -> Profile:
     """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along
     the slope.
     """
     x = np.arange(-before, beyond, 0.5 * CELL)
-    grade, friction = _along(courses, k, x, border)
+    places = places_on(courses, k, x, border)
+    grade = places["grade"]
+    friction = np.degrees(np.arctan(places["tan_phi"]))
 
     def from_start(slope):
         total = np.concatenate([[0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x))])
@@ -170,6 +159,6 @@ def friction_range(scenario: Scenario, simulation: Any) -> tuple[float, float]:
     """Range of phi [deg] that the soil colours span: that of the scenario's presets and two
     deviations more.
     """
-    phi = np.degrees(np.arctan(simulation.numbers.drawn.library[:, 0]))
+    phi = np.degrees(np.arctan(simulation.course_numbers.drawn.presets["tan_phi"]))
     spread = 2.0 * scenario.spread.friction + 0.02
     return float(phi.min() * (1.0 - spread)), float(phi.max() * (1.0 + spread))

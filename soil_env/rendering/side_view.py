@@ -27,7 +27,7 @@ from soil_env.rendering.ground import (
 )
 from soil_env.simulation.rover.task import axle_names
 from soil_env.simulation.task import Cause
-from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.reaction import REST_SPEED
 from soil_env.terramechanics.steady import sinkage_coefficient_at
 
@@ -56,28 +56,36 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     """
     worlds = simulation.worlds
     if isinstance(simulation, RoverSimulation):
-        rovers = worlds.rovers
         known = worlds.known
         rows = simulation.wheels[j].tolist()
         names = axle_names(len(rows))
+        ruts = worlds.axles["floor"][j]
         wheels = [
-            rovers.wheels[k] | rovers.counts[k] | {"rut": rovers.axles.floor[k]} for k in rows
+            by_name(w) | {"rut": float(rut)} for w, rut in zip(worlds.wheels[j], ruts, strict=True)
         ]
     else:
         known = worlds.ids
         rows = [j]
         names = ("wheel",)
         wheels = [simulation.wheel(j) | {"rut": 0.0}]
+    border = float(simulation.numbers.rig["border"][0])
     for w, k, name in zip(wheels, rows, names, strict=True):
-        soil, _, _ = ground_at(
-            worlds.courses, j, w["x"], w["patch"], simulation.numbers.world.border
-        )
-        w |= {"name": name, "soil": soil}
+        w |= {"name": name, "soil": soil_at(worlds.courses, j, w["x"], border)}
         w |= {
             key: None if known is None else getattr(known, key)[k]
             for key in ("estimate", "sd", "status")
         }
     return wheels
+
+
+def by_name(record: np.record) -> dict[str, Any]:
+    """Fields of a record by name."""
+    return dict(zip(record.dtype.names, record.item(), strict=True))
+
+
+def radius_of(simulation: Any) -> float:
+    """Radius of the wheels [m]."""
+    return float(simulation.numbers.rig["radius"][0])
 
 
 def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[float, ...]:
@@ -88,12 +96,12 @@ def sample_of(simulation: Any, w: dict[str, Any], exponent: float) -> tuple[floa
     known = (math.nan,) * 6 if w["status"] is None else (*w["estimate"][:3], *w["sd"][:3])
     same = sinkage_coefficient_at(soil, exponent, w["bearing_sinkage"])
     truth = math.atan(soil.tan_phi), math.log(soil.shear_modulus), math.log(same)
-    return w["slip"], w["sinkage"] / simulation.numbers.world.wheel.radius, *known, *truth
+    return w["slip"], w["sinkage"] / radius_of(simulation), *known, *truth
 
 
 def hubs_of(simulation: Any, wheels: list[dict[str, Any]], profile: Profile) -> np.ndarray:
     """Places [wheels, 2] of the hubs (horizontal, height) [m]."""
-    r = simulation.numbers.world.wheel.radius
+    r = radius_of(simulation)
     return np.array(
         [
             drawing.hub_of(profile.at(w["x"]), w["grade"], r - w["sinkage"] - w["rut"])
@@ -132,7 +140,7 @@ def posture_of(v: Vehicle, hubs: np.ndarray, pitch: float) -> Posture:
 
 def width_of(simulation: Any) -> float:
     """Width of the side view [m]."""
-    r = simulation.numbers.world.wheel.radius
+    r = radius_of(simulation)
     vehicle = getattr(simulation.scenario, "vehicle", None)
     return max(_WIDTH * ((vehicle.base if vehicle else 0.0) + 2.0 * r), _LEAST_WIDTH * r)
 
@@ -146,23 +154,24 @@ def draw_side_view(
     is_rover = isinstance(simulation, RoverSimulation)
     worlds = simulation.worlds
     width = width_of(simulation)
-    body = worlds.rovers.body[j] if is_rover else wheels[0] | {"pitch": wheels[0]["grade"]}
-    left = worlds.courses.rut[j]
     if is_rover:
-        rows = simulation.wheels[j]
-        left = (worlds.ruts.floor[rows] + worlds.ruts.rut[rows]).max(axis=0)
+        body = by_name(worlds.body[j])
+        left = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
+    else:
+        body = wheels[0] | {"pitch": wheels[0]["grade"]}
+        left = worlds.courses.cells["depth"][j]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
     x = middle + (np.linspace(0.0, 1.0, 261) - AT[0]) * 1.2 * width  # along the slope
     rut = depth_of_ruts(x, left) / np.gradient(profile.at(x)[0], x)
     hubs = hubs_of(simulation, wheels, profile)
-    world = simulation.numbers.world.wheel
-    task = simulation.numbers.task
-    r = world.radius
-    size = world.radius * scene.scale
-    stresses = [drawing.stresses_under(w, r, world.width) for w in wheels]
-    per_pascal = 0.45 * size * 0.5 * r * world.width / task.weight  # drawn length of a stress
+    task = simulation.numbers.task[0]
+    r = radius_of(simulation)
+    wheel_width = float(simulation.numbers.rig["width"][0])
+    size = r * scene.scale
+    stresses = [drawing.stresses_under(w, r, wheel_width) for w in wheels]
+    per_pascal = 0.45 * size * 0.5 * r * wheel_width / task.weight  # drawn length of a stress
     c.clip(scene.box)
     c.box(scene.box, canvas.SKY)
     draw_ground(c, scene, x, profile, rut, hubs, r, bounds)
@@ -228,7 +237,7 @@ def _draw_readings(c: Canvas, simulation: Any, body, cause: Cause) -> None:
     episode.
     """
     cells = (
-        ("distance", f"{body['x']:.2f} of {simulation.numbers.task.length:g} m"),
+        ("distance", f"{body['x']:.2f} of {simulation.scenario.course.length:g} m"),
         ("speed", f"{round(body['speed'], 3) + 0.0:.3f} m/s"),
         ("pitch", f"{math.degrees(body['pitch']):+.1f}°"),
     )

@@ -58,15 +58,15 @@ class CourseView:
                 sample_of(simulation, w, self.scenario.belief.sinkage_exponent) for w in wheels
             )
             self._history.append(
-                (steps * simulation.numbers.world.period, *(x for own in samples for x in own))
+                (steps * self.scenario.control.period, *(x for own in samples for x in own))
             )
 
     def _paint(self, canvas: Canvas, simulation: Any, k: int) -> None:
         """Draw number k as it is now on a cleared canvas; its course is complete."""
         wheels = shown_wheels(simulation, k)
         width = width_of(simulation)
-        length = simulation.numbers.task.length
-        border = simulation.numbers.world.border
+        length = self.scenario.course.length
+        border = self.scenario.course.border
         profile = profile_of(simulation.worlds.courses, k, border, width, length + 2.0 * width)
         bounds = friction_range(self.scenario, simulation)
         angles = np.broadcast_to(self._angles, len(wheels))  # 0 before the first record

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._compiled.cache import kept
 from soil_env.rendering import canvas
 from soil_env.rendering.canvas import Box, Canvas, Colour
 from soil_env.simulation.task import Cause
 from soil_env.terramechanics import contact
-from soil_env.terramechanics.reaction import REST_SPEED, reaction
+from soil_env.terramechanics.reaction import REST_SPEED, lay_footing, soil_reaction
 
 ARC_POINTS = 25  # of the contact arc at which stresses are drawn
 
@@ -22,6 +23,37 @@ class Stresses(NamedTuple):
     shear: np.ndarray  # [points] tau [Pa], Eq. (10), positive where it drives the wheel forward
 
 
+class _Wheel(NamedTuple):
+    """A wheel of the base model as it moves under its load."""
+
+    contact_radius: float  # [m]
+    width: float  # [m]
+    sinkage: float  # [m]
+    load: float  # [N]
+    speed: float  # V [m/s]
+    rim_speed: float  # r w [m/s]
+
+
+@kept
+def _stresses(nodes, wheel, soil, angle, normal, shear):
+    """Fill `angle`, `normal` and `shear` [points] of `Stresses`; `nodes`: the scratch of an arc."""
+    r = wheel.contact_radius
+    arc = contact.smooth_arc(wheel.sinkage, r)
+    footing = lay_footing(nodes[0], arc, soil, wheel.load)
+    force = soil_reaction(nodes[0], footing, wheel.speed, wheel.rim_speed, wheel, None)
+    rim, travel, _ = contact.motion_from_speeds(wheel.rim_speed, wheel.speed, REST_SPEED)
+    theta1 = arc.theta1
+    for i in range(angle.size):
+        theta = theta1 * i / (angle.size - 1)
+        front = contact.mirror_angle(theta, theta1, arc.theta2, arc.thetam)
+        stress = contact.relative_stress(front, math.cos(theta1), soil.sinkage_exponent, r)
+        j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
+        share, _ = contact.mobilised(j, soil.shear_modulus, None)
+        angle[i] = theta
+        normal[i] = force.sinkage_coefficient * stress
+        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
+
+
 def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     """`Stresses` under a wheel of radius r and width b [m] with the state `w`, as it moves now
     under its load.
@@ -29,25 +61,10 @@ def stresses_under(w: dict[str, Any], r: float, b: float) -> Stresses:
     They are those at the sinkage coefficient that the load mobilises. The soil's own one does not
     matter: so the same holds in a rut.
     """
-    soil = w["soil"]
-    speed = w["speed"]
-    rim_speed = w["wheel_speed"] * r
-    sinkage = w["sinkage"]
-    coefficient = reaction(speed, rim_speed, sinkage, w["load"], soil, r, b).sinkage_coefficient
-    rim, travel, _ = contact.motion_from_speeds(rim_speed, speed, REST_SPEED)
-    theta1 = contact.entry_angle(sinkage, r)
-    angle = np.linspace(0.0, theta1, ARC_POINTS)
-    normal = np.empty(ARC_POINTS)
-    shear = np.empty(ARC_POINTS)
-    for i, theta in enumerate(angle):
-        front = contact.mirror_angle(theta, theta1, 0.0, 0.5 * theta1)
-        normal[i] = coefficient * contact.relative_stress(
-            front, math.cos(theta1), soil.sinkage_exponent, r
-        )
-        j, _, _ = contact.shear_displacement(theta, theta1, math.sin(theta1), rim, travel, r)
-        share, _ = contact.mobilised(j, soil.shear_modulus, contact.JANOSI)
-        shear[i] = (soil.cohesion + normal[i] * soil.tan_phi) * share
-    return Stresses(angle, normal, shear)
+    wheel = _Wheel(r, b, w["sinkage"], w["load"], w["speed"], w["wheel_speed"] * r)
+    stresses = Stresses(np.empty(ARC_POINTS), np.empty(ARC_POINTS), np.empty(ARC_POINTS))
+    _stresses(np.zeros(1, contact.ARC_NODES), wheel, w["soil"], *stresses)
+    return stresses
 
 
 def hub_of(ground: Any, grade: float, height: float) -> np.ndarray:

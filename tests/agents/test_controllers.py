@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import CONTROLLERS, checked_settings, make_controller
-from agents.controllers.oracle import COUNT, Oracle
+from agents.controllers.oracle import Oracle
 from agents.drive import _drive
 from agents.evaluate import driving
 from agents.evaluate.driving import drive as evaluation_drive, run_courses
@@ -23,8 +23,9 @@ from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
 from tests.agents.drivers import observations
+from tests.simulation.courses import EVEN
 from tests.simulation.test_cloning import memory
-from tests.simulation.wheels import EVEN, started
+from tests.simulation.wheels import started
 
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
@@ -68,7 +69,7 @@ def drive(controller, scenario, steps, seed=0):
         action, state = controller.predict(sim.worlds.observation, state, fresh)
         fresh = np.array([False])
         sim.step(0, float(action[0, 0]))
-        w = sim.worlds.state[0]
+        w = sim.wheel(0)
         rows.append(
             (w["wheel_speed"] * scenario.wheel.radius, w["slip"], w["x"], w["halt_left"] > 0.0)
         )
@@ -226,14 +227,14 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     right = 0
     *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
     worlds = sim.worlds
-    lines = worlds.courses.lines
-    edges = worlds.courses.edges
+    courses = worlds.courses
+    margins = courses.lines["capacity"] - np.tan(courses.lines["grade"])
     for k in range(40):
-        for p in range(worlds.courses.patches[k]):
-            margins = lines.capacities[k, p] - np.tan(lines.grades[k, p])
-            if worlds.state["best_x"][k] > edges[k, p] and margins.min() < 0.0:
+        for p in range(courses.heads["patches"][k]):
+            passed = worlds.state["best_x"][k] > courses.patches["start"][k, p]
+            if passed and margins[k, p].min() < 0.0:
                 forks += 1
-                right += margins[lines.taken[k, p]] > 0.0
+                right += margins[k, p, courses.forks["taken"][k, p]] > 0.0
     assert forks > 20 and right > 0.9 * forks
 
 
@@ -307,12 +308,10 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     action, _ = oracle.predict(sim.worlds.observation)
     assert action.shape == (3, 1) and np.isfinite(action).all()
     for k in range(3):
-        after = memory(sim.worlds, k, 3)
-        assert all(np.array_equal(before[k][n], after[n], equal_nan=True) for n in after)
+        assert memory(sim.worlds, k, 3) == before[k]
     clones = oracle.clones.worlds
     assert (clones.state["x"] != 0.0).any()  # they have driven
-    own = np.repeat(sim.worlds.streams, COUNT)
-    assert not np.isin(clones.streams, own).any()
+    assert not np.isin(clones.state["stream"], sim.worlds.state["stream"]).any()
 
 
 @pytest.mark.slow

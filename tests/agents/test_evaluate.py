@@ -373,7 +373,7 @@ def test_runs_equal_a_loop_over_one_wheel(name):
             )
             sim.step(0, float(action[0, 0]))
             returns += float(w.terms[0].sum())
-            s = w.state[0]
+            s = sim.wheel(0)
             rows.append(
                 [
                     s[k]

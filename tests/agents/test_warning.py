@@ -12,7 +12,7 @@ from agents.evaluate.driving import run_courses
 from agents.evaluate.warning import KEPT, RELEASE, Foresight
 from soil_env.identification.online.immobilisation import FILE, shipped
 from soil_env.parameters import load_scenario
-from soil_env.simulation.world.wheel import WheelState
+from soil_env.simulation.world.wheel import WHEEL
 
 
 def spell(share=0.0, seconds=1.0, halted=False, goes_on=True):
@@ -53,7 +53,7 @@ def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypat
     foresight = Foresight(scenario, 1)
     (script, lead) = LEADS[name]
     worlds = SimpleNamespace(
-        state=WheelState(1), recent=None, ids=SimpleNamespace(estimate=None, sd=None)
+        state=np.zeros(1, WHEEL), recent=None, ids=SimpleNamespace(estimate=None, sd=None)
     )
     for share, halted, goes_on in script:
         found = np.array([[0.0, share * foresight.threshold]])

@@ -22,7 +22,7 @@ from soil_env.identification.online.lanes.contact import share_of_next
 from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.parameters import Belief, load_scenario
 from tests.identification.observing import started
-from tests.simulation.wheels import EVEN
+from tests.simulation.courses import EVEN
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 NUMBERS = filter_numbers(SCENARIO)

@@ -12,7 +12,7 @@ from soil_env.identification.online import curve, identifier
 from soil_env.identification.online.identifier import HELD, RENEWED, SensorReading
 from soil_env.parameters import Belief, load_scenario
 from tests.identification.observing import numbers_of, observe, started
-from tests.simulation.wheels import EVEN
+from tests.simulation.courses import EVEN
 
 SCENARIO = load_scenario("mixed")
 PLAIN = replace(SCENARIO, belief=Belief())

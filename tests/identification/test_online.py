@@ -20,7 +20,7 @@ from soil_env.simulation.world.dynamics import STEP, advance
 from soil_env.simulation.world.sensors import sense
 from tests.identification.observing import numbers_of, observe, started
 from tests.simulation import wheels as bench
-from tests.simulation.wheels import EVEN
+from tests.simulation.courses import EVEN
 
 SAND = soils()["lunar_nominal"].state(0.15)
 UNIFORM = {

@@ -7,27 +7,27 @@ from pathlib import Path
 
 import pytest
 
-from soil_env._numba.compiling import COMPILED
+from soil_env._compiled.cache import COMPILED
 
 ROOT = Path(__file__).resolve().parents[2]
 CODE = """
 import sys
 from pathlib import Path
 import gymnasium, numpy as np
-from soil_env._numba import cache
+from numba.core import event
 from soil_env.identification.online.lanes import cache as of_identifier
 from soil_env.cli.warmup import warm_up
 
 warm_up()
 late = []
-def note(once, compiled):
-    def noted(self, signature):
-        if signature not in self._dispatcher.overloads:
-            late.append(self._dispatcher.py_func.__qualname__)
-        return compiled(self, signature)
-    once.__call__ = noted
-for kept in (cache, of_identifier):
-    note(kept._Once, kept._Once.__call__)
+once = of_identifier._Once.__call__
+def noted(self, signature):
+    if signature not in self._dispatcher.overloads:
+        late.append(self._dispatcher.py_func.__qualname__)
+    return once(self, signature)
+of_identifier._Once.__call__ = noted
+compiled = event.RecordingListener()
+event.register("numba:compile", compiled)
 
 folder = Path(sys.argv[1])
 from soil_env.cli import main
@@ -65,6 +65,8 @@ for rover in ("lunar_micro_rover", "mars_rover"):
     env.render()
 from soil_env.paper import compare
 compare.table_3()
+starts = (e for _, e in compiled.buffer if e.is_start)
+late += [e.data["dispatcher"].py_func.__qualname__ for e in starts]
 print("late:", late)
 """
 

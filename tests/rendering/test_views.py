@@ -17,7 +17,7 @@ from soil_env.rendering.ground import profile_of
 from soil_env.rendering.side_view import AT, SCENE, hubs_of, shown_wheels, width_of
 from soil_env.rendering.view import CourseView
 from soil_env.rendering.wheels import stresses_under
-from soil_env.simulation.world.terrain import cell_at
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from tests.conftest import ROOT
 from tests.simulation.wheels import started
 
@@ -50,7 +50,8 @@ def near(picture, colour, tolerance=12):
 
 def ground(simulation):
     """`Profile` of the course."""
-    return profile_of(simulation.worlds.courses, 0, simulation.numbers.world.border, 1.0, 60.0)
+    border = simulation.scenario.course.border
+    return profile_of(simulation.worlds.courses, 0, border, 1.0, 60.0)
 
 
 def hubs(simulation):
@@ -83,7 +84,7 @@ def test_wheels_are_drawn_where_they_are_and_bear_what_they_bear(rover):
     drive(simulation, view, 40)
     picture = view.draw(simulation, 0)
     places, scale = hubs(simulation)
-    radius = simulation.numbers.world.wheel.radius * scale
+    radius = simulation.scenario.wheel.radius * scale
     for x, y in places:
         assert ring(picture, x, y, radius) > 0.6  # arrow heads and beams lie on the rest
         assert ring(picture, x, y - 0.3 * radius, radius) < 0.4
@@ -104,11 +105,11 @@ def test_stresses_sum_to_the_forces_on_every_wheel(rover, command):
     """
     simulation, view = start(rover)
     drive(simulation, view, 15, command)
-    world = simulation.numbers.world.wheel
-    r = world.radius
-    area = world.radius * world.width
+    wheel = simulation.scenario.wheel
+    r = wheel.radius
+    area = wheel.radius * wheel.width
     for w in shown_wheels(simulation, 0):
-        angle, normal, shear = stresses_under(w, r, world.width)
+        angle, normal, shear = stresses_under(w, r, wheel.width)
         side = math.copysign(1.0, w["speed"])
         load = area * integral(normal * np.cos(angle) + side * shear * np.sin(angle), angle)
         pull = area * integral(shear * np.cos(angle) - side * normal * np.sin(angle), angle)
@@ -128,22 +129,27 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     worlds = simulation.worlds
     places, scale = hubs(simulation)
     last = shown_wheels(simulation, 0)[-1]
-    row = 0
-    left = [worlds.courses.rut]
-    if rover is not None:  # behind the rear wheel: its own rut in that of the front wheel
-        row = int(simulation.wheels[0][-1])
-        left = [worlds.ruts.rut, worlds.ruts.floor]
+    if rover is None:
+        cells = worlds.courses.cells[0]
+        left = [cells["depth"]]
+    else:  # behind the rear wheel: its own rut in that of the front wheel
+        cells = worlds.ruts[0, -1]
+        left = [cells["depth"], cells["floor"]]
     x = last["x"]
     place = ground(simulation).at(last["x"])
-    deep = simulation.numbers.world.wheel.radius - last["sinkage"] - last["rut"]
+    deep = simulation.scenario.wheel.radius - last["sinkage"] - last["rut"]
     assert math.dist(hubs_of(simulation, [last], ground(simulation))[0], place) == pytest.approx(
         deep, rel=1e-9
     )
-    depth = scale * sum(float(array[row, cell_at(worlds.courses, x) - 4]) for array in left)
-    for array in left:
-        array[:] = 0.0
+    behind = math.floor(x / CELL) + CELLS_BEHIND - 4
+    depth = scale * sum(float(array[behind]) for array in left)
+    if rover is None:
+        worlds.courses.cells["depth"] = 0.0
+    else:
+        worlds.ruts["depth"] = 0.0
+        worlds.ruts["floor"] = 0.0
     without = view.draw(simulation, 0)
-    radius = simulation.numbers.world.wheel.radius * scale
+    radius = simulation.scenario.wheel.radius * scale
     sky = [
         near(p[:, int(places[-1, 0] - 1.5 * radius)], canvas.SKY, 6).sum()
         for p in (with_rut, without)

@@ -3,9 +3,25 @@
 import numpy as np
 import pytest
 
+from soil_env._compiled.cache import kept
 from soil_env.simulation.task import Cause
 from soil_env.simulation.task.rules import judge
 from tests.simulation.test_task import simulation
+
+
+@kept
+def _judge(state, task, steps, causes):
+    for i in range(causes.size):
+        state[0].steps += steps
+        causes[i] = judge(state[0], task[0])
+
+
+def judged(sim, times=1, steps=1):
+    """`Cause`s of so many judgements, each `steps` control periods on."""
+    causes = np.zeros(times, dtype=np.int64)
+    _judge(sim.worlds.state, sim.numbers.task, steps, causes)
+    return [Cause(cause) for cause in causes]
+
 
 STUCK = {"speed": 0.0, "wheel_speed": 2.0}
 STALLED = {"speed": 0.0, "wheel_speed": 0.0}
@@ -33,37 +49,35 @@ STALLED = {"speed": 0.0, "wheel_speed": 0.0}
 )
 def test_each_end_has_its_threshold(state, steps, cause):
     sim = simulation("blind")
-    causes = []
     w = sim.worlds.state
-    counts = sim.worlds.counts
     w["speed"] = 0.3
     w["wheel_speed"] = 3.0
     w["last_action"] = 0.3
     for name, value in state.items():
-        (counts if name == "steps" else w)[name] = value
-    for _ in range(steps):
-        counts.steps[0] += 1
-        causes.append(Cause(judge(w, counts, 0, sim.numbers.task)))
-    assert causes == [Cause.RUNNING] * (steps - 1) + [Cause[cause]]
+        w[name] = value
+    assert judged(sim, steps) == [Cause.RUNNING] * (steps - 1) + [Cause[cause]]
     sim.restart(0)
     assert sim.worlds.state["idle_time"][0] == sim.worlds.state["mark_x"][0] == 0.0
 
 
 def onward(way, halted=()):
-    """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those in a halt."""
+    """Causes of judgements at the furthest places `way` [m], while the wheel turns; `halted`: those
+    in a halt.
+    """
     sim = simulation("blind")
     w = sim.worlds.state
     causes = []
     w["wheel_speed"] = 3.0
     for k, x in enumerate(way):
-        w["x"], w["best_x"] = x, max(x, w["best_x"][0])
+        w["x"] = x
+        w["best_x"] = max(x, w["best_x"][0])
         w["halt_left"] = 1.0 if k in halted else 0.0
-        causes.append(Cause(judge(w, sim.worlds.counts, 0, sim.numbers.task)))
+        causes += judged(sim, steps=0)
     return causes
 
 
 def test_slow_is_not_stuck():
-    """18 mm/s gets 0.1 m further in 10 s, and 9 mm/s does not, wherever the wheel rocks meanwhile."""
+    """18 mm/s gets 0.1 m further in 10 s, and 9 mm/s does not, even if the wheel rocks."""
     assert set(onward(0.03 * np.arange(300))) == {Cause.RUNNING}
     slow = 0.0018 * np.arange(1, 500)
     slower = 0.0009 * np.arange(1, 500)
@@ -92,7 +106,9 @@ EVASIONS = {  # what a stuck wheel can do, as commands over control periods
 
 @pytest.mark.parametrize("evasion", EVASIONS)
 def test_a_stuck_wheel_cannot_evade_its_end(evasion):
-    """Before a slope that it cannot climb it has dug in; whatever it does then, it is immobilised, and that costs."""
+    """Before a slope that it cannot climb it has dug in; whatever it does then, it is immobilised,
+    and that costs.
+    """
     for seed in range(4):
         changes = {
             "soils": {"dry_sand": 1},
@@ -101,7 +117,7 @@ def test_a_stuck_wheel_cannot_evade_its_end(evasion):
         }
         sim = simulation("blind", seed, changes)
         sim.complete(0)
-        sim.worlds.courses.grades[:] = 0.3
+        sim.worlds.courses.patches["grade"] = 0.3
         for k in range(sim.scenario.steps):
             sim.step(0, 0.5 if k < 20 else EVASIONS[evasion](k - 20))
             if sim.worlds.cause[0] != Cause.RUNNING:

@@ -1,4 +1,4 @@
-"""Many wheels in one call of `dynamics.advance`: each as if it were alone, and as scipy solves its equations."""
+"""Many wheels side by side: each as if it were alone, and as scipy solves its equations."""
 
 import math
 
@@ -6,37 +6,41 @@ import numpy as np
 import pytest
 from scipy.optimize import root
 
+from soil_env._compiled.flags import HUGE
 from soil_env.parameters import soils
 from soil_env.terramechanics.reaction import REST_SPEED
-from tests.simulation.wheels import on_random_courses
+from tests.simulation.wheels import on_random_courses, set_soil
 
 WHEELS = 21
 
 
 def same(a, b, which=slice(None)):
     """Compare wheels and the ground that they leave, bit for bit."""
-    np.testing.assert_array_equal(a.state.data[:, which], b.state.data[:, which])
-    np.testing.assert_array_equal(a.counts.data[:, which], b.counts.data[:, which])
-    np.testing.assert_array_equal(a.courses.rut_factors[which], b.courses.rut_factors[which])
+    np.testing.assert_array_equal(a.state[which], b.state[which])
+    np.testing.assert_array_equal(a.courses.cells[which], b.courses.cells[which])
 
 
 def test_a_wheel_that_fails_goes_on_alone():
-    """A wheel in a state that no iteration gets through leaves its neighbours as they are, and goes on by itself."""
+    """A wheel in a state that no iteration gets through leaves the others as they are, and goes on
+    by itself.
+    """
     alone, among, free = (on_random_courses(range(WHEELS)) for _ in range(3))
     for w in (alone, among):
-        w.state.sinkage[3] = 0.15
-        w.state.speed[3] = 40.0
-        w.state.wheel_speed[3] = -400.0
-        w.state.pull_by_speed[3] = 1e9
-    for k in range(WHEELS):
-        alone.step(0.4, [k])
-    for w in (among, free):
-        w.step(0.4)
+        wheel = w.state[3]
+        wheel.sinkage = 0.15
+        wheel.speed = 40.0
+        wheel.wheel_speed = -400.0
+        wheel.pull_by_speed = 1e9
+    for _ in range(3):
+        for k in range(WHEELS):
+            alone.step(0.4, [k])
+        for w in (among, free):
+            w.step(0.4)
     same(alone, among)
     rest = np.delete(np.arange(WHEELS), 3)
     same(among, free, rest)
     failed = among.now(3)
-    assert abs(failed.wheel_speed) < 400.0 and all(np.isfinite(list(among.state[3].values())))
+    assert abs(failed.wheel_speed) < 400.0 and np.all(np.isfinite(among.state[3].item()))
 
 
 _x, _w = np.polynomial.legendre.leggauss(60)
@@ -58,7 +62,9 @@ def stresses(theta1, n, r):
 
 
 def reaction(v, u, sinkage, load, soil, r, b):
-    """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written for numpy."""
+    """(drawbar pull, torque, mobilised sinkage coefficient) from Eqs. (1)-(3) and (7)-(10), written
+    for numpy.
+    """
     theta1 = math.acos(1.0 - sinkage / r)
     theta, w, p = stresses(theta1, soil.sinkage_exponent, r)
     speed = math.hypot(u, REST_SPEED)
@@ -81,18 +87,19 @@ def reaction(v, u, sinkage, load, soil, r, b):
     return *forces(S)[1:], S
 
 
-def one_step(before, command, soil, world, guess):
-    """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r w)."""
-    wheel = world.wheel
-    h = world.period
-    weight = before.mass * world.wheel.gravity
+def one_step(before, command, soil, rig, guess):
+    """State after one step of two stages, which `scipy.optimize.root` solves from the `guess` (V, r
+    w).
+    """
+    h = rig.period
+    weight = before.mass * rig.gravity
     g = 1.0 - math.sqrt(0.5)
-    r = wheel.radius
-    b = wheel.width
-    stall = world.stall_torque
+    r = rig.radius
+    b = rig.width
+    stall = rig.stall_torque
 
     def motor(u):
-        line = stall / world.no_load_speed * u / r
+        line = stall / rig.no_load_speed * u / r
         return min(max(command * stall, -stall - line, -stall), stall - line, stall)
 
     v0 = v = before.speed
@@ -117,7 +124,7 @@ def one_step(before, command, soil, world, guess):
         def residuals(x, begin=begin, forces=forces):
             pull, torque, _ = forces(*x)
             along = (pull - weight * math.sin(before.grade)) / before.mass
-            spin = r / world.inertia * (motor(x[1]) - torque)
+            spin = r / rig.inertia * (motor(x[1]) - torque)
             return [x[0] - begin[0] - g * h * along, x[1] - begin[1] - g * h * spin]
 
         found = root(residuals, guess, tol=1e-12)
@@ -137,8 +144,8 @@ def one_step(before, command, soil, world, guess):
         high = max(before.x, place)
         place = place + moved
         fresh = min((max(place - high, 0.0) + max(low - place, 0.0)) / max(abs(moved), 1e-12), 1.0)
-        travel = abs(moved) / duration / world.relaxation
-        slip = slid / duration / world.relaxation
+        travel = abs(moved) / duration / rig.relaxation
+        slip = slid / duration / rig.relaxation
         settle = 10.0 if bearing > z else 0.0
         rate = travel + soil.dig_recovery * slip + settle
         goal = bearing * ((soil.dig_gain + soil.dig_recovery) * slip + settle)
@@ -163,30 +170,34 @@ def one_step(before, command, soil, world, guess):
 
 
 def test_one_step_as_scipy_solves_it():
-    """Driving, braking, spinning, rolling back: every number of the state, by another quadrature and solver."""
+    """Driving, braking, spinning, rolling back: every number of the state, by another quadrature
+    and solver.
+    """
     wheels = on_random_courses(range(40))
-    wheels = wheels._replace(world=wheels.world._replace(period=0.02, substeps=1))
+    wheels.rig.period = 0.02
+    wheels.rig.substeps = 1
     rng = np.random.default_rng(3)
     names = sorted(soils())
     ground = [soils()[str(name)].state(0.15) for name in rng.choice(names, 40)]
-    wheels.courses.soils[:] = np.array(ground)[:, None]
-    wheels.courses.grades[:] = rng.uniform(-0.2, 0.2, 40)[:, None]
-    wheels.state.speed = rng.uniform(-0.2, 0.5, 40)
-    wheels.state.wheel_speed = wheels.state.speed / 0.15 * rng.uniform(0.7, 3.0, 40)
-    wheels.state.sinkage = rng.uniform(0.01, 0.06, 40)
-    wheels.state.grade = wheels.courses.grades[:, 0]
-    wheels.state.next_halt = math.inf
+    set_soil(wheels.courses.patches, np.array(ground).T[:, :, None])
+    grade = rng.uniform(-0.2, 0.2, 40)
+    wheels.courses.patches["grade"] = grade[:, None]
+    state = wheels.state
+    state["speed"] = rng.uniform(-0.2, 0.5, 40)
+    state["wheel_speed"] = state["speed"] / 0.15 * rng.uniform(0.7, 3.0, 40)
+    state["sinkage"] = rng.uniform(0.01, 0.06, 40)
+    state["grade"] = grade
+    state["next_halt"] = HUGE
     commands = rng.uniform(-0.3, 0.8, 40)
     starts = [wheels.now(k) for k in range(40)]
     wheels.step(commands)
     judged = 0
     for k, before in enumerate(starts):
-        if wheels.counts.converged[k] == 0:
-            continue
         after = wheels.now(k)
-        stated = one_step(
-            before, commands[k], ground[k], wheels.world, (after.speed, 0.15 * after.wheel_speed)
-        )
+        if after.converged == 0:
+            continue
+        guess = (after.speed, 0.15 * after.wheel_speed)
+        stated = one_step(before, commands[k], ground[k], wheels.rig, guess)
         scale = {
             "drawbar_pull": before.mass * 9.81,
             "torque": before.mass * 9.81 * 0.15,
@@ -199,6 +210,6 @@ def test_one_step_as_scipy_solves_it():
         }
         for name, value in stated.items():
             size = scale.get(name, before.sinkage)
-            assert wheels.state[name][k] == pytest.approx(value, abs=5e-4 * size), (k, name)
+            assert state[name][k] == pytest.approx(value, abs=5e-4 * size), (k, name)
         judged += 1
     assert judged > 30

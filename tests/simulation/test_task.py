@@ -1,4 +1,6 @@
-"""The task: observation, its documented layout and scales, reward, and the numbers that the agent may not see."""
+"""The task: observation, its documented layout and scales, reward, and the numbers that the agent
+may not see.
+"""
 
 import math
 import re
@@ -7,27 +9,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soil_env._compiled.cache import kept
+from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv, observation_space
 from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.on_board import show_estimate
-from soil_env.parameters import Belief, load_scenario, soils
+from soil_env.parameters import Belief, SoilState, load_scenario, soils
 from soil_env.parameters.readings import Results
-from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
-from soil_env.simulation.task.observation import write_observation
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.world import sensors
+from soil_env.simulation.wheels import _observe, _sense, new_scratch
 from soil_env.simulation.world.camera import Sight
-from tests.simulation.wheels import started
+from soil_env.simulation.world.sensors import READING
+from soil_env.simulation.world.terrain import course_of
+from tests.simulation.wheels import set_soil, started
 
 SENSORS = len(layout("blind"))  # entries that every variant has
-NOTHING_SEEN = Sight(0, 0.0, 0.0)
 
 
 def simulation(variant="identified", seed=0, changes=None):
-    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say otherwise."""
+    """A `Simulation` of one wheel after a reset; the action is a torque unless `changes` say
+    otherwise.
+    """
     return started(
         load_scenario(load_scenario("mixed", {"control": {"action": "torque"}}), changes),
         variant,
@@ -75,17 +80,33 @@ def test_all_variants_share_the_first_entries(variant):
     np.testing.assert_array_equal(blind, other[..., : blind.shape[-1]])
 
 
-def observed_again(sim, ground=None, estimate=None):
+@kept
+def _write(worlds, numbers, scratch, rows, sensed):
+    wheel = worlds.state[0]
+    course = course_of(worlds.courses, 0)
+    for i in range(len(rows)):
+        reading = scratch.reading[0]
+        if sensed:
+            reading = _sense(worlds, numbers, 0, 0, course, scratch)
+        _observe(rows[i], wheel, reading, course, Sight(0, 0.0, 0.0), numbers)
+
+
+def written(sim, count=1, scratch=None):
+    """Observations [count, D] of the present state, each with readings of its own, or with those of
+    a `scratch`.
+    """
+    sensed = scratch is None
+    stream = sim.worlds.state["stream"].copy()
+    rows = np.zeros((count, sim.numbers.low.size), dtype=np.float32)
+    _write(sim._world, sim.numbers, scratch or new_scratch(), rows, sensed)
+    sim.worlds.state["stream"] = stream
+    return rows
+
+
+def observed_again(sim, estimate=None):
     """The observation written anew from the present state, the random stream untouched."""
     worlds = sim.worlds
-    numbers = sim.numbers.task
-    courses = worlds.courses
-    streams = worlds.streams.copy()
-    out = np.zeros_like(worlds.observation[0])
-    if ground is not None:
-        courses = courses._replace(soils=courses.soils * ground)
-    reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-    write_observation(out, worlds.state, worlds.counts, 0, reading, courses, NOTHING_SEEN, numbers)
+    out = written(sim)[0]
     if sim.belief is not None:
         known = sim._on_board.memory
         if estimate is not None:
@@ -101,7 +122,9 @@ def test_only_true_soil_shows_the_soil(variant):
     for _ in range(20):
         sim.step(0, 0.3)
     before = observed_again(sim)
-    after = observed_again(sim, ground=np.full(7, 1.3))
+    patches = sim.worlds.courses.patches
+    set_soil(patches, [1.3 * patches[name] for name in SoilState._fields])
+    after = observed_again(sim)
     changed = before != after
     expected = np.zeros(len(before), dtype=bool)
     if variant == "true_soil":
@@ -111,9 +134,10 @@ def test_only_true_soil_shows_the_soil(variant):
 
 def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim = simulation("true_soil", changes={"course": {"border": 0.01}})
-    sim.worlds.state["x"] = 0.5 * sim.worlds.courses.edges[0, 1:3].sum()  # amid the second patch
-    sim.worlds.courses.rut_factors[:] = 0.5
-    tan_phi, c, k, s, n, gain, recovery = sim.worlds.courses.soils[0, 1]
+    second = sim.worlds.courses.patches[0, 1]
+    sim.worlds.state["x"] = 0.5 * (second.start + second.end)
+    sim.worlds.courses.cells["factor"] = 0.5
+    tan_phi, c, k, s, n, gain, recovery = (second[name] for name in SoilState._fields)
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
     np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)
 
@@ -144,7 +168,7 @@ def test_estimate_in_the_observation():
 
 
 def test_readings_scatter_as_stated():
-    """Mean and standard deviation of 20 000 readings of one state, in the units of the observation."""
+    """Mean and deviation of 20 000 readings of one state, in the units of the observation."""
     sim = simulation("blind")
     for name, value in {
         "slip": 0.4,
@@ -158,19 +182,9 @@ def test_readings_scatter_as_stated():
     w = sim.wheel(0)
     n = sim.scenario.noise
     radius = sim.scenario.wheel.radius
-    worlds = sim.worlds
     weight = sim.scenario.weight
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
-    out = np.zeros(SENSORS, np.float32)
-    rows = []
-    streams = worlds.streams.copy()
-    numbers = sim.numbers.task
-    for _ in range(20_000):
-        reading = sensors.sense(worlds.state, 0, streams, numbers.sensors)
-        write_observation(
-            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
-        )
-        rows.append(out[[*range(8), 11, 12]].astype(float))
+    rows = written(sim, 20_000)[:, [*range(8), 11, 12]].astype(float)
     truth, sd = np.array(
         [
             (w["slip"], n.slip),
@@ -194,31 +208,30 @@ def test_readings_scatter_as_stated():
 
 
 def test_the_observation_follows_from_readings_alone():
-    """With the readings held, no number of the true state shows, but that of the halt, which is commanded.
+    """With the readings held, no number of the true state shows, but the commanded halt.
 
     The estimator is given nothing but the record of the sensors.
     """
     sim = simulation("blind")
     for _ in range(30):
         sim.step(0, 0.3)
-    worlds = sim.worlds
-    numbers = sim.numbers.task
+    state = sim.worlds.state
+    scratch = new_scratch()
+    scratch.reading[0] = np.full(1, 0.3).repeat(len(READING.names)).view(READING)[0]
     seen = []
-    reading = sensors.sense(worlds.state, 0, worlds.streams.copy(), numbers.sensors)
     for factor in (1.0, 1.7):
-        for name in worlds.state.NAMES:
-            if name not in ("last_action", "rim_command", "halt_left", "odometer"):
-                worlds.state[name] *= factor
-        out = np.zeros_like(worlds.observation[0])
-        write_observation(
-            out, worlds.state, worlds.counts, 0, reading, worlds.courses, NOTHING_SEEN, numbers
-        )
-        seen.append(out)
+        for name in state.dtype.names:
+            shown = name in ("last_action", "rim_command", "halt_left", "odometer")
+            if not shown and state.dtype[name].kind == "f":
+                state[name] *= factor
+        seen.append(written(sim, scratch=scratch))
     np.testing.assert_array_equal(*seen)
 
 
 def test_odometry_is_off_as_stated():
-    """Scale and noise of the odometry over many courses; its difference is the reading of the speed."""
+    """Scale and noise of the odometry over many courses; its difference is the reading of the
+    speed.
+    """
     changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
     sim = started(load_scenario("mixed", changes), "blind", range(400))
     length = sim.scenario.course.length
@@ -319,7 +332,9 @@ def documented(env):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_entries_are_the_documented_ones(variant):
-    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers without a camera."""
+    """Name and bounds of every entry, of lines and axles by the entry that they repeat; numbers
+    without a camera.
+    """
     rows = documented(SoilWheelEnv)
     bounds = {row[1:] for row in rows}
     numbered = {row[:2] for row in rows}
@@ -344,7 +359,9 @@ def test_entries_are_the_documented_ones(variant):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_scaled_and_physical_are_the_same_drive(variant):
-    """Also where S is 1e6 exactly, the centre of its scale and the value of a line whose class was never met."""
+    """Also where S is 1e6 exactly, the centre of its scale and the value of a line whose class was
+    never met.
+    """
     scenario = replace(load_scenario("two_lines"), belief=Belief(sinkage_coefficient=1e6))
     env, seen = driven(scenario, observation=variant)
     other, values = driven(scenario, observation=variant, scaled=False)

@@ -1,4 +1,6 @@
-"""Worlds with effects: `model=` of the environments, judged by `steady.steady_with`, differences and random driving."""
+"""Worlds with effects: `model=` of the environments, judged by `steady.steady_with`, differences
+and random driving.
+"""
 
 import dataclasses
 import math
@@ -8,14 +10,13 @@ import pytest
 
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.parameters import Noise, Soil, SoilState, load_scenario, soils
-from soil_env.simulation.task.rules import task_numbers
-from soil_env.simulation.world.sensors import sense
-from soil_env.terramechanics.effects import CATALOGUE, acting, pack_effects
+from soil_env.terramechanics.effects import acting_effects, pack_effects
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.residual import ResidualTerm
 from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from soil_env.terramechanics.traversability import best_working_point_with
 from tests.simulation import wheels as bench
+from tests.simulation.courses import EVEN, course
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER, WHEEL
 
 SOFT = SoilState(math.tan(math.radians(34.0)), 1500.0, 0.012, 4e5, 0.8, 1.0, 0.5)
@@ -30,13 +31,15 @@ STILL = {"course": {"length": 40.0}, "noise": {f.name: 0.0 for f in dataclasses.
 
 
 def on_uniform_ground(effects, soil, grade, mode="wheel_speed", residual=()):
-    """One wheel at rest on one soil and grade, in a world with `effects`, without commanded halts."""
+    """One wheel at rest on one soil and grade, in a world with `effects`, without halts."""
     model = None if effects is None else model_of(effects, residual)
     return bench.on_uniform_ground(soil, grade, mode, model, **STILL)
 
 
 def settled(case, grade_deg):
-    """Sinkage, pull and torque [3, 3] of a wheel driven far: as read, by `steady_with`, and without the effect."""
+    """Sinkage, pull and torque [3, 3] of a wheel driven far: as read, by `steady_with`, and without
+    the effect.
+    """
     effects = {name: dict(values) for name, values in CASES[case].items()}
     soil = (
         SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT
@@ -44,41 +47,42 @@ def settled(case, grade_deg):
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:
-        wheels.courses.rut[0, :] = 1e-3
+        wheels.courses.cells["depth"] = 1e-3
         passes = 2.0
     wheels.drive([0.35] * 250)
     before = wheels.now().sinkage
     wheels.drive([0.35] * 5)
     w = wheels.now()
-    gravity = wheels.world.wheel.gravity
-    sensors = task_numbers(load_scenario("mixed", STILL), "blind", model_of(effects)).sensors
-    read = sense(wheels.state, 0, np.ones(1, dtype=np.uint64), sensors)
+    scenario = wheels.simulation.scenario
+    gravity = scenario.gravity
+    unit_weight = 1500.0 * gravity
+    slip, sunk, pull, _, torque = (float(x) for x in wheels.simulation.worlds.observation[0, :5])
     assert w.x > 2.0 and w.speed > 0.05
     assert w.sinkage == pytest.approx(before, rel=1e-6)
     weight = w.mass * gravity
     if "grousers" in effects:
         effects["grousers"]["slip_at_rim"] = 1.0  # the slip of the world is that of the rim
     at = Conditions(w.speed, passes, math.sin(w.grade))
-    rim = Rim(WHEEL.radius, WHEEL.width, LUG)
+    rim = Rim(WHEEL.radius, WHEEL.width, LUG, unit_weight)
     pulled = {"grade": {"share": 1.0}}
     stated = [
-        steady_with(read.slip, weight, soil, rim, at, 1500.0 * gravity, pack_effects(fx), 0.0)
+        steady_with(slip, weight, soil, rim, at, pack_effects(fx))
         for fx in ({**effects, "grade": {**pulled["grade"], **effects.get("grade", {})}}, pulled)
     ]
-    rows = np.array([[x.sinkage, x.drawbar_pull, x.torque] for x in (read, *stated)]) / [
-        0.15,
-        weight,
-        weight * 0.15,
-    ]
-    rows[0, 1] -= (
-        at.sin_grade
-    )  # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
-    return rows
+    shown = scenario.weight / weight  # the observation counts in weights without payload
+    # gravity along the slope pulls at the drawbar in the table, at the wheel in the world
+    read = [sunk, pull * shown - at.sin_grade, torque * shown]
+    scale = [0.15, weight, weight * 0.15]
+    return np.array(
+        [read, *(np.array([x.sinkage, x.drawbar_pull, x.torque]) / scale for x in stated)]
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_driven_wheel_settles_at_the_steady_state(case):
-    """Downhill and uphill at a constant wheel speed: sinkage, drawbar pull and torque as instruments read them."""
+    """Downhill and uphill at a constant wheel speed: sinkage, drawbar pull and torque as
+    instruments read them.
+    """
     change = 0.0
     for grade_deg in (-4.0, -1.0, 2.0):
         found, stated, without = settled(case, grade_deg)
@@ -88,7 +92,9 @@ def test_a_driven_wheel_settles_at_the_steady_state(case):
 
 
 def test_a_residual_law_acts_as_it_predicts():
-    """Its groups are those of the undisturbed soil and of the weight, whatever effects are on beside it."""
+    """Its groups are those of the undisturbed soil and of the weight, whatever effects are on
+    beside it.
+    """
     soil = Soil(
         friction_angle_deg=34.0,
         cohesion=1500.0,
@@ -106,7 +112,7 @@ def test_a_residual_law_acts_as_it_predicts():
     wheels = on_uniform_ground(effects, soil.state(0.15), math.radians(-3.0), residual=residual)
     wheels.drive([0.35] * 250)
     w = wheels.now()
-    weight = w.mass * wheels.world.wheel.gravity
+    weight = w.mass * wheels.rig.gravity
     conditions = {"slip": w.slip, "load": weight, "speed": w.speed, "grade_deg": -3.0}
     stated, without = (
         np.array([p.drawbar_pull[0] / weight, p.torque[0] / weight / 0.15])
@@ -129,7 +135,9 @@ def test_a_wheel_at_rest_has_settled():
 
 
 def trajectories(model, wheels=8, steps=250):
-    """(observations, rewards, states) under held random actions, full throttle and reverse among them."""
+    """(observations, rewards, states) under held random actions, full throttle and reverse among
+    them.
+    """
     rng = np.random.default_rng(0)
     held = rng.uniform(-0.2, 1.2, (steps // 8 + 1, wheels, 1))
     held[rng.random(held.shape) < 0.1] = -1.0
@@ -175,7 +183,9 @@ def test_multipass_acts_in_the_track_only():
 
 @pytest.mark.parametrize("case", [*CASES, "together", "residual"])
 def test_random_driving_converges(case):
-    """32 wheels under bang-bang commands in each mode of action; soil that softens breaks away under a dug wheel."""
+    """32 wheels under bang-bang commands in each mode of action; soil that softens breaks away
+    under a dug wheel.
+    """
     wheels = 32
     periods = 200 if "softening" in case else 60
     failures = 0
@@ -194,35 +204,38 @@ def test_random_driving_converges(case):
                 [-1.0, -0.3, 0.0, 0.3, 1.0, rng.uniform(-1.0, 1.0)], new.sum()
             )
             simulation.step_all(command, np.zeros(wheels, dtype=np.int8))
-            failures += np.sum(simulation.worlds.counts.converged == 0)
+            failures += np.sum(simulation.worlds.state["converged"] == 0)
         assert np.ptp(simulation.worlds.state["x"]) > 0.1
     assert failures <= 0.001 * 2 * wheels * periods
 
 
 @pytest.mark.parametrize("case", ACTING)
 def test_courses_are_passable_in_the_world_they_are_drawn_for(case):
-    """Starting and at half speed; steepness is used up, so that the effect is seen in the grades and not as slack."""
+    """Starting and at half speed; steepness is used up, so that the effect is seen in the grades
+    and not as slack.
+    """
     scenario = load_scenario("mixed")
     model = model_of(CASES[case])
-    wheel, (low, high), found, grades = scenario.wheel, scenario.course.margin, [], []
-    rate = CATALOGUE[case.split("-")[0]].speed_dependent is not None
+    wheel = scenario.wheel
+    low, high = scenario.course.margin
+    found = []
+    grades = []
+    rate = case.startswith(("penetration_rate", "shear_rate"))
     speed = 0.5 * wheel.no_load_speed * wheel.radius
-    rim = Rim(wheel.radius, wheel.width, LUG)
+    rim = Rim(wheel.radius, wheel.width, LUG, 1500.0 * scenario.gravity)
     for seed in range(25):
-        courses, mass, _ = bench.course(seed, scenario, model)
-        load = mass * scenario.gravity
-        for soil, grade in zip(
-            courses.soils[0, : courses.patches[0]], courses.grades[0], strict=False
-        ):
+        drawn = course(seed, scenario, model)
+        load = drawn.mass * scenario.gravity
+        for patch in drawn.patches:
+            grade = float(patch.grade)
             grades.append(math.degrees(grade))
             for v in (0.0, speed) if rate else (speed,):
                 best = best_working_point_with(
                     load * math.cos(grade),
-                    SoilState(*soil),
+                    SoilState(*(patch[name] for name in SoilState._fields)),
                     rim,
                     Conditions(v, 1.0, math.sin(grade)),
-                    1500.0 * scenario.gravity,
-                    acting(model.numbers),
+                    acting_effects(model.numbers),
                     wheel.stall_torque,
                 )
                 found.append(best.drawbar_pull / load - math.sin(grade))
@@ -237,8 +250,7 @@ def test_a_residual_law_counts_on_the_grades():
     tangents = []
     for residual in ((), (ResidualTerm("drawbar_pull", -0.05, {}),)):
         drawn = [
-            bench.course(seed, scenario, model_of({}, residual))[0].grades[0, 0]
-            for seed in range(20)
+            course(seed, scenario, model_of({}, residual)).patches["grade"][0] for seed in range(20)
         ]
         tangents.append(np.tan(drawn))
     low, high = np.tan(np.radians(scenario.course.grade_deg))
@@ -258,8 +270,8 @@ def test_patches_are_drawn_from_the_soil_of_the_model():
         dig_recovery=0.5,
     )
     model = model_of({}, soil=soil)
-    courses = bench.course(0, load_scenario("mixed", {"spread": bench.EVEN}), model)[0]
-    patches = courses.soils[0, : courses.patches[0]]
-    np.testing.assert_allclose(patches, np.broadcast_to(soil.state(0.15), patches.shape), rtol=1e-9)
-    friction = bench.course(0, load_scenario("mixed"), model)[0].soils[0, :3, 0]
+    even = course(0, load_scenario("mixed", {"spread": EVEN}), model).patches
+    for name, value in zip(SoilState._fields, soil.state(0.15), strict=True):
+        np.testing.assert_allclose(even[name], value, rtol=1e-9)
+    friction = course(0, load_scenario("mixed"), model).patches["tan_phi"]
     assert np.ptp(friction) > 0.0 and np.all(np.abs(np.degrees(np.arctan(friction)) - 31.0) < 10.0)

@@ -1,34 +1,26 @@
-"""Simulations, courses and wheels for tests: put at rest on courses, and stepped one control period at a time."""
+"""Simulations, courses and wheels for tests: at rest on courses, stepped a control period at a
+time.
+"""
 
-import math
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 
-from soil_env._numba.random_streams import seed_stream
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import HUGE
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
-from soil_env.simulation.world import courses as drawing, dynamics, terrain
-from soil_env.simulation.world.wheel import (
-    WheelCounts,
-    WheelState,
-    WorldNumbers,
-    settle,
-    world_numbers,
-)
-from soil_env.terramechanics.traversability import best_working_point
-
-IDLE = 2  # anything but `dynamics.STEP`
-#: `spread` of a scenario whose soils do not scatter.
-EVEN = dict.fromkeys(
-    ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0
-)
+from soil_env.parameters.readings import IDLE, STEP
+from soil_env.simulation.world.terrain import course_of
+from soil_env.simulation.world.wheel import World, settle_at
+from soil_env.terramechanics.contact import ARC_NODES
 
 
 def started(scenario, variant="blind", seeds=(0,), **options):
-    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its course."""
+    """Simulation of a wheel or a rover for each seed of `default_rng`, each at the start of its
+    course.
+    """
     kind = RoverSimulation if isinstance(scenario, RoverScenario) else Simulation
     simulation = kind(len(seeds), scenario, variant, threads=1, **options)
     for k, seed in enumerate(seeds):
@@ -37,67 +29,42 @@ def started(scenario, variant="blind", seeds=(0,), **options):
     return simulation
 
 
-def course(seed, scenario, model=None, whole=True):
-    """(courses, mass, numbers) of one course, or of its start only."""
-    courses = terrain.new_courses(1, scenario)
-    numbers = drawing.course_numbers(scenario, model)
-    words = np.array([seed_stream(np.random.default_rng(seed))], dtype=np.uint64)
-    return (
-        courses,
-        (drawing.draw_course if whole else drawing.start_course)(0, courses, words, numbers),
-        numbers,
-    )
+def set_soil(patches, soil):
+    """Give patches a soil (`SoilState` of numbers or of arrays that fit the patches)."""
+    for name, value in zip(SoilState._fields, soil, strict=True):
+        patches[name] = value
 
 
-def margin(soil, grade, mass, scenario):
-    """Best steady drawbar pull over the grade [of weight], computed from soil and grade alone."""
-    wheel = scenario.wheel
-    load = mass * scenario.gravity
-    best = best_working_point(load, SoilState(*soil), wheel.radius, wheel.width, wheel.stall_torque)
-    assert best.torque <= wheel.stall_torque
-    return best.drawbar_pull / load - math.tan(grade)
+class Wheels:
+    """Wheels of a simulation that are stepped one control period at a time."""
 
-
-class Wheels(NamedTuple):
-    """Wheels with all that `dynamics.advance` takes of them."""
-
-    courses: terrain.Courses
-    state: WheelState
-    counts: WheelCounts
-    streams: np.ndarray
-    world: WorldNumbers
+    def __init__(self, simulation: Simulation) -> None:
+        self.simulation = simulation
+        self.state = simulation.worlds.state
+        self.courses = simulation.worlds.courses
+        self.rig = simulation.numbers.rig[0]
 
     def step(self, commands, which=None) -> None:
-        """One control period of the wheels `which`, or of all, with one command for all or one for each wheel."""
-        wheels = len(self.state)
-        what = np.full(wheels, IDLE, dtype=np.int8)
-        given = np.zeros(wheels)
-        what[slice(None) if which is None else which] = dynamics.STEP
+        """One control period of the wheels `which`, or of all, with one command for all or one for
+        each wheel.
+        """
+        orders = np.full(len(self.state), IDLE)
+        given = np.zeros(len(self.state))
+        orders[slice(None) if which is None else which] = STEP
         given[:] = commands
-        for first in range(0, wheels, dynamics.MANY):
-            count = min(dynamics.MANY, wheels - first)
-            dynamics.advance(
-                self.state,
-                self.counts,
-                first,
-                count,
-                what,
-                given,
-                self.courses,
-                self.streams,
-                self.world,
-            )
+        self.simulation.step_all(given, orders)
 
     def refined(self, times: int) -> "Wheels":
-        """The same wheels with steps so many times as short."""
-        return self._replace(world=self.world._replace(substeps=self.world.substeps * times))
+        """These wheels, henceforth with steps so many times as short."""
+        self.rig.substeps *= times
+        return self
 
     def now(self, k: int = 0) -> SimpleNamespace:
-        """State and counts of wheel k as they are now."""
-        return SimpleNamespace(**self.state[k], **self.counts[k])
+        """State of wheel k as it is now."""
+        return SimpleNamespace(**self.simulation.wheel(k))
 
     def drive(self, commands) -> np.ndarray:
-        """Rows (x, sinkage, speed, slip) [steps, 4] of the first wheel after each control period."""
+        """Rows (x, sinkage, speed, slip) [steps, 4] of the first wheel after each period."""
         rows = []
         for command in commands:
             self.step(command)
@@ -106,42 +73,44 @@ class Wheels(NamedTuple):
 
 
 def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
-    """One wheel for each seed at rest at the start of its own random course."""
-    scenario = load_scenario("mixed", {"control": {"action": mode}, "course": course or {}})
-    count = len(seeds)
-    courses = terrain.new_courses(count, scenario)
-    world = world_numbers(scenario, model)
-    streams = np.array(
-        [seed_stream(np.random.default_rng(seed)) for seed in seeds], dtype=np.uint64
-    )
-    wheels = Wheels(courses, WheelState(count), WheelCounts(count), streams, world)
-    numbers = drawing.course_numbers(scenario, model)
-    for k in range(count):
-        mass = drawing.draw_course(k, courses, streams, numbers)
-        settle(wheels.state, wheels.counts, k, mass, courses, streams, world)
-    return wheels
+    """One wheel for each seed at rest at the start of its own random course, drawn to its end."""
+    control = {"action": mode, "repeat": 1}
+    scenario = load_scenario("mixed", {"control": control, "course": course or {}})
+    simulation = started(scenario, "blind", seeds, model=model)
+    for k in range(len(seeds)):
+        simulation.complete(k)
+    return Wheels(simulation)
+
+
+@kept
+def _settle(state, courses, mass, rig, acting, nodes):
+    settle_at(state[0], 0.0, mass, course_of(courses, 0), World(rig[0], acting, nodes[0]))
 
 
 def on_uniform_ground(
     soil, grade=0.0, mode="torque", model=None, payload=2.0, **settings
 ) -> Wheels:
     """One wheel at rest on one soil (`SoilState`) and grade [rad], without commanded halts."""
-    scenario = load_scenario("mixed", {"control": {"action": mode}, **settings})
-    courses = terrain.new_courses(1, scenario)
-    world = world_numbers(scenario, model)
-    courses.edges[0, :2] = (0.0, 1e3)
-    courses.patches[0] = 1
-    courses.soils[0, :] = soil
-    courses.grades[0, :] = grade
-    wheels = Wheels(courses, WheelState(1), WheelCounts(1), np.zeros(1, dtype=np.uint64), world)
-    settle(
-        wheels.state,
-        wheels.counts,
-        0,
-        scenario.wheel.body_mass + payload,
-        courses,
-        wheels.streams,
-        world,
-    )
-    wheels.state.next_halt[0] = math.inf
-    return wheels
+    changes = {"control": {"action": mode, "repeat": 1}, **settings}
+    scenario = load_scenario("mixed", changes)
+    simulation = Simulation(1, scenario, "blind", threads=1, model=model)
+    state = simulation.worlds.state
+    courses = simulation.worlds.courses
+    courses.heads["ready"] = HUGE
+    lay_patches(courses, (0.0, 1e3), [soil], [grade])
+    numbers = simulation.numbers
+    mass = scenario.wheel.body_mass + payload
+    _settle(state, courses, mass, numbers.rig, numbers.acting, np.zeros(1, ARC_NODES))
+    state["next_halt"] = HUGE
+    return Wheels(simulation)
+
+
+def lay_patches(courses, borders, soils, grades) -> None:
+    """Lay patches between `borders` [m] as the only ones of course 0."""
+    courses.heads["patches"][0] = len(soils)
+    for p, (soil, grade) in enumerate(zip(soils, grades, strict=True)):
+        patch = courses.patches[0, p]
+        patch.start = borders[p]
+        patch.end = borders[p + 1]
+        patch.grade = grade
+        set_soil(courses.patches[0, p : p + 1], soil)

@@ -6,23 +6,22 @@ that the last reaction foresees, and again with those of the forces found, where
 `LOAD_TOLERANCE`.
 """
 
-from typing import NamedTuple
+import math
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.elementary import asin_root, larger, smaller, sqrt, where_less
-from soil_env._numba.lanes import COUNT, fill, from_array, to_array
-from soil_env._numba.rows import Rows, rows
-from soil_env.parameters import RoverScenario
+from soil_env._compiled.elementary import asin_root, sin_cos
+from soil_env._compiled.flags import FINITE, record
+from soil_env.parameters import MOST_AXLES, RoverScenario
 
-LOAD_TOLERANCE = 0.02  # of the mean load of an axle
-LEAST_LOAD = 0.02  # of the mean load of an axle: none is taken to lift off
+LOAD_TOLERANCE = 0.02  # [of the mean load of an axle] change of a load that asks for a new solution
+LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle bears: none is taken to lift off
+STEEPEST = 0.9  # [-] largest sine of the pitch
 
-#: Rovers as wholes. The names that `WheelState` has too mean the same, so that its laws of halts, of progress, of
-#: odometry and of the reward hold for rovers.
-BodyState: type[Rows] = rows(
-    "BodyState",
+#: A rover as a whole. The names that `WHEEL` has too mean the same, so that its laws of halts, of progress, of odometry
+#: and of the reward hold for rovers.
+BODY = record(
     "x",  # [m] distance along the course of the rear axle: how far the whole rover has come
     "best_x",  # [m] furthest x so far
     "speed",  # V [m/s]
@@ -34,126 +33,124 @@ BodyState: type[Rows] = rows(
     "drawbar_pull",  # [N] of all wheels of one side
     "motor_work",  # [J] of one side in the last control period, without recuperation
     "travel",  # [m] in the last control period
-    "mark_x",  # as in `WheelState`, as all that follow
+    "mark_x",  # as in `WHEEL`, as all that follow
     "idle_time",
     "stalled_time",
     "odometer",
     "odometer_scale",
     "next_halt",
     "halt_left",
+    stream=("u8",),
+    converged=("i8",),
+    steps=("i8",),
 )
-#: What is counted of rovers.
-BodyCounts: type[Rows] = rows("BodyCounts", "converged", "steps", kind=np.int64)
 #: What an axle has beside its wheel.
-AxleState: type[Rows] = rows(
-    "AxleState",
+AXLE = record(
     "height",  # [m] of the undisturbed ground under the wheel
     "floor",  # [m] depth below it of the rut that the wheels ahead have left there
 )
+#: A `Vehicle` as compiled code takes it. Arms count from the centre of mass forward.
+SUSPENSION = record(
+    "base",  # [m] from the front axle to the rear one
+    "height",  # [m] of the centre of mass above the axles
+    "pivot_arm",  # [m] of the bogie's pivot
+    "pivot_height",  # [m] above the axles
+    places=("f8", MOST_AXLES),  # [m] behind the front axle
+    arms=("f8", MOST_AXLES),  # [m]
+    shares=("f8", MOST_AXLES),  # [-] of the weight at rest on level ground
+    axles=("i8",),
+    bogie=("i8",),  # first axle on it; -1: none
+)
 
 
-class Suspension(NamedTuple):
-    """A `Vehicle` as the compiled code takes it."""
-
-    axles: int
-    base: float  # [m] from the front axle to the rear one
-    places: np.ndarray  # [axles] behind the front axle [m]
-    shares: np.ndarray  # [axles] of the weight at rest on level ground
-    arms: np.ndarray  # [axles] how far ahead of the centre of mass [m]
-    height: float  # [m] of the centre of mass above the axles
-    bogie: int  # first axle on it; -1: none
-    pivot_arm: float  # [m] of the bogie's pivot, ahead of the centre of mass
-    pivot_height: float  # [m] above the axles
-
-
-def suspension_of(scenario: RoverScenario) -> Suspension:
-    """Pack the vehicle of a scenario."""
+def suspension_of(scenario: RoverScenario) -> np.ndarray:
+    """Pack the vehicle of a scenario, `SUSPENSION` [1]."""
     v = scenario.vehicle
+    axles = scenario.axles
     places = np.array(v.axles)
-    return Suspension(
-        len(places),
-        v.base,
-        places,
-        np.array(v.shares),
-        v.centre - places,
-        v.centre_height,
-        v.first_on_bogie,
-        v.centre - v.pivot,
-        v.pivot_height,
-    )
+    s = np.zeros(1, SUSPENSION)
+    s["base"] = v.base
+    s["height"] = v.centre_height
+    s["pivot_arm"] = v.centre - v.pivot
+    s["pivot_height"] = v.pivot_height
+    s["places"][0, :axles] = places
+    s["arms"][0, :axles] = v.centre - places
+    s["shares"][0, :axles] = v.shares
+    s["axles"] = axles
+    s["bogie"] = v.first_on_bogie
+    return s
 
 
-@compiled_inline
-def _between(together, moment, arm, other_arm, least):
-    """Loads at two arms [m] that bear `together` [N] and balance a moment [N m], each at least `least`."""
-    one = (-1.0 * moment - other_arm * together) * (1.0 / (arm - other_arm))
-    one = smaller(larger(one, least), together - least)
+@njit(**FINITE)
+def _share_out(together, moment, arm, other_arm, least):
+    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least `least`."""
+    one = (-moment - other_arm * together) / (arm - other_arm)
+    one = min(max(one, least), together - least)
     return one, together - one
 
 
-@compiled_inline
-def _moment(forces, k, height):
-    """Moment [N m], front up, of pull and torque of the wheels in columns k on about a point so high above the axle."""
-    return from_array(forces.torque, k) + height * from_array(forces.drawbar_pull, k)
+@njit(**FINITE)
+def _moment(force, height):
+    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above its axle."""
+    return force.torque + height * force.drawbar_pull
 
 
-@compiled_inline
-def bear(forces, weight, s, loads):
-    """Loads [N] of the axles of eight rovers into `loads`, eight a axle, in equilibrium with the torques and drawbar
-    pulls of `forces`; `weight` [N] is normal to the body."""
-    least = (LEAST_LOAD / s.axles) * weight
-    moment = fill(0.0)
+@njit(**FINITE)
+def bear(forces, weight, s):
+    """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of `forces` [axles].
+
+    `weight` [N] is normal to the body. With two axles the third load is 0.
+    """
+    least = LEAST_LOAD / s.axles * weight
+    moment = 0.0
     for a in range(s.axles):
-        moment = moment + _moment(forces, a * COUNT, s.height)
-    if s.bogie < 0:
-        front, rear = _between(weight, moment, s.arms[0], s.arms[1], least)
-        to_array(front, loads, 0)
-        to_array(rear, loads, COUNT)
-        return
+        moment += _moment(forces[a], s.height)
     b = s.bogie
-    k = b * COUNT
-    about = _moment(forces, k, s.pivot_height) + _moment(forces, k + COUNT, s.pivot_height)
+    if b < 0:
+        front, rear = _share_out(weight, moment, s.arms[0], s.arms[1], least)
+        return front, rear, 0.0
+    about = _moment(forces[b], s.pivot_height) + _moment(forces[b + 1], s.pivot_height)
     single = 2 if b == 0 else 0
-    alone, pair = _between(weight, moment - about, s.arms[single], s.pivot_arm, least)
-    pair = larger(pair, 2.0 * least)
+    alone, pair = _share_out(weight, moment - about, s.arms[single], s.pivot_arm, least)
+    pair = max(pair, 2.0 * least)
     alone = weight - pair
-    front, rear = _between(pair, about, s.arms[b] - s.pivot_arm, s.arms[b + 1] - s.pivot_arm, least)
-    to_array(alone, loads, single * COUNT)
-    to_array(front, loads, b * COUNT)
-    to_array(rear, loads, (b + 1) * COUNT)
+    front_arm = s.arms[b] - s.pivot_arm
+    front, rear = _share_out(pair, about, front_arm, s.arms[b + 1] - s.pivot_arm, least)
+    if b == 0:
+        return front, rear, alone
+    return alone, front, rear
 
 
-@compiled_inline
-def _axle_height(wheels, axles, k):
-    return from_array(axles.height, k) - from_array(axles.floor, k) - from_array(wheels.sinkage, k)
+@njit(**FINITE)
+def _height_of(rover, a):
+    """Height [m] of the lowest point of the wheel of an axle."""
+    axle = rover.axles[a]
+    return axle.height - axle.floor - rover.wheels[a].sinkage
 
 
-@compiled_inline
-def rise_of_body(wheels, axles, first, s):
-    """Sine of the pitch of eight rovers' bodies, from where their wheels stand."""
-    front = _axle_height(wheels, axles, first)
-    rear = _axle_height(wheels, axles, first + (s.axles - 1) * COUNT)
+@njit(**FINITE)
+def take_pitch(rover, s):
+    """Pitch of the body of a rover, from where its wheels stand."""
+    front = _height_of(rover, 0)
+    rear = _height_of(rover, s.axles - 1)
     length = s.base
-    if s.bogie >= 0:
-        b = s.bogie
-        share = (s.arms[b] - s.pivot_arm) / (
-            s.arms[b] - s.arms[b + 1]
-        )  # of the rear one of its axles
-        k = first + b * COUNT
-        pivot = (1.0 - share) * _axle_height(wheels, axles, k) + share * _axle_height(
-            wheels, axles, k + COUNT
-        )
+    b = s.bogie
+    if b >= 0:
+        on_rear = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])
+        pivot = (1.0 - on_rear) * _height_of(rover, b) + on_rear * _height_of(rover, b + 1)
         if b == 0:
             front = pivot
             length = s.pivot_arm - s.arms[2]
         else:
             rear = pivot
             length = s.arms[0] - s.pivot_arm
-    return smaller(larger((front - rear) * (1.0 / length), -0.9), 0.9)
+    sine = min(max((front - rear) / length, -STEEPEST), STEEPEST)
+    angle = asin_root(sine * sine)
+    rover.body.pitch = -angle if sine < 0.0 else angle
 
 
-@compiled_inline
-def angle_of(sine):
-    """Angle [rad] of a sine, in lanes."""
-    half = asin_root(0.5 - 0.5 * sqrt(1.0 - sine * sine))
-    return where_less(sine, 0.0, -2.0 * half, 2.0 * half)
+@njit(**FINITE)
+def weight_of(body, gravity):
+    """Weight [N] of one side of a rover, normal to its body."""
+    sine = sin_cos(body.pitch)[0]
+    return gravity * body.mass * math.sqrt(1.0 - sine * sine)

@@ -1,257 +1,200 @@
-"""One control period of eight rovers in lanes: stages, soil and ruts of `simulation.dynamics`, axle by axle.
+"""One control period of a rover: stages, soil and ruts of `simulation.world`, axle by axle.
 
-A block of eight rovers has its wheels side by side, eight a axle from the front on (`wheel.wheel_of`), so that each
-operation acts on the same axle of eight rovers. They share no number: a rover alone gives what it gives among others.
 All wheels of a rover run over the same course, each leaving its rut to those behind it.
 """
 
-from typing import NamedTuple
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import larger, sine_of
-from soil_env._numba.lanes import COUNT, from_array, scratch, to_array
-from soil_env._numba.rows import Rows, scratch_rows
-from soil_env.parameters import MOST_AXLES
-from soil_env.simulation.rover.body import angle_of, rise_of_body
-from soil_env.simulation.rover.newton import foresee, set_up, solve_speeds, weight_of
-from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, pass_on
+from soil_env._compiled.elementary import sin_cos
+from soil_env._compiled.flags import FINITE
+from soil_env.simulation.rover.body import take_pitch
+from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
+from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
 from soil_env.simulation.world.dynamics import (
     FINEST,
-    MOST_STEPS,
-    STEP,
-    arrive,
-    begin_period,
-    leave_ruts,
+    GAMMA,
+    OVER,
+    held_change,
     move,
     stage_of,
+    stand,
     steps_for,
 )
-from soil_env.simulation.world.stage import (
-    GAMMA,
-    Period,
-    Substep,
-    gather_ground,
-    held_change,
-    new_equations,
-    new_footing,
-    new_newton,
-    new_nodes,
+from soil_env.simulation.world.newton import Motion
+from soil_env.simulation.world.terrain import Course
+from soil_env.simulation.world.wheel import (
+    Ground,
+    World,
+    begin_period,
+    commanded,
+    end_period,
+    leave_ruts,
+    measure_slip,
 )
-from soil_env.simulation.world.terrain import between_cells
-from soil_env.simulation.world.wheel import finish, wheel_of
-from soil_env.slip import slip_ratio
-from soil_env.terramechanics.reaction import REST_SPEED
-
-_period = scratch_rows(Period, MOST_AXLES * COUNT)
-_changes = scratch(MOST_AXLES * COUNT)
+from soil_env.terramechanics.ground import put_soil, soil_of
 
 
-class Rovers(NamedTuple):
-    """State of many rovers, of their wheels (`wheel.wheel_of`) and of what axles have beside."""
-
-    body: Rows  # BodyState
-    body_counts: Rows  # BodyCounts
-    wheels: Rows  # WheelState
-    counts: Rows  # WheelCounts
-    axles: Rows  # AxleState
+@njit(**FINITE)
+def _stage_of(number, h, wheel, foot, rig):
+    """`Stage` of the wheel of an axle."""
+    rim = rig.radius * wheel.wheel_speed
+    return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
 
 
-@compiled_inline
-def _climb(wheels, axles, ruts, k, before, grade):
-    """Height of the ground and depth of the rut under eight wheels that have moved from `before` [m] on."""
-    rise = (from_array(wheels.x, k) - before) * sine_of(grade)
-    to_array(from_array(axles.height, k) + rise, axles.height, k)
-    for i in range(k, k + COUNT):
-        axles.floor[i] = between_cells(ruts.floor, i, wheels.x[i])
+@njit(**FINITE)
+def _keep_stand(foot, at):
+    """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
+    put_soil(foot, at.ground.soil)
+    foot.sinkage = at.ground.sinkage
+    foot.grade = at.ground.grade
+    foot.along = at.along
+    foot.theta1 = at.footing.theta1
+    foot.p_cos = at.footing.p_cos
+    foot.p_sin = at.footing.p_sin
+    foot.lift = at.beside.lift
+    foot.bulldozing = at.beside.bulldozing
+    foot.blades = at.beside.blades
+    foot.pull = at.beside.pull
+    foot.torque = at.beside.torque
 
 
-@compiled_inline
-def take_pitch(rovers, j, s):
-    """Pitch of the bodies of the eight rovers of which j is one, from where their wheels stand."""
-    block = j // COUNT * COUNT
-    to_array(
-        angle_of(rise_of_body(rovers.wheels, rovers.axles, block * s.axles, s)),
-        rovers.body.pitch,
-        block,
-    )
+@njit(**FINITE)
+def _take_stage(rover, number, h, forced, world):
+    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is `forced` on."""
+    rig = world.rig
+    scratch = world.stages
+    axles = world.suspension.axles
+    course = rover.course
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        foot = scratch.feet[a]
+        stage = _stage_of(number, h, wheel, foot, rig)
+        foot.rim_start = stage.rim
+        under = Course(course.head, course.patches, rover.ruts[a], None, None, None)
+        at = stand(wheel, stage, under, float(a), World(rig, world.acting, scratch.nodes[a]))
+        _keep_stand(foot, at)
+    stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
+    at_end = equation_of(stage.speed, stage.implicit, rover.body.mass, rig)
+    speed, converged = solve_speeds(rover, at_end, world)
+    if not (converged or forced):
+        return False
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        foot = scratch.feet[a]
+        axle = rover.axles[a]
+        stage = _stage_of(number, h, wheel, foot, rig)
+        end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
+        ground = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.grade)
+        before = wheel.x
+        move(wheel, end, stage, ground, foot, rig)
+        axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]
+        axle.floor = floor_at(rover.ruts[a], wheel.x)
+    take_pitch(rover, world.suspension)
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        cell = wheel.cell
+        leave_ruts(wheel, rover.ruts[a], soil_of(scratch.feet[a]), COMPACTION_OF_RUT)
+        pass_on(rover.ruts, a, cell, wheel.cell)
+    return True
 
 
-@compiled_part
-def _drive(rovers, block, period, courses, ruts, world, s, left, longest, force):
-    """Steps of at most `longest` seconds for `left` seconds, of those of eight rovers that are alive in `period`.
-
-    A rover for which Newton's method fails stays as it was before that stage, with the rest of its time in
-    `period.left`; with `force` = 1 it goes on.
-    """
-    body = rovers.body
-    wheels = rovers.wheels
-    axles = rovers.axles
-    counts = rovers.counts
-    sub = Substep(new_footing(), new_equations(), new_nodes(), new_newton())
-    trial = new_newton()
-    first = block * s.axles
-    while left > 1e-9 * longest:
-        h = min(longest, left)
-        for number in range(2):
-            stage = stage_of(number, h)
-            for a in range(s.axles):
-                gather_ground(
-                    wheels,
-                    counts,
-                    first,
-                    a * COUNT,
-                    period,
-                    sub.footing,
-                    courses,
-                    ruts,
-                    world,
-                    stage.duration,
-                )
-            set_up(
-                wheels,
-                body,
-                block,
-                first,
-                period,
-                sub,
-                world,
-                s,
-                GAMMA * h,
-                stage.lead,
-                stage.duration,
-            )
-            solve_speeds(sub, trial, period, weight_of(body, block, world), world, s, GAMMA * h)
-            for a in range(s.axles):
-                i = a * COUNT
-                before = from_array(wheels.x, first + i)
-                move(wheels, first, i, period, sub, world, stage, force)
-                _climb(wheels, axles, ruts, first + i, before, from_array(sub.footing.grade, i))
-            take_pitch(rovers, block, s)
-            for i in range(s.axles * COUNT):
-                if period.alive[i] > 0.0:
-                    gain = sub.footing.dig_gain[i]
-                    recovery = sub.footing.dig_recovery[i]
-                    cell = counts.cell[first + i]
-                    leave_ruts(wheels, counts, first + i, ruts, gain, recovery, COMPACTION_OF_RUT)
-                    pass_on(ruts, first + i, s.axles - 1 - i // COUNT, cell, counts.cell[first + i])
-        left -= h
+@njit(**FINITE)
+def _take_step(rover, h, forced, world):
+    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
+    for a in range(world.suspension.axles):
+        foot = world.stages.feet[a]
+        foot.speed_before = rover.wheels[a].speed
+        foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
+    for number in range(2):
+        if not _take_stage(rover, number, h, forced, world):
+            return number * (GAMMA * h)
+    return h
 
 
-@compiled_part
-def _drive_alone(rovers, block, lane, period, courses, ruts, world, s):
-    """The rest of the control period of one rover of a block, by steps halved while Newton's method fails."""
-    longest = world.period / (world.substeps * period.steps[lane])
-    end = s.axles * COUNT
-    for i in range(end):
-        period.alive[i] = 0.0
-    left = period.left[lane]
-    h = longest
-    while left > 1e-9 * longest:
-        h = min(h, left)
-        finest = h <= longest / FINEST
-        for i in range(lane, end, COUNT):
-            period.alive[i] = 1.0
-            period.left[i] = h
-        _drive(rovers, block, period, courses, ruts, world, s, h, h, 1.0 if finest else 0.0)
-        failed = period.alive[lane] == 0.0
-        left -= h - (period.left[lane] if failed else 0.0)
-        h = 0.5 * h if failed else longest
-    for i in range(lane, end, COUNT):
-        period.left[i] = 0.0
-
-
-@compiled_inline
-def _choose_steps(rovers, block, period, world, s):
-    """Steps that eight rovers take in this control period where others take one (`newton.change_ahead`)."""
-    wheels = rovers.wheels
-    body = rovers.body
-    first = block * s.axles
-    changes = _changes()
-    dv = foresee(
-        wheels,
-        first,
-        period,
-        world,
-        s,
-        world.period / world.substeps,
-        from_array(body.mass, block),
-        0.0,
-        changes,
-    )
+@njit(**FINITE)
+def _change_ahead(rover, world):
+    """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
+    rig = world.rig
+    for a in range(world.suspension.axles):
+        world.stages.feet[a].rim_start = rig.radius * rover.wheels[a].wheel_speed
+    usual = rig.period / rig.substeps
+    dv = foresee(rover, equation_of(rover.wheels[0].speed, usual, rover.body.mass, rig), world)
     change = abs(dv)
-    for a in range(s.axles):
-        i = a * COUNT
-        change = larger(
-            change, held_change(from_array(changes, i), wheels, first + i, i, period, world)
-        )
-    steps = steps_for(
-        change / (world.wheel.radius * world.no_load_speed), from_array(body.halt_left, block)
-    )
-    for a in range(s.axles):
-        to_array(steps, period.steps, a * COUNT)
+    for a in range(world.suspension.axles):
+        du = world.stages.found[a].change
+        change = max(change, held_change(du, rover.wheels[a], world.stages.feet[a], rig))
+    return change / (rig.radius * rig.no_load_speed)
 
 
-@compiled_part
-def advance(rovers, block, what, commands, courses, ruts, streams, world, s):
-    """One control period of those of the rovers `block` ... `block` + 7 with what[j] = STEP.
+@njit(**FINITE)
+def _drive_period(rover, world):
+    """Drive a rover for a control period by steps that are halved while Newton's method fails."""
+    rig = world.rig
+    steps = steps_for(_change_ahead(rover, world), rover.body.halt_left)
+    longest = rig.period / (rig.substeps * steps)
+    left = rig.period
+    h = longest
+    failed = False
+    while left > OVER * longest:
+        h = min(h, left)
+        driven = _take_step(rover, h, h <= longest / FINEST, world)
+        left -= driven
+        if driven == h:
+            h = longest
+        else:
+            h = 0.5 * h if failed else longest  # after the first failure the rest is tried once more
+            failed = True
 
-    `commands` [wheels] in [-1, 1]: actions, see `wheel.commanded`. During a halt the drive ignores them and holds the
-    wheels. `rovers`, `courses`, `ruts` and `streams` are renewed in place.
+
+@njit(**FINITE)
+def control_period(rover, actions, world):
+    """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
+
+    In a halt the drives ignore them and hold the wheels with their speed loops.
     """
-    body = rovers.body
-    wheels = rovers.wheels
-    period = _period()
-    first = block * s.axles
-    end = s.axles * COUNT
-    for i in range(end):
-        k = first + i
-        j = block + i % COUNT
-        going = j < what.size and what[j] == STEP
-        begin_period(wheels, k, i, period, commands, going, body.halt_left[j] > 0.0, world)
-    _choose_steps(rovers, block, period, world, s)
-    steps = 1
-    while steps <= MOST_STEPS:
-        going = 0.0
-        for i in range(end):
-            period.alive[i] = 1.0 if period.left[i] > 0.0 and period.steps[i] == steps else 0.0
-            going += period.alive[i]
-        if going > 0.0:
-            longest = world.period / (world.substeps * steps)
-            _drive(rovers, block, period, courses, ruts, world, s, world.period, longest, 0.0)
-            arrive(period, end)
-        steps *= 2
-    for lane in range(min(COUNT, what.size - block)):
-        if what[block + lane] == STEP:
-            if period.left[lane] > 0.0:
-                _drive_alone(rovers, block, lane, period, courses, ruts, world, s)
-            rovers.body_counts.converged[block + lane] = 1 if period.clean[lane] > 0.0 else 0
-            _as_a_whole(rovers, block + lane, period, lane, streams, world, s)
+    halted = rover.body.halt_left > 0.0
+    for a in range(world.suspension.axles):
+        wheel = rover.wheels[a]
+        foot = world.stages.feet[a]
+        drive = commanded(wheel, actions[a], halted, world.rig)
+        foot.command = drive.command
+        foot.by_speed = drive.by_speed
+        foot.start = wheel.x
+        begin_period(wheel)
+    _drive_period(rover, world)
+    _sum_up(rover, world)
 
 
-@compiled_inline
-def _as_a_whole(rovers, j, period, lane, streams, world, s):
-    """The end of a control period of rover j, in a lane of its block."""
-    body = rovers.body
-    wheels = rovers.wheels
-    fastest = slip = deepest = pull = work = 0.0
-    for a in range(s.axles):
-        k = wheel_of(j, a, s.axles)
-        rim = wheels.wheel_speed[k]
-        wheels.slip[k] = slip_ratio(rim * world.wheel.radius, wheels.speed[k], REST_SPEED)
-        wheels.travel[k] = wheels.x[k] - period.start[a * COUNT + lane]
-        fastest = rim if abs(rim) > abs(fastest) else fastest
-        slip += wheels.slip[k]
-        deepest = max(deepest, wheels.sinkage[k] + rovers.axles.floor[k])
-        pull += wheels.drawbar_pull[k]
-        work += max(wheels.motor_work[k], 0.0)
-    rear = wheel_of(j, s.axles - 1, s.axles)
-    start = body.x[j]
-    body.x[j] = wheels.x[rear]
-    body.speed[j] = wheels.speed[rear]
-    body.wheel_speed[j] = fastest
-    body.best_x[j] = max(body.best_x[j], body.x[j])
-    body.sinkage[j] = deepest
-    body.drawbar_pull[j] = pull
-    body.motor_work[j] = work
-    finish(body, rovers.body_counts, j, start, streams, world)
-    body.slip[j] = slip / s.axles
+@njit(**FINITE)
+def _sum_up(rover, world):
+    """The end of a control period of a rover as a whole."""
+    body = rover.body
+    axles = world.suspension.axles
+    fastest = 0.0
+    slip = 0.0
+    deepest = 0.0
+    pull = 0.0
+    work = 0.0
+    body.converged = 1
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        measure_slip(wheel, world.rig)
+        wheel.travel = wheel.x - world.stages.feet[a].start
+        if abs(wheel.wheel_speed) > abs(fastest):
+            fastest = wheel.wheel_speed
+        slip += wheel.slip
+        deepest = max(deepest, wheel.sinkage + rover.axles[a].floor)
+        pull += wheel.drawbar_pull
+        work += max(wheel.motor_work, 0.0)
+        body.converged = min(body.converged, wheel.converged)
+    rear = rover.wheels[axles - 1]
+    start = body.x
+    body.x = rear.x
+    body.best_x = max(body.best_x, rear.x)
+    body.speed = rear.speed
+    body.wheel_speed = fastest
+    body.slip = slip / axles
+    body.sinkage = deepest
+    body.drawbar_pull = pull
+    body.motor_work = work
+    end_period(body, start, body, world.rig)

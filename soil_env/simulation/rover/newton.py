@@ -1,301 +1,326 @@
-"""Newton's method for the speeds of a stage of a step of eight rovers in lanes: one of travel, one of rotation an axle.
+"""Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an axle.
 
 The equation of each axle has its own rim speed and V only, so a step of Newton's method is the elimination of all rim
-speeds, at a cost that is linear in the axles. Stages and reaction are those of `simulation.stage`.
+speeds, at a cost that is linear in the axles. Stages and reaction are those of `simulation.world`.
 """
 
-from soil_env._numba.compiling import compiled_inline, compiled_part
-from soil_env._numba.elementary import below, chosen, larger, sine_of, sqrt
-from soil_env._numba.lanes import COUNT, bits, fill, from_array, to_array
-from soil_env._numba.records import keep_where
-from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear
-from soil_env.simulation.world.newton import HUGE, PASSES, TOLERANCE, compare, near_enough
-from soil_env.simulation.world.stage import (
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from soil_env._compiled.elementary import sin_cos
+from soil_env._compiled.flags import FINITE, HUGE, record
+from soil_env.parameters import MOST_AXLES, SoilState
+from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, weight_of
+from soil_env.simulation.world.newton import (
+    LEAST_GAIN,
+    LEAST_PIVOT,
+    PASSES,
     SHORT,
-    behind,
-    choose_reaction,
-    foreseen_rim,
-    load_reaction,
-    reaction_at,
-    same_reaction,
-    stand,
-    store_reaction,
+    SHORTER,
+    TOLERANCE,
+    TRIES,
+    last_force,
+    near_enough,
 )
-from soil_env.terramechanics.motor import motor
-from soil_env.terramechanics.reaction import REST_SPEED
+from soil_env.simulation.world.terrain import Course
+from soil_env.terramechanics.contact import ARC_NODES
+from soil_env.terramechanics.motor import motor_torque
+from soil_env.terramechanics.reaction import (
+    REST_SPEED,
+    Acting,
+    Beside,
+    Footing,
+    Reaction,
+    reaction,
+)
 
-_LEAST_PIVOT = 1e-12
-_TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
+TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
+
+_NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
+#: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has the fields of a
+#: `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
+FOOT = record(
+    "start",  # [m] where the control period began
+    "speed_before",  # [m/s] V at the beginning of the step
+    "rim_before",  # [m/s] r w there
+    "rim_start",  # u* [m/s] of the stage
+    "command",
+    "sinkage",  # [m] that the arc is laid at
+    "grade",  # [rad]
+    "along",  # [N] weight along the grade
+    *Footing._fields,
+    *_NOT_SHEARED,
+    *Beside._fields,
+    by_speed=("?",),
+)
+#: Rotation of an axle at some speeds, with the `Reaction` there.
+TURNING = record(
+    "rim",  # u [m/s]
+    "residual",  # [m/s] of its equation
+    "motor_slope",  # d T_motor/dw [N m s]
+    "change",  # [m/s] of u in a step of Newton's method
+    *Reaction._fields,
+)
 
 
-@compiled_inline
+class Stages(NamedTuple):
+    """Scratch of a thread for a stage of a rover, one row an axle."""
+
+    nodes: np.ndarray  # [axles] `ARC_NODES`
+    feet: np.ndarray  # [axles] `FOOT`
+    found: np.ndarray  # [axles] `TURNING`: the best so far
+    trial: np.ndarray  # [axles] `TURNING`
+
+
+def new_stages() -> Stages:
+    """Scratch for one thread."""
+    return Stages(
+        np.zeros(MOST_AXLES, ARC_NODES),
+        np.zeros(MOST_AXLES, FOOT),
+        np.zeros(MOST_AXLES, TURNING),
+        np.zeros(MOST_AXLES, TURNING),
+    )
+
+
+class Rover(NamedTuple):
+    """One rover."""
+
+    body: Any  # `BODY`
+    wheels: np.ndarray  # [axles] `WHEEL`
+    axles: np.ndarray  # [axles] `AXLE`
+    ruts: np.ndarray  # [axles, cells] `ROVER_RUT`
+    course: Course
+
+
+class RoverWorld(NamedTuple):
+    """What a rover is simulated with."""
+
+    rig: Any  # `RIG` of each wheel
+    acting: Acting
+    suspension: Any  # `SUSPENSION`
+    stages: Stages
+
+
+class Equation(NamedTuple):
+    """Implicit Euler at the end of a stage: where V begins and what a force changes."""
+
+    speed: float  # V* [m/s]
+    by_pull: float  # h/M [s/kg]
+    by_torque: float  # h r/J [1/(N s)]
+
+
+@njit(**FINITE)
+def equation_of(speed, duration, mass, rig):
+    """`Equation` of a rover of this mass [kg] whose stage begins at V* = `speed`."""
+    return Equation(speed, duration / mass, duration * rig.radius / rig.inertia)
+
+
+@njit(**FINITE)
+def keep_reaction(row, force):
+    """Write a `Reaction` into a record."""
+    row.load = force.load
+    row.drawbar_pull = force.drawbar_pull
+    row.torque = force.torque
+    row.sinkage_coefficient = force.sinkage_coefficient
+    row.pull_v = force.pull_v
+    row.pull_u = force.pull_u
+    row.torque_v = force.torque_v
+    row.torque_u = force.torque_u
+    row.sinkage_coefficient_v = force.sinkage_coefficient_v
+    row.sinkage_coefficient_u = force.sinkage_coefficient_u
+
+
+@njit(**FINITE)
+def reaction_of(row):
+    """The `Reaction` that a record holds."""
+    return Reaction(
+        row.load,
+        row.drawbar_pull,
+        row.torque,
+        row.sinkage_coefficient,
+        row.pull_v,
+        row.pull_u,
+        row.torque_v,
+        row.torque_u,
+        row.sinkage_coefficient_v,
+        row.sinkage_coefficient_u,
+    )
+
+
+@njit(**FINITE)
 def _apart(x):
     """`x` away from 0, where it is divided by."""
-    return chosen(below(_LEAST_PIVOT, abs(x)), x, _LEAST_PIVOT)
+    return x if abs(x) > LEAST_PIVOT else LEAST_PIVOT
 
 
-@compiled_inline
-def _eliminate(pull_by_u, torque_by_v, net_by_u, f2, cu):
-    """Terms of an axle's rotation in the equation of travel: (slope by V, residual), both times h/M."""
-    pivot = _apart(1.0 + cu * net_by_u)
-    return pull_by_u * cu * torque_by_v / pivot, pull_by_u * f2 / pivot
-
-
-@compiled_inline
-def _turned(dv, torque_by_v, net_by_u, f2, cu):
-    """Change of the rim speed of an axle with a change `dv` of travel."""
-    return -(f2 + cu * torque_by_v * dv) / _apart(1.0 + cu * net_by_u)
-
-
-@compiled_inline
-def foresee(wheels, first, period, world, s, h, mass, lead, changes):
-    """Change of V [m/s] of eight rovers in h seconds by the reaction of the last stage to first order, and those of the
-    rim speeds into `changes`, eight an axle; the stage begins at speeds as `newton.behind` says."""
-    cv = h / mass
-    cu = h * world.wheel.radius / world.inertia
-    back_v, _ = behind(wheels, first, 0, period, world, lead)
-    f1 = back_v
-    slope = fill(1.0)
-    for a in range(s.axles):
-        i = a * COUNT
-        k = first + a * COUNT
-        _, back_u = behind(wheels, k, i, period, world, lead)
-        f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
-        along = (
-            world.wheel.gravity * from_array(wheels.mass, k) * sine_of(from_array(wheels.grade, k))
-        )
-        by_slope, by_residual = _eliminate(
-            from_array(wheels.pull_by_rim, k), from_array(wheels.torque_by_speed, k), net, f2, cu
-        )
-        slope = slope - cv * (from_array(wheels.pull_by_speed, k) - by_slope)
-        f1 = f1 - cv * (from_array(wheels.drawbar_pull, k) - along - by_residual)
-    dv = -1.0 * f1 / _apart(slope)
-    for a in range(s.axles):
-        i = a * COUNT
-        k = first + a * COUNT
-        _, back_u = behind(wheels, k, i, period, world, lead)
-        f2, net = foreseen_rim(wheels, k, i, period, back_u, cu, world)
-        to_array(_turned(dv, from_array(wheels.torque_by_speed, k), net, f2, cu), changes, i)
+@njit(**FINITE)
+def newton_step(residual, at, world):
+    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle; `residual` of travel."""
+    found = world.stages.found
+    r = world.rig.radius
+    slope = 1.0
+    for a in range(world.suspension.axles):
+        f = found[a]
+        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        slope -= at.by_pull * (f.pull_v - f.pull_u * at.by_torque * f.torque_v / pivot)
+        residual += at.by_pull * (f.pull_u * f.residual / pivot)
+    dv = -residual / _apart(slope)
+    for a in range(world.suspension.axles):
+        f = found[a]
+        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        f.change = -(f.residual + at.by_torque * f.torque_v * dv) / pivot
     return dv
 
 
-@compiled_inline
-def weight_of(body, block, world):
-    """Weight [N] of one side of eight rovers, normal to their bodies."""
-    sine = sine_of(from_array(body.pitch, block))
-    return world.wheel.gravity * from_array(body.mass, block) * sqrt(1.0 - sine * sine)
+@njit(**FINITE)
+def foresee(rover, at, world):
+    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and the changes of u.
+
+    The stage begins at `Equation` and `rim_start` of each axle.
+    """
+    rig = world.rig
+    residual = rover.wheels[0].speed - at.speed
+    for a in range(world.suspension.axles):
+        wheel = rover.wheels[a]
+        foot = world.stages.feet[a]
+        found = world.stages.found[a]
+        keep_reaction(found, last_force(wheel))
+        torque, slope, _ = motor_torque(foot.command, foot.by_speed, wheel.wheel_speed, rig)
+        found.rim = rig.radius * wheel.wheel_speed
+        found.residual = found.rim - foot.rim_start - at.by_torque * (torque - wheel.torque)
+        found.motor_slope = slope
+        along = rig.gravity * wheel.mass * sin_cos(wheel.grade)[0]
+        residual -= at.by_pull * (wheel.drawbar_pull - along)
+    return newton_step(residual, at, world)
 
 
-@compiled_inline
-def _bear_ahead(wheels, first, sub, short, dv, weight, s):
-    """Loads by the forces of the last stage and, where that is a `short` way, how they change to first order with `dv`
-    and the changes of the rim speeds that are in `try_u`."""
-    e = sub.equations
-    n = sub.newton
+@njit(**FINITE)
+def _begin(rover, at, weight, world):
+    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a `SHORT` way off.
+
+    The loads are those of the forces foreseen there.
+    """
+    rig = world.rig
+    s = world.suspension
+    feet = world.stages.feet
+    found = world.stages.found
+    trial = world.stages.trial
+    dv = foresee(rover, at, world)
+    short = True
     for a in range(s.axles):
-        i = a * COUNT
-        k = first + a * COUNT
-        du = from_array(e.try_u, i)
-        pull = from_array(wheels.pull_by_speed, k) * dv + from_array(wheels.pull_by_rim, k) * du
-        torque = (
-            from_array(wheels.torque_by_speed, k) * dv + from_array(wheels.torque_by_rim, k) * du
-        )
-        to_array(from_array(wheels.drawbar_pull, k) + short * pull, n.drawbar_pull, i)
-        to_array(from_array(wheels.torque, k) + short * torque, n.torque, i)
-    bear(n, weight, s, e.load)
-
-
-@compiled_inline
-def set_up(wheels, body, block, first, period, sub, world, s, h, lead, duration):
-    """The equations of a stage of eight rovers, and where Newton's method starts."""
-    e = sub.equations
-    mass = from_array(body.mass, block)
+        change = max(abs(dv), abs(found[a].change))
+        short = short and change < SHORT * (abs(found[a].rim) + REST_SPEED)
     for a in range(s.axles):
-        stand(wheels, first, a * COUNT, sub, world, duration)
-    dv = foresee(wheels, first, period, world, s, h, mass, lead, e.try_u)
-    short = fill(1.0)
+        f = found[a]
+        trial[a].rim = f.rim
+        if short:
+            f.drawbar_pull += f.pull_v * dv + f.pull_u * f.change
+            f.torque += f.torque_v * dv + f.torque_u * f.change
+            trial[a].rim += f.change
+    loads = bear(found, weight, s)
     for a in range(s.axles):
-        i = a * COUNT
-        k = first + a * COUNT
-        rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
-        change = larger(abs(dv), abs(from_array(e.try_u, i)))
-        short = short * below(change, SHORT * (abs(rim) + REST_SPEED))
-    _bear_ahead(wheels, first, sub, short, dv, weight_of(body, block, world), s)
-    for a in range(s.axles):
-        i = a * COUNT
-        k = first + a * COUNT
-        speed = from_array(wheels.speed, k)
-        rim = world.wheel.radius * from_array(wheels.wheel_speed, k)
-        back_v, back_u = behind(wheels, k, i, period, world, lead)
-        to_array(speed - back_v, e.speed0, i)
-        to_array(rim - back_u, e.rim0, i)
-        to_array(h / mass, e.gain_v, i)
-        to_array(from_array(period.command, i), e.command, i)
-        to_array(from_array(period.by_speed, i), e.by_speed, i)
-        to_array(speed + short * dv, e.try_v, i)
-        to_array(rim + short * from_array(e.try_u, i), e.try_u, i)
+        feet[a].load = loads[a]
+    speed = rover.wheels[0].speed
+    return speed + dv if short else speed
 
 
-@compiled_inline
-def _evaluate(sub, trial, cu, world, s):
-    """The reaction to the speeds to try, into `trial`; the largest residual [m/s]."""
-    e = sub.equations
-    along = fill(0.0)
-    largest = fill(0.0)
-    v = from_array(e.try_v, 0)
-    for a in range(s.axles):
-        i = a * COUNT
-        u = from_array(e.try_u, i)
-        f = reaction_at(v, u, sub, i, world.wheel)
-        torque, slope, _ = motor(
-            from_array(e.command, i), from_array(e.by_speed, i), u / world.wheel.radius, world
-        )
-        residual = u - from_array(e.rim0, i) - cu * (torque - f.torque)
-        along = along + (f.drawbar_pull - from_array(e.weight_along, i))
-        largest = larger(largest, abs(residual))
-        store_reaction(f, trial, i)
-        to_array(u, trial.u, i)
-        to_array(residual, trial.f2, i)
-        to_array(slope, trial.motor_slope, i)
-    residual = v - from_array(e.speed0, 0) - from_array(e.gain_v, 0) * along
-    to_array(residual, trial.f1, 0)
-    return larger(largest, abs(residual))
+@njit(**FINITE)
+def _evaluate(v, at, world):
+    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which gets the rest."""
+    rig = world.rig
+    pull = 0.0
+    largest = 0.0
+    for a in range(world.suspension.axles):
+        foot = world.stages.feet[a]
+        trial = world.stages.trial[a]
+        u = trial.rim
+        force = reaction(world.stages.nodes[a], foot, v, u, rig, foot, world.acting)
+        torque, slope, _ = motor_torque(foot.command, foot.by_speed, u / rig.radius, rig)
+        keep_reaction(trial, force)
+        trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
+        trial.motor_slope = slope
+        pull += force.drawbar_pull - foot.along
+        largest = max(largest, abs(trial.residual))
+    residual = v - at.speed - at.by_pull * pull
+    return residual, max(largest, abs(residual))
 
 
-@compiled_inline
-def _keep_better(sub, trial, better, s):
-    """Take over speeds, residuals and reaction of the trial in lanes where it is better."""
-    n = sub.newton
-    keep_where(better, from_array(sub.equations.try_v, 0), n.v, 0)
-    keep_where(better, from_array(trial.f1, 0), n.f1, 0)
-    for a in range(s.axles):
-        i = a * COUNT
-        keep_where(better, from_array(trial.u, i), n.u, i)
-        keep_where(better, from_array(trial.f2, i), n.f2, i)
-        keep_where(better, from_array(trial.motor_slope, i), n.motor_slope, i)
-        store_reaction(choose_reaction(better, load_reaction(trial, i), load_reaction(n, i)), n, i)
-
-
-@compiled_inline
-def _try_next(sub, share, cu, world, s):
-    """The speeds to try next: a share of the step of Newton's method from the best so far."""
-    e = sub.equations
-    n = sub.newton
-    r = world.wheel.radius
-    cv = from_array(e.gain_v, 0)
-    f1 = from_array(n.f1, 0)
-    slope = fill(1.0)
-    for a in range(s.axles):
-        i = a * COUNT
-        f = load_reaction(n, i)
-        net = f.torque_u - from_array(n.motor_slope, i) / r
-        by_slope, by_residual = _eliminate(f.dp_u, f.torque_v, net, from_array(n.f2, i), cu)
-        slope = slope - cv * (f.dp_v - by_slope)
-        f1 = f1 + cv * by_residual
-    dv = -1.0 * f1 / _apart(slope)
-    to_array(from_array(n.v, 0) + share * dv, e.try_v, 0)
-    for a in range(s.axles):
-        i = a * COUNT
-        f = load_reaction(n, i)
-        net = f.torque_u - from_array(n.motor_slope, i) / r
-        du = _turned(dv, f.torque_v, net, from_array(n.f2, i), cu)
-        to_array(from_array(n.u, i) + share * du, e.try_u, i)
-
-
-@compiled_inline
-def _begin(sub, s):
-    """State of the iteration at its start."""
-    n = sub.newton
-    zero = fill(0.0)
-    for a in range(s.axles):
-        i = a * COUNT
-        to_array(from_array(sub.equations.speed0, i), n.v, i)
-        to_array(from_array(sub.equations.rim0, i), n.u, i)
-        store_reaction(same_reaction(zero), n, i)
-        to_array(zero, n.f2, i)
-        to_array(zero, n.motor_slope, i)
-    to_array(zero, n.f1, 0)
-
-
-@compiled_inline
-def _largest_change(sub, s):
-    """Largest change of a speed of eight rovers since the start of the stage [m/s]."""
-    e = sub.equations
-    n = sub.newton
-    change = abs(from_array(n.v, 0) - from_array(e.speed0, 0))
-    for a in range(s.axles):
-        change = larger(change, abs(from_array(n.u, a * COUNT) - from_array(e.rim0, a * COUNT)))
+@njit(**FINITE)
+def _largest_change(v, at, world):
+    """Largest change of a speed since the beginning of the stage [m/s]."""
+    change = abs(v - at.speed)
+    for a in range(world.suspension.axles):
+        change = max(change, abs(world.stages.found[a].rim - world.stages.feet[a].rim_start))
     return change
 
 
-@compiled_part
-def _iterate(sub, trial, alive, world, s, h):
-    """Newton's method for those of eight rovers that are `alive`, at the present loads; 1 where it has converged.
+@njit(**FINITE)
+def _iterate(v, at, world):
+    """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds in `trial`.
 
-    As in `world.newton`, a step that does not reduce the largest residual is shortened. Rovers that have ended stay as
-    they are while others go on.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has the rest.
     """
-    cu = h * world.wheel.radius / world.inertia
-    going = alive
-    converged = fill(0.0)
-    norm = fill(HUGE)
-    share = fill(1.0)
-    tries = fill(0.0)
+    axles = world.suspension.axles
+    found = world.stages.found
+    trial = world.stages.trial
+    try_v = v
+    dv = 0.0
+    norm = HUGE
+    share = 1.0
+    tries = 0
     for _ in range(PASSES):
-        reached = _evaluate(sub, trial, cu, world, s)
-        found = compare(reached, norm, share, tries)
-        better = going * found.better
-        failed = going * found.failed
-        share = found.share
-        tries = found.tries
-        _keep_better(sub, trial, better, s)
-        norm = chosen(better, reached, norm)
-        there = going * better * below(norm, TOLERANCE)
-        settled = failed * near_enough(norm, _largest_change(sub, s))
-        converged = larger(converged, larger(there, settled))
-        going = going * (1.0 - larger(there, failed))
-        if bits(going) == 0:
-            break
-        _try_next(sub, share, cu, world, s)
-    return converged
+        residual, reached = _evaluate(try_v, at, world)
+        last = tries == TRIES - 1
+        if reached < norm * (1.0 if last else 1.0 - LEAST_GAIN * share):
+            v = try_v
+            norm = reached
+            share = 1.0
+            tries = 0
+            for a in range(axles):
+                found[a] = trial[a]
+            if norm < TOLERANCE:
+                return v, True
+            dv = newton_step(residual, at, world)
+        elif last:
+            return v, near_enough(norm, _largest_change(v, at, world))
+        else:
+            share *= SHORTER
+            tries += 1
+        try_v = v + share * dv
+        for a in range(axles):
+            trial[a].rim = found[a].rim + share * found[a].change
+    return v, False
 
 
-@compiled_inline
-def _bear_anew(sub, trial, weight, alive, s):
-    """Loads by the forces that were found, and the speeds to begin with again, where a load has changed: 1 there."""
-    e = sub.equations
-    n = sub.newton
-    bear(n, weight, s, trial.load)
-    changed = fill(0.0)
+@njit(**FINITE)
+def _bear_anew(weight, world):
+    """True if the forces found change a load; the loads are then theirs, and the speeds found are tried next."""
+    s = world.suspension
+    feet = world.stages.feet
+    found = world.stages.found
+    trial = world.stages.trial
+    loads = bear(found, weight, s)
+    changed = False
     for a in range(s.axles):
-        change = abs(from_array(trial.load, a * COUNT) - from_array(e.load, a * COUNT))
-        changed = larger(changed, below((LOAD_TOLERANCE / s.axles) * weight, change))
-    changed = changed * alive
-    for a in range(s.axles):
-        i = a * COUNT
-        to_array(chosen(changed, from_array(trial.load, i), from_array(e.load, i)), e.load, i)
-        to_array(from_array(n.u, i), e.try_u, i)
-    to_array(from_array(n.v, 0), e.try_v, 0)
+        change = abs(loads[a] - feet[a].load)
+        changed = changed or change > LOAD_TOLERANCE / s.axles * weight
+    if changed:
+        for a in range(s.axles):
+            feet[a].load = loads[a]
+            trial[a].rim = found[a].rim
     return changed
 
 
-@compiled_part
-def solve_speeds(sub, trial, period, weight, world, s, h):
-    """The speeds and reactions at the end of a stage of eight rovers, into `sub.newton`, with `converged` for each.
-
-    `weight` [N] is that normal to the body, of one side.
-    """
-    n = sub.newton
-    going = from_array(period.alive, 0)
-    _begin(sub, s)
-    converged = fill(0.0)
-    for turn in range(_TURNS):
-        found = _iterate(sub, trial, going, world, s, h)
-        converged = chosen(going, found, converged)
-        if turn < _TURNS - 1:
-            going = _bear_anew(sub, trial, weight, found, s)
-            if bits(going) == 0:
-                break
-    for a in range(s.axles):
-        to_array(from_array(n.v, 0), n.v, a * COUNT)
-        to_array(converged, n.converged, a * COUNT)
+@njit(**FINITE)
+def solve_speeds(rover, at, world):
+    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the reactions."""
+    weight = weight_of(rover.body, world.rig.gravity)
+    v = _begin(rover, at, weight, world)
+    converged = False
+    for turn in range(TURNS):
+        v, converged = _iterate(v, at, world)
+        if turn == TURNS - 1 or not converged or not _bear_anew(weight, world):
+            break
+    return v, converged

@@ -8,337 +8,317 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline, compiled_part, compiled_root
-from soil_env._numba.lanes import COUNT
-from soil_env._numba.random_streams import between, four_normals, word
-from soil_env._numba.rows import zero_column
-from soil_env.parameters import RoverScenario, SensorReading
-from soil_env.simulation.rover.body import (
-    AxleState,
-    BodyCounts,
-    BodyState,
-    Suspension,
-    suspension_of,
-)
-from soil_env.simulation.rover.dynamics import Rovers, advance, take_pitch
-from soil_env.simulation.rover.ruts import Ruts, clear_ruts, new_ruts
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
+from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
+from soil_env.parameters import RoverScenario
+from soil_env.parameters.readings import AHEAD, COMPLETE, RESTART, STEP, TRY, Record
+from soil_env.simulation.rover.body import AXLE, BODY, suspension_of, take_pitch
+from soil_env.simulation.rover.dynamics import control_period
+from soil_env.simulation.rover.newton import Rover, RoverWorld, Stages, new_stages
+from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
 from soil_env.simulation.rover.task import (
+    ENTRIES_OF_AXLE,
+    ENTRIES_OF_BODY,
     BodyReading,
-    rover_task_numbers,
+    rover_layout,
     write_axle,
     write_body,
     write_true_soils,
 )
-from soil_env.simulation.task.observation import clip
-from soil_env.simulation.task.rules import REWARD_TERMS, TaskNumbers, judge, reward_terms, total_of
-from soil_env.simulation.wheels import (
-    AHEAD,
-    COMPLETE,
-    IDLE,
-    RESTART,
+from soil_env.simulation.task.observation import TRUE_SOIL, clip
+from soil_env.simulation.task.rules import (
+    REWARD_TERMS,
     RUNNING,
-    STEP,
-    TRY,
-    Record,
-    clear_reward,
-    new_record,
-    start_passable,
-    store_reading,
+    add_reward,
+    judge,
+    task_of,
+    total_of,
 )
-from soil_env.simulation.world.courses import (
-    CourseDistribution,
-    CourseNumbers,
-    course_numbers,
-    extend_course,
-    start_course,
+from soil_env.simulation.wheels import clear_reward, new_record, start_passable
+from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
+from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
+from soil_env.simulation.world.sensors import (
+    READING,
+    SensorErrors,
+    roll_odometer,
+    sense,
+    sensor_deviations,
+    sensor_errors,
+    start_odometry,
 )
-from soil_env.simulation.world.sensors import roll_odometer, sense, start_odometry
-from soil_env.simulation.world.terrain import Courses, new_courses
-from soil_env.simulation.world.wheel import (
-    WheelCounts,
-    WheelState,
-    WorldNumbers,
-    settle_at,
-    wheel_of,
-    world_numbers,
-)
+from soil_env.simulation.world.terrain import Courses, course_of, new_courses
+from soil_env.simulation.world.wheel import WHEEL, World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
+from soil_env.terramechanics.reaction import Acting
 
-_DEEPEST_ALONE = 0.5  # of the limit of sinkage, of a wheel by itself on the ground of a course
+DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
+
+
+class RoverScratch(NamedTuple):
+    """Work arrays of a thread."""
+
+    stages: Stages
+    normals: np.ndarray  # [1] `NORMALS`
+    reading: np.ndarray  # [1] `READING`
+    wheel: np.ndarray  # [1] `WHEEL`, blank
+    body: np.ndarray  # [1] `BODY`, blank
+
+
+def new_rover_scratch() -> RoverScratch:
+    """Work arrays of one thread."""
+    return RoverScratch(
+        new_stages(),
+        np.zeros(1, NORMALS),
+        np.zeros(1, READING),
+        np.zeros(1, WHEEL),
+        np.zeros(1, BODY),
+    )
 
 
 class RoverWorlds(NamedTuple):
-    """Arrays that the compiled step reads and writes: one row a rover, or one a wheel (`wheel.wheel_of`)."""
+    """Arrays that the compiled step reads and writes, one row a rover; axles from the front on.
 
-    rovers: Rovers
+    In the record wheel `a` of rover j has the row j x axles + a.
+    """
+
+    body: np.ndarray  # [rovers] `BODY`
+    wheels: np.ndarray  # [rovers, axles] `WHEEL`
+    axles: np.ndarray  # [rovers, axles] `AXLE`
+    ruts: np.ndarray  # [rovers, axles, cells] `ROVER_RUT`
     courses: Courses  # a course a rover; what is left in its cells is in `ruts`
-    ruts: Ruts
-    streams: np.ndarray  # [rovers] uint64
-    wheel_streams: np.ndarray  # [wheels] uint64
     record: Record
     observation: np.ndarray  # [rovers, D] float32
     terms: np.ndarray  # [rovers, 4] reward terms
     reward: np.ndarray  # [rovers]
     cause: np.ndarray  # [rovers] `Cause`
-    going: np.ndarray  # [rovers] int8, scratch of a step: STEP while the rover drives
-
-
-def new_rover_worlds(
-    rovers: int, scenario: RoverScenario, task: TaskNumbers, recorded: bool
-) -> RoverWorlds:
-    """Worlds for so many rovers, to be restarted; `recorded`: keep the sensor record of each step."""
-    wheels = -(-rovers // COUNT) * COUNT * scenario.axles
-    courses = new_courses(rovers, _with_front(scenario))
-    return RoverWorlds(
-        Rovers(
-            BodyState(rovers),
-            BodyCounts(rovers),
-            WheelState(wheels),
-            WheelCounts(wheels),
-            AxleState(wheels),
-        ),
-        courses,
-        new_ruts(wheels, courses.rut.shape[1]),
-        np.zeros(rovers, dtype=np.uint64),
-        np.zeros(wheels, dtype=np.uint64),
-        new_record(rovers, wheels, scenario) if recorded else new_record(0, 0, scenario),
-        np.zeros((rovers, task.low.size), dtype=np.float32),
-        np.zeros((rovers, len(REWARD_TERMS))),
-        np.zeros(rovers),
-        np.zeros(rovers, dtype=np.int64),
-        np.full(rovers, IDLE),
-    )
-
-
-def _with_front(scenario: RoverScenario) -> RoverScenario:
-    """The scenario with courses as long as the front axle goes when the rear one is at the end."""
-    course = scenario.course
-    return replace(scenario, course=replace(course, length=course.length + scenario.vehicle.base))
 
 
 class RoverNumbers(NamedTuple):
-    """Numbers of the scenario that the compiled step needs."""
+    """Constants of a scenario that the compiled functions need."""
 
-    world: WorldNumbers
+    rig: np.ndarray  # [1] `RIG`
+    acting: Acting
+    suspension: np.ndarray  # [1] `SUSPENSION`
     drawn: CourseDistribution
-    task: TaskNumbers
-    suspension: Suspension
+    task: np.ndarray  # [1] `TASK`
+    low: np.ndarray  # [D] float32 bounds of the observation
+    high: np.ndarray
+    sd: np.ndarray  # [1] `READING` of the noise
+    errors: SensorErrors | None
 
 
 def rover_numbers(
     scenario: RoverScenario, variant: str, model: WheelSoilModel | None = None
 ) -> RoverNumbers:
     """Pack a scenario; `model` gives the effects that are on in this world."""
+    entries = rover_layout(variant, scenario.axles)
+    drawn = course_distribution(_with_front(scenario), model)
+    # the deepest wheel of a rover bears more than the mean and runs in a rut
+    drawn.spec.bogged_sinkage *= DEEPEST_ALONE
     return RoverNumbers(
-        world_numbers(scenario, model, scenario.axles),
-        _drawn(scenario, model),
-        rover_task_numbers(scenario, variant, model),
+        rig_of(scenario, model),
+        acting_in(model),
         suspension_of(scenario),
+        drawn,
+        task_of(scenario, variant),
+        np.array([e.low for e in entries], dtype=np.float32),
+        np.array([e.high for e in entries], dtype=np.float32),
+        sensor_deviations(scenario),
+        sensor_errors(model),
     )
 
 
-def _drawn(scenario: RoverScenario, model: WheelSoilModel | None) -> CourseDistribution:
-    """Distribution of courses on which a wheel with the mean load sinks by half the limit at most.
+def new_rover_worlds(
+    rovers: int, scenario: RoverScenario, numbers: RoverNumbers, recorded: bool
+) -> RoverWorlds:
+    """Worlds for so many rovers, to be restarted; `recorded`: keep the sensor record of each step."""
+    axles = scenario.axles
+    courses = new_courses(rovers, _with_front(scenario))
+    kept_rovers = rovers if recorded else 0
+    return RoverWorlds(
+        np.zeros(rovers, BODY),
+        np.zeros((rovers, axles), WHEEL),
+        np.zeros((rovers, axles), AXLE),
+        new_ruts(rovers, axles, courses.cells.shape[1]),
+        courses,
+        new_record(kept_rovers, kept_rovers * axles, scenario),
+        np.zeros((rovers, numbers.low.size), dtype=np.float32),
+        np.zeros((rovers, len(REWARD_TERMS))),
+        np.zeros(rovers),
+        np.zeros(rovers, dtype=np.int64),
+    )
 
-    The deepest wheel of a rover bears more and runs in a rut.
-    """
-    drawn = course_numbers(_with_front(scenario), model).drawn
-    return drawn._replace(bogged_sinkage=_DEEPEST_ALONE * drawn.bogged_sinkage)
+
+def _with_front(scenario: RoverScenario) -> RoverScenario:
+    """The scenario with courses as long as the front axle goes when the rear one is at the end."""
+    course = scenario.course
+    longer = replace(course, length=course.length + scenario.vehicle.base)
+    return replace(scenario, course=longer)
 
 
-@compiled_part
-def _settle(worlds, numbers, j, mass):
-    """Put rover j at rest at the start of its course."""
-    rovers = worlds.rovers
-    s = numbers.suspension
-    body = rovers.body
-    wheels = rovers.wheels
-    zero_column(body, j)
-    zero_column(rovers.body_counts, j)
-    body.mass[j] = mass * s.axles
+@njit(**INLINE)
+def _rover_of(worlds, j):
+    """Rover j."""
+    return Rover(
+        worlds.body[j],
+        worlds.wheels[j],
+        worlds.axles[j],
+        worlds.ruts[j],
+        course_of(worlds.courses, j),
+    )
+
+
+@njit(**EXACT)
+def _settle(rover, mass, numbers, scratch):
+    """Put a rover, with a mean `mass` [kg] on its wheels, at rest at the start of its course."""
+    rig = numbers.rig[0]
+    s = numbers.suspension[0]
+    world = World(rig, numbers.acting, scratch.stages.nodes[0])
+    body = rover.body
+    body.mass = mass * s.axles
     for a in range(s.axles):
-        k = wheel_of(j, a, s.axles)
-        worlds.wheel_streams[k] = word(worlds.streams, j)
+        wheel = rover.wheels[a]
+        rover.wheels[a] = scratch.wheel[0]
+        wheel.stream = word(body)
         ahead = s.base - s.places[a]
-        settle_at(
-            wheels,
-            rovers.counts,
-            k,
-            ahead,
-            body.mass[j] * s.shares[a],
-            worlds.courses,
-            numbers.world,
-        )
-        rovers.axles.height[k] = ahead * math.sin(wheels.grade[k])
-        rovers.axles.floor[k] = 0.0
-        clear_ruts(worlds.ruts, k)
-    body.next_halt[j] = between(worlds.streams, j, numbers.world.halt_low, numbers.world.halt_high)
-    rovers.body_counts.converged[j] = 1
+        settle_at(wheel, ahead, body.mass * s.shares[a], rover.course, world)
+        rover.axles[a].height = ahead * math.sin(wheel.grade)
+        rover.axles[a].floor = 0.0
+        clear_ruts(rover.ruts[a])
+    body.next_halt = between(body, rig.halt_low, rig.halt_high)
+    body.converged = 1
 
 
-@compiled_root(nogil=True)
-def lay_rovers(worlds, numbers, orders, first, end):
+@kept
+def lay_rovers(worlds, numbers, orders, scratch, first, end):
     """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those not found.
 
-    RESTART starts a new course and puts the rover at rest at its start.
+    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the mean mass on a wheel,
+    or -1 if no passable course was found.
     """
-    courses = worlds.courses
-    s = numbers.suspension
-    body = worlds.rovers.body
-    course = CourseNumbers(numbers.drawn, numbers.world.wheel)
+    nodes = scratch.stages.nodes[0]
+    course_numbers = CourseNumbers(numbers.drawn, numbers.rig[0], numbers.acting)
+    s = numbers.suspension[0]
+    ahead = s.base + numbers.drawn.spec.ahead  # [m] before the rear axle
     failed = 0
     for j in range(first, end):
         order = orders[j]
+        rover = _rover_of(worlds, j)
+        body = rover.body
         if order == RESTART:
-            mass = start_passable(j, courses, worlds.streams, course)
+            mass = start_passable(rover.course, body, course_numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
-                extend_course(j, courses, mass, s.base + course.drawn.ahead, course)
-                _settle(worlds, numbers, j, mass)
+                extend_course(rover.course, mass, ahead, course_numbers, nodes)
+                stream = body.stream
+                worlds.body[j] = scratch.body[0]
+                body.stream = stream
+                _settle(rover, mass, numbers, scratch)
         elif order == TRY:
-            worlds.reward[j] = start_course(j, courses, worlds.streams, course)
+            worlds.reward[j] = start_course(rover.course, body, course_numbers, nodes)
         elif order == COMPLETE or order == AHEAD:
-            x = np.inf if order == COMPLETE else body.x[j] + s.base + course.drawn.ahead
-            extend_course(j, courses, body.mass[j] / s.axles, x, course)
+            x = HUGE if order == COMPLETE else body.x + ahead
+            extend_course(rover.course, body.mass / s.axles, x, course_numbers, nodes)
     return failed
 
 
-@compiled_part
-def _restart(worlds, numbers, j):
-    """Observe rover j at the start of its course."""
-    take_pitch(worlds.rovers, j, numbers.suspension)
-    worlds.cause[j] = RUNNING
-    clear_reward(worlds, j)
-    start_odometry(worlds.rovers.body, j, worlds.streams, numbers.task.sensors)
-    _observe(worlds, numbers, j, 0, _sense_body(worlds, numbers, j))
-
-
-@compiled_inline
-def _sense_body(worlds, numbers, j):
-    """Readings of the body of rover j: speed, pitch, acceleration."""
-    sd = numbers.task.sensors.noise
-    body = worlds.rovers.body
-    a, b, c, _ = four_normals(worlds.streams, j)
+@njit(**FINITE)
+def _sense_body(body, sd):
+    """`BodyReading` of a rover."""
+    of_speed, of_pitch = normal_pair(body)
+    of_acceleration, _ = normal_pair(body)
     return BodyReading(
-        body.speed[j] + sd[5] * a,
-        body.pitch[j] + sd[7] * b,
-        body.drawbar_pull[j] / body.mass[j] + sd[9] * c,
+        body.speed + sd.speed * of_speed,
+        body.pitch + sd.pitch * of_pitch,
+        body.drawbar_pull / body.mass + sd.acceleration * of_acceleration,
     )
 
 
-@compiled_inline
-def _sense_wheel(worlds, numbers, k, of_body):
-    """Readings of wheel k; speed, pitch and acceleration are the body's, which has one sensor of each."""
-    r = sense(worlds.rovers.wheels, k, worlds.wheel_streams, numbers.task.sensors)
-    return SensorReading(
-        r.slip,
-        r.sinkage,
-        r.drawbar_pull,
-        r.load,
-        r.torque,
-        of_body.speed,
-        r.rim_speed,
-        of_body.pitch,
-        r.motor_torque,
-        of_body.acceleration,
-    )
-
-
-@compiled_part
-def _observe(worlds, numbers, j, period, reading):
+@njit(**FINITE)
+def _observe(worlds, numbers, j, period, of_body, scratch):
     """Sense the wheels of rover j after a control period, keep the record, and fill the observation."""
-    rovers = worlds.rovers
-    axles = numbers.suspension.axles
+    body = worlds.body[j]
     record = worlds.record
-    recorded = record.periods.size > 0
     out = worlds.observation[j]
+    task = numbers.task[0]
+    rig = numbers.rig[0]
+    axles = numbers.suspension[0].axles
+    recorded = record.periods.size > 0
     for a in range(axles):
-        k = wheel_of(j, a, axles)
-        of_wheel = _sense_wheel(worlds, numbers, k, reading)
-        write_axle(out, rovers.wheels, k, a, of_wheel, numbers.task)
-        if recorded:
-            store_reading(of_wheel, record.readings[k, period])
+        wheel = worlds.wheels[j, a]
+        reading = record.readings[j * axles + a, period] if recorded else scratch.reading[0]
+        sense(wheel, reading, scratch.normals[0], numbers.sd[0], numbers.errors, rig.radius)
+        reading.speed = of_body.speed  # there is one sensor of these, on the body
+        reading.pitch = of_body.pitch
+        reading.acceleration = of_body.acceleration
+        write_axle(out[ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE :], wheel, reading, task)
     if recorded:
         record.periods[j] = period + 1
-        record.places[j, period] = rovers.body.odometer[j]
-        record.halted[j, period] = rovers.body.halt_left[j] > 0.0
-    write_body(out, rovers.body, j, reading, numbers.task)
-    if numbers.task.variant == 2:
-        write_true_soils(out, j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task)
-    clip(out, numbers.task)
+        record.halted[j, period] = body.halt_left > 0.0
+        record.places[j, period] = body.odometer
+    write_body(out, body, of_body, task)
+    if task.variant == TRUE_SOIL:
+        soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
+        write_true_soils(soils, worlds.wheels[j], course_of(worlds.courses, j), rig.border)
+    clip(out, numbers.low, numbers.high)
 
 
-@compiled_inline
-def _after_period(worlds, numbers, j, period):
-    """End of a control period of rover j: sense, judge, reward, observe."""
-    task = numbers.task
-    body = worlds.rovers.body
-    reading = _sense_body(worlds, numbers, j)
-    roll_odometer(body, j, reading.speed, task.sensors)
-    _observe(worlds, numbers, j, period, reading)
-    cause = judge(body, worlds.rovers.body_counts, j, task)
-    worlds.cause[j] = cause
+@njit(**FINITE)
+def _restart(worlds, numbers, j, scratch):
+    """Observe rover j at the start of its course."""
+    rover = _rover_of(worlds, j)
+    take_pitch(rover, numbers.suspension[0])
+    worlds.cause[j] = RUNNING
+    clear_reward(worlds, j)
+    start_odometry(rover.body, numbers.task[0].odometry_scale)
+    _observe(worlds, numbers, j, 0, _sense_body(rover.body, numbers.sd[0]), scratch)
+
+
+@njit(**FINITE)
+def _step(worlds, numbers, j, actions, scratch):
+    """The control periods of `actions` [axles] of rover j, until its episode ends: drive, sense, judge, reward."""
+    rover = _rover_of(worlds, j)
+    body = rover.body
+    task = numbers.task[0]
     terms = worlds.terms[j]
-    reward_terms(body, j, cause, task, terms)
+    world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stages)
+    clear_reward(worlds, j)
+    period = 0
+    while True:
+        control_period(rover, actions, world)
+        reading = _sense_body(body, numbers.sd[0])
+        roll_odometer(body, reading.speed, task.period)
+        _observe(worlds, numbers, j, period, reading, scratch)
+        cause = judge(body, task)
+        add_reward(body, cause, task, terms)
+        period += 1
+        if period == task.held or cause != RUNNING:
+            break
+    worlds.cause[j] = cause
     worlds.reward[j] = total_of(terms)
 
 
-@compiled_inline
-def _step_block(worlds, numbers, commands, block):
-    """A step of those of the rovers `block` ... `block` + 7 that are `going`: as many control periods as an action
-    lasts, until the episode ends."""
-    end = min(block + COUNT, worlds.going.size)
-    for period in range(numbers.task.repeat):
-        advance(
-            worlds.rovers,
-            block,
-            worlds.going,
-            commands,
-            worlds.courses,
-            worlds.ruts,
-            worlds.streams,
-            numbers.world,
-            numbers.suspension,
-        )
-        left = 0
-        for j in range(block, end):
-            if worlds.going[j] == STEP:
-                _after_period(worlds, numbers, j, period)
-                if worlds.cause[j] != RUNNING:
-                    worlds.going[j] = IDLE
-                else:
-                    left += 1
-        if left == 0:
-            return
+@kept
+def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
+    """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions` [rovers, axles].
 
-
-@compiled_root(nogil=True)
-def step_rovers(worlds, numbers, commands, what, first, end):
-    """Follow the orders `what` [rovers] STEP and RESTART for the rovers `first` to `end` - 1, block by block.
-
-    `commands` [wheels]. Courses are laid (`lay_rovers`); `first` is a multiple of `COUNT`.
+    Their courses are laid (`lay_rovers`).
     """
-    for block in range(first, end, COUNT):
-        steps = 0
-        for j in range(block, min(block + COUNT, end)):
-            worlds.going[j] = STEP if what[j] == STEP else IDLE
-            if what[j] == STEP:
-                clear_reward(worlds, j)
-                steps += 1
-            elif what[j] == RESTART:
-                _restart(worlds, numbers, j)
-        if steps > 0:
-            _step_block(worlds, numbers, commands, block)
+    for j in range(first, end):
+        order = orders[j]
+        if order == STEP:
+            _step(worlds, numbers, j, actions[j], scratch)
+        elif order == RESTART:
+            _restart(worlds, numbers, j, scratch)
 
 
-@compiled_root(nogil=True)
+@kept
 def observe_true_soils(worlds, numbers, out):
-    """Fill the true soils under the axles into observations `out` [rovers, D] of the variant `true_soil`."""
-    rovers = worlds.rovers
-    axles = numbers.suspension.axles
+    """Fill `out` [rovers, axles x 7] with the true soils under the axles."""
+    border = numbers.rig[0].border
     for j in range(len(out)):
-        write_true_soils(
-            out[j], j, axles, rovers.wheels, rovers.counts, worlds.courses, numbers.task
-        )
+        write_true_soils(out[j], worlds.wheels[j], course_of(worlds.courses, j), border)

@@ -5,47 +5,52 @@ Each wheel keeps its own rut, as a wheel by itself does, and meets it again wher
 it have left it does not meet.
 """
 
-from typing import NamedTuple
-
 import numpy as np
+from numba import njit
 
-from soil_env._numba.compiling import compiled_inline
-from soil_env._numba.lanes import COUNT
+from soil_env._compiled.flags import FINITE, record
+from soil_env.simulation.world.terrain import between_cells
 
-COMPACTION_OF_RUT = 5.0  # factor on S behind a wheel that rolls
+COMPACTION_OF_RUT = 5.0  # [-] factor on S behind a wheel that rolls
 
-
-class Ruts(NamedTuple):
-    """Cells of a course as each wheel meets them: as `Courses.rut_factors` and `Courses.rut`."""
-
-    rut_factors: np.ndarray  # [wheels, cells] factor on S [-]
-    rut: (
-        np.ndarray
-    )  # [wheels, cells] depth of the wheel's own rut below the floor [m]; 0 before its first pass
-    floor: (
-        np.ndarray
-    )  # [wheels, cells] depth of the rut of the wheels ahead, below the undisturbed surface [m]
+#: A cell of a course as one wheel of a rover meets it: a `terrain.RUT` with what the wheels ahead have left.
+ROVER_RUT = record(
+    floor=("f4",),  # [m] depth of the rut of the wheels ahead, below the undisturbed surface
+    factor=("f4",),  # [-] on the sinkage coefficient
+    depth=("f4",),  # [m] of the wheel's own rut below the floor, 0 before its first pass
+)
 
 
-def new_ruts(wheels: int, cells: int) -> Ruts:
-    """Undisturbed ground."""
-    return Ruts(*(np.full((wheels, cells), value, dtype=np.float32) for value in (1.0, 0.0, 0.0)))
+def new_ruts(rovers: int, axles: int, cells: int) -> np.ndarray:
+    """Undisturbed ground, `ROVER_RUT` [rovers, axles, cells]."""
+    ruts = np.zeros((rovers, axles, cells), ROVER_RUT)
+    ruts["factor"] = 1.0
+    return ruts
 
 
-@compiled_inline
-def clear_ruts(ruts, k):
-    """Undisturbed ground for wheel k."""
-    for cell in range(ruts.rut.shape[1]):
-        ruts.rut_factors[k, cell] = 1.0
-        ruts.rut[k, cell] = ruts.floor[k, cell] = 0.0
+@njit(**FINITE)
+def clear_ruts(cells):
+    """Undisturbed ground for a wheel."""
+    for i in range(cells.size):
+        cells[i].factor = 1.0
+        cells[i].depth = 0.0
+        cells[i].floor = 0.0
 
 
-@compiled_inline
-def pass_on(ruts, k, behind, cell, after):
-    """Copy the rut of wheel k to the `behind` wheels that follow it, in the cells from `cell` to before `after`."""
+@njit(**FINITE)
+def floor_at(cells, x):
+    """Depth [m] of the rut of the wheels ahead at x [m], linear between the middles of the cells."""
+    i, way = between_cells(cells, x)
+    here = cells[i].floor
+    return here + way * (cells[i + 1].floor - here)
+
+
+@njit(**FINITE)
+def pass_on(ruts, a, cell, after):
+    """Copy the rut of axle a to the axles behind it, in the cells from `cell` to before `after`; `ruts` [axles, cells]."""
     while cell != after:
-        depth = ruts.floor[k, cell] + ruts.rut[k, cell]
-        for n in range(1, behind + 1):
-            ruts.rut_factors[k + n * COUNT, cell] = ruts.rut_factors[k, cell]
-            ruts.floor[k + n * COUNT, cell] = depth
+        left = ruts[a, cell]
+        for behind in range(a + 1, len(ruts)):
+            ruts[behind, cell].factor = left.factor
+            ruts[behind, cell].floor = left.floor + left.depth
         cell += 1 if after > cell else -1

@@ -183,12 +183,19 @@ def place_in_cells(x):
 
 
 @njit(**EXACT)
-def rut_factor_at(cells, x):
-    """Factor on the sinkage coefficient at x [m], linear between the middles of the cells."""
+def between_cells(cells, x):
+    """(cell, way from its middle to that of the next [-]) at x [m], within the cells that there are."""
     place = min(max(place_in_cells(x), 0.0), cells.size - 1.0)
     i = min(int(place), cells.size - 2)
+    return i, place - i
+
+
+@njit(**EXACT)
+def rut_factor_at(cells, x):
+    """Factor on the sinkage coefficient at x [m], linear between the middles of the cells."""
+    i, way = between_cells(cells, x)
     here = cells[i].factor
-    return here + (place - i) * (cells[i + 1].factor - here)
+    return here + way * (cells[i + 1].factor - here)
 
 
 @njit(**EXACT)

@@ -198,12 +198,11 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
 
 
 @njit(**FINITE)
-def commanded(wheel, action, rig):
+def commanded(wheel, action, halted, rig):
     """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is a rim acceleration.
 
     In a halt the wheel is held at rest, and the action that counts as the last one is 0.
     """
-    halted = wheel.halt_left > 0.0
     if halted:
         action = 0.0
     command = action
@@ -212,6 +211,15 @@ def commanded(wheel, action, rig):
     wheel.last_action = action
     wheel.rim_command = command if rig.speed_command else 0.0
     return Drive(command, halted or rig.speed_command)
+
+
+@njit(**FINITE)
+def begin_period(wheel):
+    """Set what a control period sums up to its start."""
+    wheel.motor_work = 0.0
+    wheel.soil_work = 0.0
+    wheel.numerical_work = 0.0
+    wheel.converged = 1
 
 
 @njit(**FINITE)

@@ -12,7 +12,8 @@ from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.steady import steady_state
-from tests.simulation.wheels import EVEN, started
+from tests.simulation.courses import EVEN
+from tests.simulation.wheels import started
 
 
 def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **changes) -> RoverScenario:

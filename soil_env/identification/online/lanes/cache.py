@@ -19,14 +19,8 @@ from numba.core.compiler_lock import global_compiler_lock
 
 #: Folders, with the folders in them, and files whose sources and constants compiled code is made
 #: of.
-_ROOMS = ("identification",)
-_FILES = (
-    "course_parameters.py",
-    "parameters.py",
-    "readings.py",
-    "soil_parameters.py",
-    "vehicle.py",
-)
+_ROOMS = ("identification", "parameters")
+_FILES = ("slip.py",)
 
 
 @cache

@@ -1,0 +1,134 @@
+"""The cache of compiled code: loaded, damaged, not writable, asked for by two processes at once."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from filelock import FileLock
+from numba import config
+
+from soil_env._compiled import cache
+from tests.conftest import PYTHONPATH
+
+pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+
+MODULE = """
+from soil_env._compiled.cache import kept
+
+
+@kept
+def f(x):
+    return x + 1.0
+"""
+#: Prints the result, how often compiled code was loaded, and how often it was compiled.
+CALL = """
+from kernel_of_a_test import f
+result = f(1.0)
+stats = f._function.stats
+print(result, sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
+"""
+#: No folder can be made.
+UNWRITABLE = """
+import pathlib
+def refused(*arguments, **options):
+    raise OSError(30, "Read-only file system")
+pathlib.Path.mkdir = refused
+"""
+#: Numba cannot write a file.
+FULL = """
+from numba.core.caching import IndexDataCacheFile
+def full(*arguments):
+    raise OSError(28, "No space left on device")
+IndexDataCacheFile.save = full
+"""
+COMPILED = ["2.0", "0", "1"]
+LOADED = ["2.0", "1", "0"]
+
+
+@pytest.fixture()
+def start(tmp_path):
+    """A function that starts a process which calls the function of a new module."""
+    (tmp_path / "kernel_of_a_test.py").write_text(MODULE)
+    own = {
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), PYTHONPATH]),
+    }
+    env = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"} | own
+
+    def start(code=CALL):
+        command = [sys.executable, "-c", code]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, env=env, stdout=pipe, stderr=pipe, text=True)
+
+    return start
+
+
+@pytest.fixture()
+def call(start):
+    """A function that returns what such a process prints, in words, and its lines on stderr."""
+
+    def call(code=CALL):
+        out, said = start(code).communicate(timeout=120)
+        return out.split(), said.splitlines()
+
+    return call
+
+
+def test_a_second_process_loads_what_the_first_has_compiled(call):
+    result, said = call()
+    assert result == COMPILED and len(said) == 1 and "compiling" in said[0]
+    assert call() == (LOADED, [])
+
+
+def half(content):
+    """The first half of a file."""
+    return content[: len(content) // 2]
+
+
+@pytest.mark.parametrize("kind", ["nbc", "nbi"])
+@pytest.mark.parametrize("damage", [half, lambda content: b"\xff" * len(content)])
+def test_damaged_code_is_dropped_and_compiled_anew(call, tmp_path, kind, damage):
+    call()
+    (file,) = (tmp_path / "cache").rglob(f"*.{kind}")
+    file.write_bytes(damage(file.read_bytes()))
+    result, said = call()
+    assert result == COMPILED and sum("damaged" in line for line in said) == 1
+    assert call() == (LOADED, [])
+
+
+@pytest.mark.parametrize("obstacle", [UNWRITABLE, FULL])
+def test_without_a_place_every_process_compiles_for_itself(call, tmp_path, obstacle):
+    for _ in range(2):
+        result, said = call(obstacle + CALL)
+        assert result == COMPILED and sum("not kept" in line for line in said) == 1
+    assert not list((tmp_path / "cache").rglob("*.nbc"))
+
+
+def test_of_two_processes_that_start_at_once_one_compiles(call, start, tmp_path):
+    call(CALL.replace("f(1.0)", "0.0"))  # makes the folder of these sources
+    (folder,) = (tmp_path / "cache" / cache.FOLDER).iterdir()
+    with FileLock(folder / "kernel_of_a_test.f.lock"):
+        both = [start(), start()]
+        for process in both:
+            assert "waiting" in process.stderr.readline()
+    results = sorted(process.communicate(timeout=120)[0].split() for process in both)
+    assert results == [COMPILED, LOADED]
+
+
+def test_code_of_edited_sources_is_not_loaded(tmp_path, monkeypatch):
+    """An edit of any source, in folders of folders too, gives the code another folder."""
+    sources = [
+        name if name.endswith(".py") else f"{name}/{sub}law.py"
+        for name in cache.SOURCES
+        for sub in ("", "of_rovers/")
+    ]
+    for source in sources:
+        (tmp_path / source).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / source).write_text("x = 1\n")
+    monkeypatch.setattr(cache, "PACKAGE", tmp_path)
+    names = {cache._hash_of_sources()}
+    for source in set(sources):
+        (tmp_path / source).write_text("x = 2\n")
+        names.add(cache._hash_of_sources())
+    assert len(names) == 1 + len(set(sources))

@@ -1,0 +1,83 @@
+"""NUMBA_DISABLE_JIT=1: the same functions as Python, for a debugger, give the same numbers."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numba import config
+
+from soil_env.parameters import load_rover, load_scenario
+from soil_env.terramechanics.model import WheelSoilModel
+from tests.conftest import ROOT
+from tests.simulation.wheels import started
+from tests.terramechanics.cases import RESIDUAL, TOGETHER, WHEEL
+
+EFFECTS = TOGETHER | {"shear_rate": {"slope": 0.08}, "shear_softening": {"sharpness": 4.0}}
+MODELS = {"no effects": None, "effects": WheelSoilModel(WHEEL, None, EFFECTS, RESIDUAL)}
+
+
+def driven(scenario, commands, model=None):
+    """{name: numbers} of a vehicle and of the ground under it after a few control periods."""
+    simulation = started(scenario, "true_soil", model=model)
+    for command in commands:
+        simulation.step(0, command)
+    worlds = simulation.worlds
+    out = {"observation": worlds.observation, "reward": worlds.reward, "cause": worlds.cause}
+    for name in ("state", "body", "wheels", "ruts"):
+        out |= _numbers(name, getattr(worlds, name, None))
+    for name, part in worlds.courses._asdict().items():
+        out |= _numbers(name, part)
+    return out
+
+
+def _numbers(name, records):
+    if records is None:
+        return {}
+    return {f"{name} {field}": records[field] for field in records.dtype.names}
+
+
+def drive_wheel(name):
+    """A wheel in one of the `MODELS`, or on a course with two lines."""
+    scenario = load_scenario("two_lines" if name == "two lines" else "mixed")
+    return driven(scenario, (0.3, 1.0, -0.4, 0.6), MODELS.get(name))
+
+
+def drive_rover(name):
+    """Another speed of each axle."""
+    scenario = load_rover(name)
+    return driven(scenario, [c * np.linspace(1.0, 0.7, scenario.axles) for c in (0.9, -0.4)])
+
+
+RUNS = {
+    **dict.fromkeys([*MODELS, "two lines"], drive_wheel),
+    **dict.fromkeys(["lunar_micro_rover", "mars_rover"], drive_rover),
+}
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("name", RUNS)
+def test_python_gives_what_the_compiled_code_gives(name, tmp_path):
+    code = (
+        "import sys, numpy as np\n"
+        "from tests.compiled.test_interpreted import RUNS\n"
+        "np.savez(sys.argv[2], **RUNS[sys.argv[1]](sys.argv[1]))\n"
+    )
+    file = tmp_path / "interpreted.npz"
+    done = subprocess.run(
+        [sys.executable, "-W", "error::RuntimeWarning", "-c", code, name, str(file)],
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    interpreted = dict(np.load(file))
+    compiled = RUNS[name](name)
+    assert compiled.keys() == interpreted.keys()
+    for key, value in compiled.items():
+        tolerance = 1e-6 if value.dtype == np.float32 else 1e-9
+        scale = 1e-12 * np.abs(value[np.isfinite(value)]).max(initial=0.0)
+        np.testing.assert_allclose(interpreted[key], value, rtol=tolerance, atol=scale, err_msg=key)
