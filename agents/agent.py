@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -35,7 +35,8 @@ from . import inputs
 from .config import NAMES, PPOConfig
 from .history import History, lines_of
 
-INFO = "soil_env.json"  # members of the zip
+# Members of the zip.
+INFO = "soil_env.json"
 WEIGHTS = "policy.pth"
 OPTIMIZER = "policy.optimizer.pth"
 MOST_BYTES = 500_000_000  # of a member, unpacked
@@ -120,13 +121,13 @@ class ChoosingPolicy(ActorCriticPolicy):
     """
 
     def __init__(self, *args, choice: int = 0, lines: Sequence[list[int]] = (), **kwargs):
-        self.of_choice = {"choice": choice, "lines": lines}
+        self.of_choice: dict[str, Any] = {"choice": choice, "lines": lines}
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
         arguments = self.net_arch, self.activation_fn, self.device
         self.mlp_extractor: nn.Module = ChoosingExtractor(
-            self.features_dim, *self.of_choice.values(), *arguments
+            self.features_dim, self.of_choice["choice"], self.of_choice["lines"], *arguments
         )
 
     def _get_action_dist_from_latent(self, latent_pi: torch.Tensor):
@@ -273,11 +274,14 @@ def load_agent(path: str | Path) -> Agent:
     info = read_info(path)
     box = Scaling(entries_of(info.task, info.observation)).space
     box = info.history.space(box) if info.history else box
-    rover = isinstance(info.task, RoverScenario)
     cls, arguments = network(info.ppo, info.observation_names)
     policy = cls(
         box,
-        rover_action_space(info.task.axles) if rover else action_space(),
+        (
+            rover_action_space(info.task.axles)
+            if isinstance(info.task, RoverScenario)
+            else action_space()
+        ),
         lambda _: 0.0,
         **arguments,
     )

@@ -18,11 +18,12 @@ import os
 import signal
 import socket
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from collections.abc import Callable, Collection, Generator, Hashable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import yaml
 
@@ -41,7 +42,9 @@ _SINGLE_THREADED = (
     "NUMBA_NUM_THREADS",
 )
 
-Engine = Callable[[Callable, Iterable], Iterator[tuple]]  # (work, cells) -> (cell, result)
+#: (work, cells) -> (cell, result).
+Engine = Callable[[Callable, Iterable], Generator[tuple, None, None]]
+Cell = TypeVar("Cell", bound=Hashable)
 
 
 @functools.cache
@@ -119,10 +122,10 @@ def read_cell(folder: Path, cell: Hashable, parse: Callable):
 
 def fill(
     work: Callable,
-    cells: Iterable,
+    cells: Iterable[Cell],
     folder: Path,
     engine: Engine,
-    progress: Callable[[Hashable], None],
+    progress: Callable[[Cell], None],
 ) -> None:
     """Do the cells without a file; `progress` receives every finished cell, also those that were
     there already.
@@ -160,7 +163,7 @@ def choose(engine: str, workers: int | None = None, address: str | None = None) 
     return in_process if workers is None else partial(processes, workers=workers)
 
 
-def in_process(work: Callable, cells: Iterable) -> Iterator[tuple]:
+def in_process(work: Callable, cells: Iterable) -> Generator[tuple, None, None]:
     """One cell after the other in this process."""
     for cell in cells:
         yield cell, work(cell)
@@ -196,15 +199,15 @@ def _call(cell):
         _Worker.busy = False
 
 
-def processes(work: Callable, cells: Iterable, *, workers: int) -> Iterator[tuple]:
+def processes(work: Callable, cells: Iterable, *, workers: int) -> Generator[tuple, None, None]:
     """`workers` processes of this machine, each single-threaded."""
     for name in _SINGLE_THREADED:
         os.environ.setdefault(name, "1")  # of the processes to come
     left = deque(cells)
-    deaths = Counter()
+    deaths: Counter[Hashable] = Counter()  # of processes, by the cell that they were at
     while left:
         others = multiprocessing.active_children()
-        running = {}
+        running: dict[Future, Hashable] = {}
         pool = ProcessPoolExecutor(
             min(workers, len(left)), multiprocessing.get_context("spawn"), _begin, (work,)
         )
@@ -255,7 +258,7 @@ def _check_ray(address: str | None) -> None:
 
 def on_ray(
     work: Callable, cells: Iterable, *, address: str | None = None, workers: int | None = None
-) -> Iterator[tuple]:
+) -> Generator[tuple, None, None]:
     """Tasks of Ray Core on the cluster at `address`, else on that of RAY_ADDRESS, else on one
     started here.
 

@@ -5,6 +5,7 @@ packages.
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 import yaml
@@ -85,7 +86,7 @@ def overrides(arguments: list[str] | tuple[str, ...], file_option: str = "") -> 
         if not value and name not in _TEXT:
             raise ParameterError(f"--{name}: is empty: expected a value")
         try:
-            entry = value if name in _TEXT else parse_yaml(value)
+            entry: Any = value if name in _TEXT else parse_yaml(value)
         except yaml.YAMLError:
             entry = value
         for part in reversed(name.replace("-", "_").split(".")):

@@ -45,7 +45,7 @@ def compare(
         config.courses,
         block=min(_BLOCK, config.courses),
         tuning_courses=config.tuning_courses,
-        oracle_courses=config.oracle_courses,
+        oracle_courses=config.oracle_courses or 0,
         model=config.model,
         detailed=False,
     )

@@ -76,7 +76,7 @@ class PPOConfig(Checked):
 
 def check_oracle(config: TrainConfig) -> None:
     """FieldError if the oracle is to drive more than the `courses` compared."""
-    if config.oracle_courses > config.courses:
+    if (config.oracle_courses or 0) > config.courses:
         problem = (
             f" = {config.oracle_courses}: expected at most {config.courses}, the courses compared"
         )

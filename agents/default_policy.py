@@ -35,8 +35,9 @@ class DefaultPolicy:
     variant = "identified"
 
     def __init__(self, scenario: Scenario | str, path: str | Path = WEIGHTS):
-        known = isinstance(scenario, (Scenario, RoverScenario))
-        self.scaling = common_layout.CommonScaling(scenario if known else load_scenario(scenario))
+        if not isinstance(scenario, (Scenario, RoverScenario)):
+            scenario = load_scenario(scenario)
+        self.scaling = common_layout.CommonScaling(scenario)
         try:
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}

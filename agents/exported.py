@@ -11,8 +11,8 @@ from soil_env.simulation.task import VARIANTS, layout
 
 from . import inputs
 
-POLICY = "policy.onnx"  # file in the folder of an export; first entry of its description
-FORMAT = "soil_env policy 1"
+POLICY = "policy.onnx"  # file in the folder of an export
+FORMAT = "soil_env policy 1"  # first entry of its description
 
 
 class ExportedAgent:

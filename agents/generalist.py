@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -101,7 +102,7 @@ class Generalist(Checked):
                 *np.diff(np.linspace(0, some, len(hidden) + 1).astype(int)).tolist(),
             )
             everywhere = (
-                chosen(scenario, [None] * len(hidden) + hidden, OF_GROUND) if hidden else {}
+                chosen(scenario, [*[None] * len(hidden), *hidden], OF_GROUND) if hidden else {}
             )
             taught_by = everywhere, *(chosen(scenario, [world], ROUNDS) for world in hidden)
             for share, world, teacher in zip(shares, [None, *hidden], taught_by, strict=True):
@@ -178,7 +179,8 @@ def command(config: Path | None, out: Path) -> None:
             model.learn(asked.improved, callback=[ppo.Schedules(asked.ppo), chooser, watch])
     stream = io.BytesIO()
     made = {"soil_env": soil_env.__version__, "config": to_dict(asked)}
-    np.savez_compressed(stream, **arrays(model, asked.ppo.history, made))
+    stored: dict[str, Any] = {**arrays(model, asked.ppo.history, made)}
+    np.savez_compressed(stream, **stored)
     replace_file(out, stream.getvalue())
     show(f"Written: {out} ({len(stream.getvalue()) / 1024:.0f} KiB)")
 

@@ -116,7 +116,8 @@ class History:
             history = [*np.tile(own, self.steps), *np.tile(np.append(own, share), len(self.lines))]
             history += [-1.0 + 2.0 * share, share] * len(self.bands)
             bounds.append(np.concatenate([side, history]).astype(np.float32))
-        return spaces.Box(*bounds, dtype=np.float32)
+        low, high = bounds
+        return spaces.Box(low, high, dtype=np.float32)
 
 
 def lines_of(names: Sequence[str], history: int) -> list[list[int]]:

@@ -1,6 +1,7 @@
 """The native vector environments as Stable-Baselines3 `VecEnv`s."""
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,11 +9,14 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from soil_env.envs.course_env import CourseVectorEnv
+from soil_env.envs.rovers import RoverSimulation
+from soil_env.envs.wheels import Simulation
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
-from soil_env.parameters import DEFAULT_ROVER, DEFAULT_SCENARIO
+from soil_env.parameters import DEFAULT_SCENARIO
 from soil_env.envs.rover_env import SoilRoverVectorEnv
 from soil_env.simulation.task import Cause, layout, truth
 from soil_env.terramechanics.model import load_model
+from soil_env.parameters import DEFAULT_ROVER
 
 
 class NativeVecEnv(VecEnv):
@@ -60,7 +64,7 @@ class CourseVecEnv(NativeVecEnv):
 
     def __init__(
         self,
-        kind: type[CourseVectorEnv],
+        kind: Callable[..., CourseVectorEnv],
         num_envs: int,
         task,
         observation: str,
@@ -125,6 +129,8 @@ class CourseVecEnv(NativeVecEnv):
 class SoilWheelVecEnv(CourseVecEnv):
     """`num_envs` wheels; keyword arguments as in `SoilWheelVectorEnv`."""
 
+    simulation: Simulation
+
     def __init__(
         self,
         num_envs: int,
@@ -149,6 +155,8 @@ class SoilWheelVecEnv(CourseVecEnv):
 
 class SoilRoverVecEnv(CourseVecEnv):
     """`num_envs` rovers; keyword arguments as in `SoilRoverVectorEnv`."""
+
+    simulation: RoverSimulation
 
     def __init__(
         self, num_envs: int, rover=DEFAULT_ROVER, observation="identified", model=None, **options

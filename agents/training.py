@@ -20,7 +20,7 @@ from . import ppo, student
 from .agent import Agent, load_agent
 from .choice import Chooser
 from .config import TrainConfig, load_config
-from .environment import hidden_worlds
+from .environment import World, hidden_worlds
 from .progress import Bar, show
 
 MODEL = "model.zip"
@@ -37,8 +37,8 @@ class _Watch(BaseCallback):
         self.folder = folder
         self.every = every
         self.bar = bar
-        self.next_save = 0  # (cause, return)
-        self.ended = deque(maxlen=_RECENT)
+        self.next_save = 0
+        self.ended: deque[tuple[str, float]] = deque(maxlen=_RECENT)  # (cause, return)
 
     def _on_training_start(self) -> None:
         self.next_save = self.num_timesteps + self.every
@@ -135,7 +135,7 @@ def train(folder: Path, config: TrainConfig, scenario: Scenario | RoverScenario)
 
 def _learn(folder: Path, config: TrainConfig, scenario) -> None:
     checkpoint = folder / CHECKPOINT
-    worlds = config.world
+    worlds: World = config.world
     if config.hidden_worlds:
         worlds = [config.world, *hidden_worlds(scenario, config.hidden_worlds, config.seed)]
     task = scenario, config.observation, config.ppo, config.seed, folder / "tensorboard", worlds

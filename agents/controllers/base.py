@@ -62,8 +62,8 @@ class Controller:
         self.top_speed = wheel.radius * wheel.no_load_speed
         self.stall = wheel.stall_torque
         self.weight_torque = scenario.weight * wheel.radius
-        self.action = scenario.control.action  # [s] between two actions
-        self.period = scenario.control.duration
+        self.action = scenario.control.action
+        self.period = scenario.control.duration  # [s] between two actions
         # Of command by an action of 1.
         self.change = scenario.control.rim_acceleration * self.period / self.top_speed
         # [N m s]: a free wheel is on speed after one period.

@@ -141,15 +141,15 @@ class Oracle:
             w = self.simulation.worlds
             due = (w.cause == _RUNNING) & (w.state["halt_left"] <= self.every * self.driver.period)
             if due.any():
-                self._plan(batch, memory, np.flatnonzero(due))
+                self._plan(self.simulation, batch, memory, np.flatnonzero(due))
         return self.driver.act(batch, memory), (memory, since + 1)
 
-    def _plan(self, batch, memory, due) -> None:
+    def _plan(self, simulation: Simulation, batch, memory, due) -> None:
         """Choose the plans of the wheels `due` [d] anew."""
         wheels = np.repeat(due, COUNT)
         places = np.arange(wheels.size)
         tried = self._candidates(self.driver.plans.at(due))
-        clone(self.simulation, wheels, self.clones, places)
+        clone(simulation, wheels, self.clones, places)
         streams = self.rng.integers(0, 2**64, size=due.size, dtype=np.uint64)
         # The same noise for all plans of a wheel.
         self.clones.worlds.streams[places] = np.repeat(streams, COUNT)
@@ -176,7 +176,8 @@ class Oracle:
         rng = self.rng
         fixed = self._soft_starts((d, len(FIXED)), *np.array(FIXED).T)
         fixed = fixed._replace(beside=rng.random((d, len(FIXED))) < 0.5)
-        a, b = (np.exp(rng.uniform(*np.log(ACCELERATIONS), (d, DRAWN))) for _ in range(2))
+        low, high = np.log(ACCELERATIONS)
+        a, b = (np.exp(rng.uniform(low, high, (d, DRAWN))) for _ in range(2))
         v, u = (rng.uniform(*SPEEDS, (d, DRAWN)) * top for _ in range(2))
         back = np.where(
             rng.random((d, DRAWN)) < BACKING_SHARE, rng.uniform(*BACKING, (d, DRAWN)), 0.0

@@ -59,7 +59,7 @@ def parse(
     their names.
     """
     settings = settings or {}
-    out = {}
+    out: dict[str, Contestant] = {}
     # Kind, text and explicit naming of the first entry of a name.
     first: dict[str, tuple[str, str, bool]] = {}
     items = [item.strip() for item in text.split(",")]

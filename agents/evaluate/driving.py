@@ -117,7 +117,8 @@ class Runs:
     def join(cls, parts: Sequence[Runs]) -> Runs:
         """The courses of all parts, in their order."""
         more = {name: np.concatenate([p.more[name] for p in parts]) for name in parts[0].more}
-        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS), more)
+        own = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _FIELDS}
+        return cls(**own, more=more)
 
     def columns(self) -> dict[str, list]:
         """{name: values} for JSON, None where not defined."""
@@ -135,8 +136,9 @@ class Runs:
         }
         if {len(array) for array in arrays.values()} != {courses}:
             raise ValueError(f"expected {courses} values in each column")
-        own = [arrays.pop(name) for name in _FIELDS]
-        return cls(own[0].astype(np.int64), *own[1:], arrays)
+        own = {name: arrays.pop(name) for name in _FIELDS}
+        own["cause"] = own["cause"].astype(np.int64)
+        return cls(**own, more=arrays)
 
 
 _FIELDS = tuple(f.name for f in fields(Runs) if f.name != "more")
@@ -172,14 +174,15 @@ def run_courses(
     network the last bits may depend on how many courses are driven side by side.
     """
     parts = []
-    kind = _OfRovers if isinstance(scenario, RoverScenario) else _Detailed if detailed else _Totals
     for start in range(first, first + courses, batch):
         count = min(batch, first + courses - start)
-        totals = None
+        totals: _Totals | None = None
         for sim, alive in drive(controller, scenario, seed, start, count, threads, model, detailed):
-            totals = totals or kind(sim, scenario, count)
+            if totals is None:
+                totals = _totals(sim, scenario, count, detailed)
             totals.add(alive)
-        parts.append(totals.runs())
+        if totals is not None:
+            parts.append(totals.runs())
     return Runs.join(parts)
 
 
@@ -330,6 +333,7 @@ class _OfRovers(_Totals):
 
     def __init__(self, sim, scenario: RoverScenario, count: int):
         super().__init__(sim, scenario, count)
+        self.axles = scenario.axles
         self.fighting, self.force = np.zeros((2, count))
 
     @property
@@ -348,7 +352,7 @@ class _OfRovers(_Totals):
         force = np.abs(wheels["torque"][rows]).max(axis=1) / self.scenario.wheel.radius
         against = 0.5 * (np.abs(pull).sum(axis=1) - np.abs(pull.sum(axis=1)))
         self.fighting += np.where(driving, against / weight, 0.0)
-        self.force += np.where(driving, force * self.scenario.axles / weight, 0.0)
+        self.force += np.where(driving, force * self.axles / weight, 0.0)
         return driving
 
     def more(self) -> dict[str, np.ndarray]:
@@ -366,9 +370,9 @@ class _Detailed(_Totals):
         super().__init__(sim, scenario, count)
         self.foresight = Foresight(scenario, count)
         self.drawbar_work, self.drive_work = np.zeros((2, count))
-        self.slips = []
-        self.depths = []
-        self.drove = []
+        self.slips: list[np.ndarray] = []
+        self.depths: list[np.ndarray] = []
+        self.drove: list[np.ndarray] = []
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         on = super().add(alive)
@@ -397,6 +401,13 @@ class _Detailed(_Totals):
         for name, series in (("slip", self.slips), ("sinkage", self.depths)):
             out[f"{name}_p50"], out[f"{name}_p95"] = _percentiles(np.array(series), drove)
         return out
+
+
+def _totals(sim, scenario: Scenario | RoverScenario, count: int, detailed: bool) -> _Totals:
+    """What is summed over the courses of a wheel or of a rover."""
+    if isinstance(scenario, RoverScenario):
+        return _OfRovers(sim, scenario, count)
+    return _Detailed(sim, scenario, count) if detailed else _Totals(sim, scenario, count)
 
 
 def _percentiles(series, mask):

@@ -28,7 +28,7 @@ try:
     from .. import agent as saved
 except ImportError:  # reported in one line where a model is loaded
     torch = None
-    saved = None
+    saved = None  # type: ignore[assignment]
 
 #: (module of the policy starts with, keys the zip must hold, module and class of the algorithm);
 #: the first that fits.

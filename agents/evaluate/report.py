@@ -82,7 +82,7 @@ def _courses(runs: Mapping[str, list[Runs]], metrics: list[str]) -> list[list]:
     rate.
     """
     names = [m for m in metrics if m not in RATES]
-    rows = [["controller", "member", "course", "cause", *names]]
+    rows: list[list] = [["controller", "member", "course", "cause", *names]]
     for name, members in runs.items():
         for member, own in enumerate(members if name != ORACLE else ()):
             values = np.array([own.metric(m) for m in names]).T

@@ -35,12 +35,12 @@ class Foresight:
         self.period = scenario.control.period
         self.threshold = float(shipped()["alarm"])
         self.probability = np.zeros(count)
-        self.on = np.zeros(count, dtype=bool)  # alarms; [s] below `KEPT`
-        self.quiet = np.zeros(count)
+        self.on = np.zeros(count, dtype=bool)  # alarms
+        self.quiet = np.zeros(count)  # [s] below `KEPT`
         # [s] under alarm, of all driving, of all.
         self.under, self.driven, self.time = np.zeros((3, count))
         self.start_time, self.start_x = np.zeros((2, count))
-        # [m]
+        # [m] of a control period in which a wheel is mobile.
         self.least = (
             scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period
         )

@@ -5,6 +5,7 @@ nor soil_env.
 import io
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -99,7 +100,8 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
         "latency_us": {"median": median, "p99": p99},
     }
     stream = io.BytesIO()
-    np.savez_compressed(stream, **course)
+    stored: dict[str, Any] = {**course}
+    np.savez_compressed(stream, **stored)
     replace_files(
         out,
         {

@@ -7,6 +7,7 @@ graph. So `agents.history` is run, not written again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
@@ -33,6 +34,9 @@ _UFUNCS = {
     np.equal: "Equal",
     np.greater: "Greater",
 }
+
+#: A `Traced`, which numpy's functions take by its protocols, though not by their types.
+Values: TypeAlias = Any
 
 _ACTIVATIONS: dict[type, str] = {
     nn.ReLU: "Relu",
@@ -168,7 +172,7 @@ def numbers(tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().astype(np.float32)
 
 
-def action_of(graph: Graph, policy, x: Traced) -> Traced:
+def action_of(graph: Graph, policy, x: Values) -> Values:
     """Actions [n, A] of the deterministic policy for observations `x` [n, D]; ParameterError for an
     unknown network.
     """
@@ -179,7 +183,7 @@ def action_of(graph: Graph, policy, x: Traced) -> Traced:
             return drive
         ahead, beside = (_layers(graph, own.line_net, x[:, columns]) for columns in own.lines)
         return np.where(np.greater(x[:, [own.choice]], 0.0), np.subtract(ahead, beside), drive)
-    actor = getattr(policy, "actor", None)
+    actor: Any = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):  # SAC, TQC: squashed
         return graph.node("Tanh", _layers(graph, actor.mu, _layers(graph, actor.latent_pi, x)))
     if isinstance(getattr(actor, "mu", None), nn.Sequential):  # TD3, DDPG: the last layer squashes
@@ -189,7 +193,7 @@ def action_of(graph: Graph, policy, x: Traced) -> Traced:
     )
 
 
-def _layers(graph: Graph, module: nn.Module, x: Traced) -> Traced:
+def _layers(graph: Graph, module: nn.Module, x: Values) -> Values:
     """Linear layers and activations, one after the other."""
     if isinstance(module, nn.Sequential):
         for layer in module:

@@ -18,7 +18,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from ..default_policy import DefaultPolicy
 from ..evaluate.driving import HELD_OUT_SET, drive
 from ..exported import FORMAT
-from .graph import OPSET, Graph, Traced, action_of
+from .graph import OPSET, Graph, Values, action_of
 
 TOLERANCE = 1e-5  # of the action, between the agent and its export
 
@@ -38,7 +38,7 @@ def onnx_model(agent, description: dict):
         raise ParameterError(f"action space {agent.policy.action_space}: expected {expected}")
     graph = Graph()
     entries = len(description["inputs"])
-    seen = graph.input("observation", "float32")
+    seen: Values = graph.input("observation", "float32")
     fresh = graph.input("new_course", "bool")
     raw = agent.scaling(seen) if agent.scaling.scaled else seen
     inputs = [graph.info(seen, ["n", entries])]
@@ -60,7 +60,7 @@ def onnx_model(agent, description: dict):
     return graph.model(inputs, outputs, {"policy": json.dumps(plain(description))})
 
 
-def _normalised(x: Traced, agent) -> Traced:
+def _normalised(x: Values, agent) -> Values:
     """Input of the network, float32, as `Agent._normalised` computes it; other models have no
     normalisation.
     """

@@ -281,11 +281,12 @@ def _model(path: Path, name: str, scenario: Scenario | None = None) -> dict:
         raise ParameterError(
             f"{file}: expected no soil: the courses have the soils of the scenario"
         )
-    own = model.wheel
-    wheel = scenario.wheel if scenario else model.wheel
-    if (own.radius, own.width) != (wheel.radius, wheel.width):
-        raise ParameterError(
-            f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected that of "
-            f"scenario {scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
-        )
+    if scenario is not None:
+        own = model.wheel
+        wheel = scenario.wheel
+        if (own.radius, own.width) != (wheel.radius, wheel.width):
+            raise ParameterError(
+                f"{file}: wheel of radius {own.radius:g} m and width {own.width:g} m: expected "
+                f"that of scenario {scenario.name!r}, {wheel.radius:g} m and {wheel.width:g} m"
+            )
     return model.content()

@@ -62,6 +62,7 @@ def table(content: dict, bounds: bool = True) -> Table:
             iqm = cell(entry["iqm"][arm], bounds=bounds)
             rows.append([name, arm, entry["members"][arm], *rates, iqm, difference, probability])
     caption = f"{content['courses']} held-out courses of each scenario; 95 % intervals"
+    header: tuple[str, ...]
     if bounds:
         header = (
             "scenario",

@@ -75,7 +75,7 @@ class Work:
         arm = self.study.arms[cell.arm]
         source = self.study.targets[cell.source]
         model = (study.worlds[arm.world] if arm.world else source).world
-        settings = {}
+        settings: dict = {}
         kind = "class"
         made = arm.controller
         if not arm.controller:

@@ -112,8 +112,8 @@ def passive_ripple_mean(contact, s, side):
     n_phi = passive(contact)
     gamma = contact.ground.unit_weight
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    share = 0.5 * (nodes + 1.0)  # lugs for each rad
-    weights = 0.5 * weights * side["lugs"] / (2.0 * np.pi)
+    share = 0.5 * (nodes + 1.0)
+    weights = 0.5 * weights * side["lugs"] / (2.0 * np.pi)  # lugs for each rad
 
     def hook(entry):
         theta = entry * share

@@ -79,8 +79,8 @@ class Table:
             )
             for line in lines
         ]
-        lines = [*([self.caption] if self.caption else []), *aligned]
-        return "\n".join((" " * indent + line).rstrip() for line in lines)
+        shown = [*([self.caption] if self.caption else []), *aligned]
+        return "\n".join((" " * indent + line).rstrip() for line in shown)
 
     def _numbers(self) -> list[bool]:
         """True for each column of numbers: every cell begins with one, is empty or a dash."""

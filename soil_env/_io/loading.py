@@ -108,7 +108,8 @@ class Checked:
 
     def __post_init__(self) -> None:
         check(self)
-        for name, known in _choices(type(self)).items():
+        own: type = type(self)
+        for name, known in _choices(own).items():
             if getattr(self, name) not in known:
                 raise FieldError(self, name, str(unknown_value(getattr(self, name), known)))
 
@@ -207,7 +208,7 @@ def _convert(hint, value, where: str):
         return None if value is None else _convert(known, value, where)
     if hint is typing.Any:
         return value
-    if dataclasses.is_dataclass(hint):
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return value if isinstance(value, hint) else load(hint, value, where)
     if origin is tuple and items[1:] == (Ellipsis,):
         expect(isinstance(value, (list, tuple)), "a list")

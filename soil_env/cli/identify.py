@@ -41,5 +41,6 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
         )
         replace_files(out, dict(zip(FILES, contents, strict=True)))
     Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
-    for name in FILES if out is not None else ():
-        print(f"written: {out / name}")
+    if out is not None:
+        for name in FILES:
+            print(f"written: {out / name}")

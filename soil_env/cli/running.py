@@ -73,7 +73,9 @@ def run(
 
 def _called(command: object, arguments: Sequence[str], name: str) -> str:
     """Name of the program with that of its subcommand, for messages."""
-    known = command.list_commands(None) if isinstance(command, click.Group) else ()
+    known = (
+        command.list_commands(click.Context(command)) if isinstance(command, click.Group) else ()
+    )
     return f"{name} {arguments[0]}" if arguments and arguments[0] in known else name
 
 
@@ -115,7 +117,10 @@ def _stoppable(received: list[int], name: str) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    usual: dict[int, Callable[[int, FrameType | None], object] | signal.Handlers] = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+    }
     ours = [number for number, handler in usual.items() if signal.getsignal(number) is handler]
     again: list[threading.Timer] = []
 
@@ -144,8 +149,9 @@ def _stoppable(received: list[int], name: str) -> Iterator[None]:
 
 def _send(number: int) -> None:
     """Send this signal to the main thread, where it also ends a blocking system call."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident, number)
+    thread = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and thread is not None:
+        signal.pthread_kill(thread, number)
     else:
         signal.raise_signal(number)
 

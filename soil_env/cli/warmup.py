@@ -5,6 +5,7 @@ For an image, or before many processes start at once.
 """
 
 import time
+from typing import Any
 
 import click
 import gymnasium
@@ -27,7 +28,7 @@ def command() -> None:
     print(f"ready after {time.perf_counter() - start:.0f} s; {place()}")
 
 
-def _drive(env_id: str, action: float, **options: object) -> None:
+def _drive(env_id: str, action: float, **options: Any) -> None:
     """Reset an environment, make a step and draw a picture."""
     env = gymnasium.make(env_id, render_mode="rgb_array", **options)
     env.reset(seed=0)

@@ -327,9 +327,15 @@ class Problem:
         uses.
         """
         keep = self.used[used]
-        rows = {k: getattr(fit, k)[keep] for k in ("residual", "jacobian", "effect", "rig")}
-        more = {k: tuple(block[keep] for block in getattr(fit, k)) for k in ("law", "free")}
-        return dataclasses.replace(fit, **rows, **more)
+        return dataclasses.replace(
+            fit,
+            residual=fit.residual[keep],
+            jacobian=fit.jacobian[keep],
+            effect=fit.effect[keep],
+            rig=fit.rig[keep],
+            law=tuple(block[keep] for block in fit.law),
+            free=tuple(block[keep] for block in fit.free),
+        )
 
     def fit(
         self,

@@ -31,8 +31,8 @@ from soil_env.terramechanics.effects.entry import (
 )
 from soil_env.terramechanics.model import Rows
 
-OFFSET = 0.05  # [mean load, times the radius] sd of a zero error: a candidate's, a nuisance's
-LEAST_OFFSET = 0.003  # [the same] sd of the smallest zero error that is told apart
+OFFSET = 0.05  # [mean load, times the radius] sd of a zero error that is a candidate
+LEAST_OFFSET = 0.003  # [the same] sd of the zero error of every table, a nuisance
 PRESSED = (0.2, 3.0)  # of the stated load, within which the true one is sought
 
 

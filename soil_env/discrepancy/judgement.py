@@ -116,13 +116,13 @@ def held_out_predictions(problem: Problem, fit: Fit) -> np.ndarray:
 
 def gaps(problem: Problem, before: np.ndarray, after: np.ndarray) -> dict[str, Gap]:
     """`Gap` by measured channel of two held-out predictions [N, 3], over the values in use."""
-    out = {}
+    out: dict[str, Gap] = {}
     for j, name in enumerate(CHANNELS):
         used = problem.used[:, j]
         if used.any():
             y = problem.data.y[used, j]
-            rms = (float(np.sqrt(np.mean((y - p[used, j]) ** 2))) for p in (before, after))
-            out[name] = Gap(*rms, float(problem.noise[j]))
+            old, new = (float(np.sqrt(np.mean((y - p[used, j]) ** 2))) for p in (before, after))
+            out[name] = Gap(old, new, float(problem.noise[j]))
     return out
 
 
@@ -180,10 +180,13 @@ def shares(
     """
     if not held:
         return {}
-    closes = {names: closed(problem, gaps(problem, before, after)) for names, after in held.items()}
-    full = max(closes, key=len)
-    if closes[full] is None:
-        return dict.fromkeys(full)
+    full = max(held, key=len)
+    closes: dict[tuple[str, ...], float] = {}
+    for names, after in held.items():
+        share = closed(problem, gaps(problem, before, after))
+        if share is None:  # there is no gap, whatever is added
+            return dict.fromkeys(full)
+        closes[names] = share
     if len(full) == 1:
         return {full[0]: closes[full]}
     return {

@@ -172,8 +172,8 @@ def next_checks(finding: Finding, runs: Sequence[NextTest]) -> tuple[Check, ...]
     """
     least = max((t.information for t in runs), default=0.0)
     share = {s: p for s, p in _shares(finding).items() if p > 0.0}
-    names = [*share, ()]  # no check knows what is in no catalogue
-    p = np.array([*share.values(), finding.unlisted])
+    names = [*share, ()]
+    p = np.array([*share.values(), finding.unlisted])  # no check knows what is in no catalogue
     left = list(CHECKS)
     out = []
     before = 0.0

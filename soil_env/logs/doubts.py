@@ -45,11 +45,11 @@ class Range(NamedTuple):
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
 _RIM = Range(0.65, 6.0)
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
-_LOAD = Range(0.2, 5.0)  # of weight, or of weight times radius
-_PULL = Range(1e-3, 2.0)
-_TORQUE = Range(5e-3, 3.0)
-_PITCH = Range(0.0, 0.8)  # [rad]; [of gravity], more with an axis that points down
-_FELT = Range(0.0, 0.7)
+_LOAD = Range(0.2, 5.0)  # [of weight]
+_PULL = Range(1e-3, 2.0)  # [of weight]
+_TORQUE = Range(5e-3, 3.0)  # [of weight times radius]
+_PITCH = Range(0.0, 0.8)  # [rad]
+_FELT = Range(0.0, 0.7)  # [of gravity]; more with an axis that points down
 _SINKAGE = Range(1e-3, math.inf)  # [radii] largest of a log
 
 
@@ -90,7 +90,7 @@ class _Doubts:
     def __init__(self, log: Aligned, log_map: LogMap) -> None:
         self.log = log
         self.map = log_map
-        self.lines = []
+        self.lines: list[str] = []
         self.rim = log.readings["wheel_speed"] * log_map.wheel.radius
         self.speed = log.get("speed")
         self.slowest = _STANDS * log_map.wheel.radius

@@ -10,7 +10,7 @@ from soil_env.logs import bags, tables
 from soil_env.logs.align import Aligned, Channel, align
 from soil_env.logs.bags import Message, Notes, NotHere, Progress, number, parse
 from soil_env.logs.doubts import doubts, time_doubts
-from soil_env.logs.mapping import UNITS, LogMap, factor
+from soil_env.logs.mapping import UNITS, LogMap, TimeColumn, factor
 from soil_env.online import largest_readings
 
 _DELAY = 1.0  # [s] between the clocks of header and recording, beyond which the report says so
@@ -28,10 +28,13 @@ def read_recording(
     single reading of the wheel speed.
     """
     path = Path(path)
-    table = _check_kind(path, log_map)
+    stamps = log_map.time if _check_kind(path, log_map) else None
     notes = Notes()
     reader = _Reader(log_map)
-    (reader.read_table if table else reader.read_bag)(path, notes, progress)
+    if stamps is not None:
+        reader.read_table(path, stamps, notes, progress)
+    else:
+        reader.read_bag(path, notes, progress)
     found = align(reader.channels, reader.constants, log_map.period, log_map.max_gap)
     if len(found) == 0:
         raise ParameterError(
@@ -151,15 +154,14 @@ class _Reader:
         else:
             channel.unusable += 1
 
-    def read_table(self, path: Path, notes: Notes, progress: Progress) -> None:
-        """Read a CSV or Parquet file."""
-        stamps = self.map.time
-        columns = {}
+    def read_table(self, path: Path, stamps: TimeColumn, notes: Notes, progress: Progress) -> None:
+        """Read a CSV or Parquet file with a column of time stamps."""
+        columns: dict[str, list[str]] = {}
         for name, source in self.sources.items():
             columns.setdefault(source.column, []).append(name)
         labels = {column: ", ".join(names) for column, names in columns.items()}
         clock = _Clock(path.name, self._gap)
-        times = []
+        times: list[int] = []
         for row in tables.rows(path, stamps.column, stamps.unit, labels, notes, progress):
             if len(times) < 4096:
                 times.append(row.time)

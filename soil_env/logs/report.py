@@ -4,7 +4,7 @@ import json
 import math
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def report_of(
     parts = grounds(found, steady)
     begin = datetime.fromtimestamp(log.start * 1e-9, UTC)
     length = log.time[-1] - log.time[0]
-    values = {
+    values: dict[str, Any] = {
         "recording": recording,
         "doubts": log.doubts,
         "notes": log.notes,

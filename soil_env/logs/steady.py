@@ -20,6 +20,7 @@ import re
 import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -36,8 +37,8 @@ _COLUMNS = ("slip", "load", "speed", "grade_deg", "run", "time", *MEASURED)
 _LEAST_SD = 1e-9  # in the unit of a channel: a smaller scatter is rounding
 _LEAST_SPREAD = 0.01  # of slip, for a table
 
-#: Columns of a measurement table, ground and start [s]; NaN = not measured.
-Point = dict[str, float | str]
+#: Columns of a measurement table, ground and start [s]: numbers, NaN = not measured, but for `run`.
+Point = dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +92,7 @@ def steady_windows(log: Aligned, log_map: LogMap, ground: np.ndarray | None = No
     borders = where[1:][np.diff(ground) != 0]
     between = np.all(np.abs(where[:, None] - borders) > log_map.belief.border, axis=1)
     rows = []
-    residuals = {name: [] for name in (*MEASURED, "slip", "load")}
+    residuals: dict[str, list[float]] = {n: [] for n in (*MEASURED, "slip", "load")}
     at = 0
     while at + n <= len(log):
         here = slice(at, at + n)

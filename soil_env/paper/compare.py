@@ -5,6 +5,7 @@ Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -83,13 +84,22 @@ def sand_set(sand: Sand = SAND) -> tuple[float, float, float]:
     )
 
 
-def pull(e: Equations, sand: Sand = SAND, slip: ArrayLike = POINT.slip) -> np.ndarray:
-    """DP [N] at the entry angle of the working point; an array for an array of slips."""
+def pulls(e: Equations, sand: Sand, slip: ArrayLike) -> np.ndarray:
+    """DP [N] by slip, at the entry angle of the working point."""
     e = e._replace(cohesion=sand.cohesion, exponent=sand.sinkage_exponent)
-    found = forces(
-        sand_set(sand), slip, e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg))), e
-    )[:, 0]
-    return found if np.ndim(slip) else float(found[0])
+    sinkage = e.radius * (1.0 - math.cos(math.radians(POINT.entry_angle_deg)))
+    return forces(sand_set(sand), slip, sinkage, e)[:, 0]
+
+
+def pull(e: Equations, sand: Sand = SAND) -> float:
+    """DP [N] at the working point."""
+    return float(pulls(e, sand, POINT.slip)[0])
+
+
+def pair(values: Iterable[float]) -> tuple[float, float]:
+    """One number by each of two models."""
+    first, second = values
+    return first, second
 
 
 def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
@@ -106,21 +116,21 @@ def alone(e: Equations, name: str, target: float, sand: Sand = SAND) -> float:
 def variation(e: Equations) -> float:
     """Mean change of DP by the held cohesion over `WIDE_SLIP`, relative to the mean DP [%]."""
     slip = np.linspace(*WIDE_SLIP, 200)
-    own = pull(e, slip=slip)
-    held = pull(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
+    own = pulls(e, SAND, slip)
+    held = pulls(e, replace(SAND, cohesion=P.fixed_cohesion), slip)
     return 100.0 * float((held - own).mean() / own.mean())
 
 
 def working_point() -> list[Row]:
     """Sections 3.1 and 4: the drawbar pull, and what is said of cohesion."""
-    at_1150 = tuple(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
-    at_1200 = tuple(alone(e, "cohesion", 1200.0) for e in MODELS)
-    no_cohesion = tuple(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
+    at_1150 = pair(alone(e, "cohesion", POINT.if_measured_drawbar_pull) for e in MODELS)
+    at_1200 = pair(alone(e, "cohesion", 1200.0) for e in MODELS)
+    no_cohesion = pair(pull(e, replace(SAND, cohesion=0.0)) for e in MODELS)
     c = POINT.then_identified_cohesion
     limit = POINT.cohesion_may_turn_negative_below
-    error = tuple(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
+    error = pair(100.0 * (c / SAND.cohesion - 1.0) for c in at_1200)
     return [
-        Row("DP [N]", POINT.drawbar_pull, tuple(pull(e) for e in MODELS)),
+        Row("DP [N]", POINT.drawbar_pull, pair(pull(e) for e in MODELS)),
         Row("c identified from 1150 N [Pa]", c, at_1150),
         Row("the same from 1200 N", c, at_1200),
         Row("its error [%]", POINT.then_error_percent, error, ".0f"),
@@ -128,7 +138,7 @@ def working_point() -> list[Row]:
         Row(
             "change of DP by c = 3000 Pa, mean [%]",
             P.variation_percent,
-            tuple(map(variation, MODELS)),
+            pair(map(variation, MODELS)),
             ".1f",
         ),
     ]
@@ -142,7 +152,7 @@ def table_1() -> list[Row]:
         line = P.table1[name]
         value = getattr(SAND, name)
         for k, factor in enumerate((0.95, 1.05)):
-            found = tuple(alone(e, name, factor * pull(e)) for e in MODELS)
+            found = pair(alone(e, name, factor * pull(e)) for e in MODELS)
             label = f"{LABELS[name]}, DP {100 * (factor - 1):+.0f} %"
             rows.append(
                 Row(
@@ -152,21 +162,19 @@ def table_1() -> list[Row]:
                     forms.get(name, ".4f" if value < 1.0 else ".2f"),
                 )
             )
-            errors = tuple(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
+            errors = pair(100.0 * (as_shown(v, rows[-1].form) / value - 1.0) for v in found)
             rows.append(Row("error [%]", line.error_percent[k], errors))
     return rows
 
 
 def rules() -> list[tuple[str, float, float]]:
     """DP [N] of the working point by other rules of integration, and by Eq. (11)."""
-    cases = {f"(12), m = {m}": {"simpson": m} for m in (1, 2, 5, 10, 50)} | {
-        "(12), exact": {"simpson": 0}
-    }
-    cases |= {
-        "(11), m = 2": {"compaction": False},
-        "(11), exact": {"simpson": 0, "compaction": False},
-    }
-    return [(name, *(pull(e._replace(**change)) for e in MODELS)) for name, change in cases.items()]
+    cases = [(f"(12), m = {m}", m, True) for m in (1, 2, 5, 10, 50)]
+    cases += [("(12), exact", 0, True), ("(11), m = 2", 2, False), ("(11), exact", 0, False)]
+    return [
+        (name, *pair(pull(e._replace(simpson=m, compaction=compaction)) for e in MODELS))
+        for name, m, compaction in cases
+    ]
 
 
 @cache
@@ -183,8 +191,8 @@ def table_3() -> list[Row]:
     rows = []
     for k, (name, form) in enumerate(zip(NAMES, (".2f", ".4f", ".0f"), strict=True)):
         line = P.table3[name]
-        errors = tuple(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
-        rows.append(Row(LABELS[name], line.identified, tuple(x[k] for x in found), form))
+        errors = pair(100.0 * abs(as_shown(x[k], form) / line.actual - 1.0) for x in found)
+        rows.append(Row(LABELS[name], line.identified, pair(x[k] for x in found), form))
         rows.append(Row("error [%]", line.error_percent, errors))
     predicted = [forces(PRINTED_SET, *MEASURED[:2], e)[:, 0] for e in HELD]
     for p, measured in enumerate(MEASURED.pull):
@@ -232,7 +240,7 @@ def table_4() -> list[Row]:
                 Row(
                     f"{LABELS[name]}, {label}",
                     P.table4[name][end],
-                    tuple(map(float, own)),
+                    pair(map(float, own)),
                     form,
                     beyond,
                 )
@@ -327,4 +335,5 @@ def compute(seed: int = 0, draws: int = 1000) -> Results:
     torques = {
         name: (torque(soils()[row]), torque_at_37_deg(soils()[row])) for name, row in FIELD.items()
     }
-    return Results(seed, draws, rows, tuple(table_5(e, seed, draws) for e in HELD), torques)
+    first, second = (table_5(e, seed, draws) for e in HELD)
+    return Results(seed, draws, rows, (first, second), torques)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     import pygame
 
 Colour: TypeAlias = tuple[int, ...]
 Point: TypeAlias = Sequence[float] | np.ndarray
+Points: TypeAlias = Sequence[Point] | np.ndarray
 Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 
 DESIGN = (960, 540)  # [px] the size in which the layout is written
@@ -56,9 +56,9 @@ class Canvas:
         self._offset = 0.5 * (np.array(size) - self._scale * np.array(DESIGN))
         self._large = pygame.Surface((2 * size[0], 2 * size[1]), 0, 32)
         self._surface = pygame.Surface(size, 0, 32)
-        self._fonts = {}
-        self._written = {}
-        self._texts = []
+        self._fonts: dict[int, pygame.font.Font] = {}  # by their height [px]
+        self._written: dict[tuple[str, int, Colour], pygame.Surface] = {}
+        self._texts: list[tuple[pygame.Surface, np.ndarray]] = []  # with their places
 
     def _at(self, points):
         return (2.0 * (self._scale * np.asarray(points) + self._offset)).tolist()
@@ -73,12 +73,14 @@ class Canvas:
 
     def clip(self, box: Box | None) -> None:
         """Confine shapes (not text) to a box; None lifts it."""
-        if box is not None:
-            (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
-            box = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
-        self._large.set_clip(box)
+        if box is None:
+            self._large.set_clip(None)
+            return
+        (x, y), (x1, y1) = self._at([box[:2], np.add(box[:2], box[2:])])
+        inside = self._pygame.Rect(round(x), round(y), round(x1 - x), round(y1 - y))
+        self._large.set_clip(inside)
 
-    def box(self, box: Box, colour: Colour, edge: Colour | None = None) -> None:
+    def box(self, box: Box, colour: Colour | None, edge: Colour | None = None) -> None:
         """A rectangle, filled unless `colour` is None, with an edge if a colour is given for it."""
         x, y, w, h = box
         corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y)]
@@ -87,11 +89,11 @@ class Canvas:
         if edge is not None:
             self.lines(corners, edge, 1)
 
-    def polygon(self, points: ArrayLike, colour: Colour) -> None:
+    def polygon(self, points: Points, colour: Colour) -> None:
         """A filled polygon."""
         self._draw.polygon(self._large, colour, self._at(points))
 
-    def lines(self, points: ArrayLike, colour: Colour, width: float = 1.5) -> None:
+    def lines(self, points: Points, colour: Colour, width: float = 1.5) -> None:
         """A polyline."""
         if len(points) > 1:
             self._draw.lines(self._large, colour, False, self._at(points), self._width(width))
@@ -115,7 +117,7 @@ class Canvas:
             self.polygon([head, base + across, base - across], colour)
 
     def soil(
-        self, points: ArrayLike, bottom: float, friction: ArrayLike, bounds: tuple[float, float]
+        self, points: np.ndarray, bottom: float, friction: np.ndarray, bounds: tuple[float, float]
     ) -> np.ndarray:
         """Ground below a surface [n, 2], coloured by friction angle [n - 1]; returns the
         colours.
@@ -163,7 +165,7 @@ class Canvas:
         return self._surface
 
 
-def soil_colour(friction: ArrayLike, bounds: tuple[float, float]) -> np.ndarray:
+def soil_colour(friction: np.ndarray | list[float], bounds: tuple[float, float]) -> np.ndarray:
     """Colours [n, 3] of soils with friction angles [n] in deg; the ramp spans `bounds` [deg]."""
     place = np.linspace(*bounds, len(_RAMP))
     return np.stack([np.interp(friction, place, channel) for channel in _RAMP.T], axis=1).astype(

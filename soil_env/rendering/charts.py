@@ -92,7 +92,11 @@ def _draw_chart(
     c.text(left, top - 11, name, 16)
     for t in ticks(end - SPAN, end, 5.0):
         c.lines(at(np.array([t, t]), limits), GRID, 1)
-    for v in _log_ticks(*limits) if log else ticks(*limits, nice((limits[1] - limits[0]) / 2.4)):
+    for v in (
+        _log_ticks(*limits)
+        if log
+        else ticks(limits[0], limits[1], nice((limits[1] - limits[0]) / 2.4))
+    ):
         ends = at(np.array([end - SPAN, end]), [v, v])
         c.lines(ends, GRID, 1)
         c.text(left - 6, ends[0, 1], f"{v:g}", 14, GREY, 1.0)

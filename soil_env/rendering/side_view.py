@@ -170,7 +170,7 @@ def draw_side_view(
     posture = (
         posture_of(simulation.scenario.vehicle, hubs, float(body["pitch"])) if is_rover else None
     )
-    if is_rover:
+    if posture is not None:
         _draw_body(c, scene, simulation.scenario.vehicle, posture, r)
     for w, hub, angle in zip(wheels, hubs, angles, strict=True):
         drawing.draw_wheel(
@@ -179,7 +179,7 @@ def draw_side_view(
     for w, hub, own in zip(wheels, hubs, stresses, strict=True):
         side = -1.0 if w["speed"] < -REST_SPEED else 1.0
         drawing.draw_stresses(c, scene.at(*hub), size, float(w["grade"]), side, own, per_pascal)
-    if is_rover:
+    if posture is not None:
         _draw_suspension(c, scene, simulation.scenario.vehicle, posture, r)
     drawing.draw_stress_key(c, scene.box, stresses)
     c.clip(None)

@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from soil_env.rendering.canvas import DESIGN, Canvas
 from soil_env.rendering.charts import QUANTITIES, SPAN, draw_charts
 from soil_env.rendering.ground import draw_course, friction_range, profile_of
 from soil_env.rendering.side_view import COLOURS, draw_side_view, sample_of, shown_wheels, width_of
+
+if TYPE_CHECKING:
+    import pygame
 
 MODES = ("rgb_array", "human")
 _POINTS = 600  # of the history, at most
@@ -27,9 +30,9 @@ class CourseView:
         self.scenario: Scenario = scenario
         self.mode: str = mode
         self.size: tuple[int, int] = (size[0], size[1])
-        self._canvas = None
-        self._window = None
-        self._clock = None
+        self._canvas: Canvas | None = None
+        self._window: pygame.Window | None = None
+        self._clock: pygame.time.Clock | None = None
         self._step = scenario.control.duration  # [s] from record to record
         self._identified = scenario.belief.method != "none"  # else there is no estimate to show
         self._every = max(1, math.ceil(SPAN / self._step / _POINTS))  # records per sample
@@ -78,11 +81,12 @@ class CourseView:
         """The picture as uint8 [height, width, 3] in mode "rgb_array"; in mode "human" it goes to
         the window.
         """
-        self._canvas = self._canvas or Canvas(self.size)
-        self._canvas.clear()
+        canvas = self._canvas or Canvas(self.size)
+        self._canvas = canvas
+        canvas.clear()
         simulation.complete(k)
-        self._paint(self._canvas, simulation, k)
-        surface = self._canvas.finish()
+        self._paint(canvas, simulation, k)
+        surface = canvas.finish()
         if self.mode == "human":
             self._show(surface)
             return None
@@ -108,7 +112,7 @@ class CourseView:
         """
         import pygame
 
-        if self._window is None:
+        if self._window is None or self._clock is None:
             pygame.display.init()
             self._window = pygame.Window(f"soil_env: {self.scenario.name}", self.size)
             self._clock = pygame.time.Clock()

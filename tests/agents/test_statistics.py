@@ -38,8 +38,8 @@ def test_probability_of_improvement_is_the_mann_whitney_statistic(a, members, ra
 @given(SCORES)
 def test_statistics_of_draws_are_those_of_the_scores_written_out(a):
     """With every member and every course repeated as often as it was drawn."""
-    b = a[::-1, ::-1] + 0.25  # not defined on some courses
-    holes = np.where(a > 1.0, np.nan, a)
+    b = a[::-1, ::-1] + 0.25
+    holes = np.where(a > 1.0, np.nan, a)  # not defined on some courses
     members, courses = drawn(a)
     others, _ = drawn(b, name="b")
     iqms = st.iqm_samples(a, members, courses)

@@ -196,8 +196,8 @@ def test_who_is_left():
     q = copy.copy(p)
     y = p.data.y.copy()
     y[3, 1] += 40.0 * NOISE[1]
-    q.data = dataclasses.replace(p.data, y=y)  # left out as an outlier
-    q.used = p.used & (y == p.data.y)
+    q.data = dataclasses.replace(p.data, y=y)
+    q.used = p.used & (y == p.data.y)  # left out as an outlier
     outlier = proposed(q, (settle(q, ()),), (1.0,), repeat=True)[0].conditions
     assert (outlier["slip"], outlier["load"]) == (p.data.rows.slip[3], p.data.rows.load[3])
     # The table has one pass: an effect that no pass could show has its prior odds, and runs of

@@ -33,8 +33,8 @@ READINGS = (
 class SteppedSpeed(ConstantSpeed):
     """Rim speed that is held for 2.5 s, and then another."""
 
-    shares = np.array([0.33, 0.6, 0.47, 0.8])  # of the top rim speed; [s]
-    hold = 2.5
+    shares = np.array([0.33, 0.6, 0.47, 0.8])  # of the top rim speed
+    hold = 2.5  # [s]
 
     def rim_speed(self, observation, state):
         t = np.where(state["fresh"], 0.0, state.get("time", 0.0) + self.period)

@@ -11,6 +11,7 @@ from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
 from soil_env.discrepancy.report.sentences import TITLES, UNITS
 from soil_env.discrepancy.result import EffectFound, Report
+from soil_env.discrepancy.symbolic import ResidualFit
 from soil_env.terramechanics.effects.text import fitted, legend, plain, published, used
 from soil_env.terramechanics.residual import LEGEND, formulas, product
 
@@ -48,7 +49,7 @@ def blocks(report: Report) -> list[Block]:
     """Blocks of the named effects, and of the law of something unlisted."""
     return [
         *(_of_effect(report, e) for e in report.effects),
-        *([_of_law(report)] if report.model.residual else []),
+        *([_of_law(report, report.law)] if report.law is not None else []),
     ]
 
 
@@ -94,7 +95,7 @@ def _of_effect(report: Report, e: EffectFound) -> Block:
     )
 
 
-def _of_law(report: Report) -> Block:
+def _of_law(report: Report, law: ResidualFit) -> Block:
     terms = report.model.residual
     numbers = [
         (
@@ -104,13 +105,13 @@ def _of_law(report: Report) -> Block:
                 f"{plain(c.high)}"
             ),
         )
-        for t, c in zip(terms, report.law.coefficients(), strict=True)
+        for t, c in zip(terms, law.coefficients(), strict=True)
     ]
     where = {}
     for channel in dict.fromkeys(t.channel for t in terms):
         j = CHANNELS.index(channel)
         (unit, scale) = UNITS[channel]
-        added = scale * report.law.offset[report.problem.used[:, j], j]
+        added = scale * law.offset[report.problem.used[:, j], j]
         said = (
             f"it adds {added.min():.3g} to {added.max():.3g} {unit} of {TITLES[channel]} in this "
             "table"

@@ -3,6 +3,7 @@
 import io
 import math
 import re
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -162,7 +163,9 @@ def _slip(report: Report) -> Figure:
     for (label, rows), line in zip(picked, axes, strict=False):
         slip = np.linspace(data.rows.slip[rows].min(), data.rows.slip[rows].max(), 60)
         middle = data.rows.wheels[rows[len(rows) // 2]]
-        at = {name: float(np.median(column[rows])) for name, column in data.conditions.items()}
+        at: dict[str, Any] = {
+            name: float(np.median(column[rows])) for name, column in data.conditions.items()
+        }
         at |= {
             "slip": slip,
             "load": data.rows.load[rows].mean(),

@@ -57,7 +57,7 @@ def gap(report: Report) -> Table:
     """Held-out error of each channel; without the column of the corrected model where nothing was
     added.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, g in report.gap.items():
         before, after, noise = (amount(name, x, 3) for x in g)
         over = [f"{x:.2f}" for x in g.over_noise]

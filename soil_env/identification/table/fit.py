@@ -144,7 +144,7 @@ def _settle(problem: TableProblem, u: np.ndarray, guess: bool = True) -> tuple[n
     guessed = problem.estimated & guess
     converged = False
     share = 1.0  # of each move; lessened where they go in circles, as when the model does not fit
-    last = math.inf
+    last = math.inf  # change of the iteration before
     problem.weigh(problem.by_conditions(u))
     for count in range(_PASSES):
         noise = problem.noise.copy()

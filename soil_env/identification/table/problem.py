@@ -147,9 +147,8 @@ class TableProblem:
                 f"{setup.source}: soil: every parameter is known: expected at least one to "
                 "identify, left out or as {value: ..., sd: ...}"
             )
-        self.bounds: tuple[np.ndarray, ...] = tuple(
-            np.array(b) for b in zip(*(k.bounds for k in self.unknowns), strict=True)
-        )
+        lowest, highest = zip(*(k.bounds for k in self.unknowns), strict=True)
+        self.bounds: tuple[np.ndarray, np.ndarray] = (np.array(lowest), np.array(highest))
         self._noise()
         values = int(self.measured.sum())
         needed = len(self.unknowns)
@@ -325,11 +324,11 @@ class TableProblem:
                 np.where(np.isfinite(moved), moved, 0.0)[:, :, None] * functions[:, None, :]
             )
         own = [(base * unit)[:, :, None] * functions[:, None, :] for unit in np.eye(3)]
-        stresses, channels = (np.concatenate(errors, axis=2) for errors in (blocks, own))
-        return tuple(
+        stresses, channels = (
             np.stack([self._by_noise(errors[:, :, k]) for k in range(errors.shape[2])], axis=1)
-            for errors in (stresses, channels)
+            for errors in (np.concatenate(blocks, axis=2), np.concatenate(own, axis=2))
         )
+        return stresses, channels
 
     def by_size(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(probability, mean [p] and covariance [p, p] of the unknowns, by size and span),
