@@ -14,14 +14,20 @@ from numba import njit
 from soil_env._compiled.elementary import asin_root, sin_cos
 from soil_env._compiled.flags import FINITE, record
 from soil_env.parameters import MOST_AXLES, RoverScenario
+from soil_env.simulation.world.wheel import WHEEL
 
 LOAD_TOLERANCE = 0.02  # [of the mean load of an axle] change of a load that asks for a new solution
 LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle bears: none is taken to lift off
 STEEPEST = 0.9  # [-] largest sine of the pitch
 
-#: A rover as a whole. The names that `WHEEL` has too mean the same, so that its laws of halts, of progress, of odometry
-#: and of the reward hold for rovers.
-BODY = record(
+#: What an axle has beside its wheel.
+AXLE = record(
+    "height",  # [m] of the undisturbed ground under the wheel
+    "floor",  # [m] depth below it of the rut that the wheels ahead have left there
+)
+#: A rover: its body, then its wheels and axles from the front on. The names that `WHEEL` has too mean the same, so that
+#: its laws of halts, of progress, of odometry and of the reward hold for rovers.
+ROVER = record(
     "x",  # [m] distance along the course of the rear axle: how far the whole rover has come
     "best_x",  # [m] furthest x so far
     "speed",  # V [m/s]
@@ -43,11 +49,8 @@ BODY = record(
     stream=("u8",),
     converged=("i8",),
     steps=("i8",),
-)
-#: What an axle has beside its wheel.
-AXLE = record(
-    "height",  # [m] of the undisturbed ground under the wheel
-    "floor",  # [m] depth below it of the rut that the wheels ahead have left there
+    wheels=(WHEEL, MOST_AXLES),
+    axles=(AXLE, MOST_AXLES),
 )
 #: A `Vehicle` as compiled code takes it. Arms count from the centre of mass forward.
 SUSPENSION = record(
@@ -146,11 +149,11 @@ def take_pitch(rover, s):
             length = s.arms[0] - s.pivot_arm
     sine = min(max((front - rear) / length, -STEEPEST), STEEPEST)
     angle = asin_root(sine * sine)
-    rover.body.pitch = -angle if sine < 0.0 else angle
+    rover.pitch = -angle if sine < 0.0 else angle
 
 
 @njit(**FINITE)
-def weight_of(body, gravity):
+def weight_of(rover, gravity):
     """Weight [N] of one side of a rover, normal to its body."""
-    sine = sin_cos(body.pitch)[0]
-    return gravity * body.mass * math.sqrt(1.0 - sine * sine)
+    sine = sin_cos(rover.pitch)[0]
+    return gravity * rover.mass * math.sqrt(1.0 - sine * sine)

@@ -6,7 +6,6 @@ speeds, at a cost that is linear in the axles. Stages and reaction are those of 
 
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
@@ -24,7 +23,6 @@ from soil_env.simulation.world.newton import (
     last_force,
     near_enough,
 )
-from soil_env.simulation.world.terrain import Course
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
@@ -65,33 +63,13 @@ TURNING = record(
 )
 
 
-class Stages(NamedTuple):
-    """Scratch of a thread for a stage of a rover, one row an axle."""
-
-    nodes: np.ndarray  # [axles] `ARC_NODES`
-    feet: np.ndarray  # [axles] `FOOT`
-    found: np.ndarray  # [axles] `TURNING`: the best so far
-    trial: np.ndarray  # [axles] `TURNING`
-
-
-def new_stages() -> Stages:
-    """Scratch for one thread."""
-    return Stages(
-        np.zeros(MOST_AXLES, ARC_NODES),
-        np.zeros(MOST_AXLES, FOOT),
-        np.zeros(MOST_AXLES, TURNING),
-        np.zeros(MOST_AXLES, TURNING),
-    )
-
-
-class Rover(NamedTuple):
-    """One rover."""
-
-    body: Any  # `BODY`
-    wheels: np.ndarray  # [axles] `WHEEL`
-    axles: np.ndarray  # [axles] `AXLE`
-    ruts: np.ndarray  # [axles, cells] `ROVER_RUT`
-    course: Course
+#: Scratch of a thread for a stage of a rover, one row an axle.
+STAGE = record(
+    nodes=(ARC_NODES, MOST_AXLES),
+    feet=(FOOT, MOST_AXLES),
+    found=(TURNING, MOST_AXLES),  # the best so far
+    trial=(TURNING, MOST_AXLES),
+)
 
 
 class RoverWorld(NamedTuple):
@@ -100,7 +78,7 @@ class RoverWorld(NamedTuple):
     rig: Any  # `RIG` of each wheel
     acting: Acting
     suspension: Any  # `SUSPENSION`
-    stages: Stages
+    stage: Any  # `STAGE`
 
 
 class Equation(NamedTuple):
@@ -158,7 +136,7 @@ def _apart(x):
 @njit(**FINITE)
 def newton_step(residual, at, world):
     """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle; `residual` of travel."""
-    found = world.stages.found
+    found = world.stage.found
     r = world.rig.radius
     slope = 1.0
     for a in range(world.suspension.axles):
@@ -184,8 +162,8 @@ def foresee(rover, at, world):
     residual = rover.wheels[0].speed - at.speed
     for a in range(world.suspension.axles):
         wheel = rover.wheels[a]
-        foot = world.stages.feet[a]
-        found = world.stages.found[a]
+        foot = world.stage.feet[a]
+        found = world.stage.found[a]
         keep_reaction(found, last_force(wheel))
         torque, slope, _ = motor_torque(foot.command, foot.by_speed, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
@@ -204,9 +182,9 @@ def _begin(rover, at, weight, world):
     """
     rig = world.rig
     s = world.suspension
-    feet = world.stages.feet
-    found = world.stages.found
-    trial = world.stages.trial
+    feet = world.stage.feet
+    found = world.stage.found
+    trial = world.stage.trial
     dv = foresee(rover, at, world)
     short = True
     for a in range(s.axles):
@@ -233,10 +211,10 @@ def _evaluate(v, at, world):
     pull = 0.0
     largest = 0.0
     for a in range(world.suspension.axles):
-        foot = world.stages.feet[a]
-        trial = world.stages.trial[a]
+        foot = world.stage.feet[a]
+        trial = world.stage.trial[a]
         u = trial.rim
-        force = reaction(world.stages.nodes[a], foot, v, u, rig, foot, world.acting)
+        force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed, u / rig.radius, rig)
         keep_reaction(trial, force)
         trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
@@ -252,7 +230,7 @@ def _largest_change(v, at, world):
     """Largest change of a speed since the beginning of the stage [m/s]."""
     change = abs(v - at.speed)
     for a in range(world.suspension.axles):
-        change = max(change, abs(world.stages.found[a].rim - world.stages.feet[a].rim_start))
+        change = max(change, abs(world.stage.found[a].rim - world.stage.feet[a].rim_start))
     return change
 
 
@@ -263,8 +241,8 @@ def _iterate(v, at, world):
     As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has the rest.
     """
     axles = world.suspension.axles
-    found = world.stages.found
-    trial = world.stages.trial
+    found = world.stage.found
+    trial = world.stage.trial
     try_v = v
     dv = 0.0
     norm = HUGE
@@ -298,9 +276,9 @@ def _iterate(v, at, world):
 def _bear_anew(weight, world):
     """True if the forces found change a load; the loads are then theirs, and the speeds found are tried next."""
     s = world.suspension
-    feet = world.stages.feet
-    found = world.stages.found
-    trial = world.stages.trial
+    feet = world.stage.feet
+    found = world.stage.found
+    trial = world.stage.trial
     loads = bear(found, weight, s)
     changed = False
     for a in range(s.axles):
@@ -316,7 +294,7 @@ def _bear_anew(weight, world):
 @njit(**FINITE)
 def solve_speeds(rover, at, world):
     """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the reactions."""
-    weight = weight_of(rover.body, world.rig.gravity)
+    weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, at, weight, world)
     converged = False
     for turn in range(TURNS):

@@ -1,7 +1,7 @@
 """Observation of a rover: readings of the body and of each axle, and what is known of the soil under each.
 
 Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a whole, whose state has
-the same names (`body.BODY`). A wheel that is stuck is no end as long as the rover gets on.
+the same names (`body.ROVER`). A wheel that is stuck is no end as long as the rover gets on.
 """
 
 from dataclasses import replace
@@ -57,13 +57,13 @@ class BodyReading(NamedTuple):
 
 
 @njit(**FINITE)
-def write_body(out, body, reading, task):
+def write_body(out, rover, reading, task):
     """Fill the first entries of `out` with the readings of a rover as a whole."""
     out[0] = reading.speed / task.top_speed
     out[1] = reading.pitch
     out[2] = reading.acceleration / task.gravity
-    out[3] = body.odometer / task.length
-    out[4] = 1.0 if body.halt_left > 0.0 else 0.0
+    out[3] = rover.odometer / task.length
+    out[4] = 1.0 if rover.halt_left > 0.0 else 0.0
 
 
 @njit(**FINITE)
@@ -87,8 +87,9 @@ def first_soil(axles: int) -> int:
 
 
 @njit(**EXACT)
-def write_true_soils(out, wheels, course, border):
-    """Fill `out` [axles x 7] with the true soil under each of the `wheels` of a rover."""
-    for a in range(wheels.size):
-        soil, _ = ground_at(course.patches, wheels[a].x, wheels[a].patch, border)
+def write_true_soils(out, rover, axles, course, border):
+    """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        soil, _ = ground_at(course.patches, wheel.x, wheel.patch, border)
         write_soil(out[a * ENTRIES_OF_SOIL :], soil)
