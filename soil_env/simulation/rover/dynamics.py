@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.rover.body import take_pitch
 from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
@@ -51,7 +51,7 @@ def _stage_of(number, h, wheel, foot, rig):
     return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _keep_stand(foot, at):
     """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
     put_soil(foot, at.ground.soil)
@@ -68,7 +68,7 @@ def _keep_stand(foot, at):
     foot.torque = at.beside.torque
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _take_stage(rover, ground, number, h, forced, world):
     """A stage of a step; False if Newton's method fails, with the rover as before, unless it is `forced` on."""
     rig = world.rig
@@ -109,7 +109,7 @@ def _take_stage(rover, ground, number, h, forced, world):
     return True
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _take_step(rover, ground, h, forced, world):
     """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
     for a in range(world.suspension.axles):
@@ -122,7 +122,7 @@ def _take_step(rover, ground, h, forced, world):
     return h
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _change_ahead(rover, world):
     """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
     rig = world.rig
@@ -137,7 +137,7 @@ def _change_ahead(rover, world):
     return change / (rig.radius * rig.no_load_speed)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _drive_period(rover, ground, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
@@ -176,7 +176,7 @@ def control_period(rover, actions, ground, world):
     _sum_up(rover, world)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _sum_up(rover, world):
     """The end of a control period of a rover as a whole."""
     axles = world.suspension.axles

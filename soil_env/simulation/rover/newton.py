@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, HUGE, record
+from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, weight_of
 from soil_env.simulation.world.newton import (
@@ -174,7 +174,7 @@ def foresee(rover, at, world):
     return newton_step(residual, at, world)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _begin(rover, at, weight, world):
     """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a `SHORT` way off.
 
@@ -204,7 +204,7 @@ def _begin(rover, at, weight, world):
     return speed + dv if short else speed
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _evaluate(v, at, world):
     """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which gets the rest."""
     rig = world.rig
@@ -225,7 +225,7 @@ def _evaluate(v, at, world):
     return residual, max(largest, abs(residual))
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _largest_change(v, at, world):
     """Largest change of a speed since the beginning of the stage [m/s]."""
     change = abs(v - at.speed)
@@ -234,7 +234,7 @@ def _largest_change(v, at, world):
     return change
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _iterate(v, at, world):
     """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds in `trial`.
 
@@ -272,7 +272,7 @@ def _iterate(v, at, world):
     return v, False
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _bear_anew(weight, world):
     """True if the forces found change a load; the loads are then theirs, and the speeds found are tried next."""
     s = world.suspension

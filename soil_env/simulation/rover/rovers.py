@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
-from soil_env.parameters import RoverScenario
+from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
 from soil_env.simulation.rover.body import ROVER, suspension_of, take_pitch
 from soil_env.simulation.rover.dynamics import Terrain, control_period
@@ -62,7 +62,7 @@ class RoverScratch(NamedTuple):
 
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
-    reading: np.ndarray  # [1] `READING`
+    readings: np.ndarray  # [axles] `READING`
     rover: np.ndarray  # [1] `ROVER`, blank
 
 
@@ -71,7 +71,7 @@ def new_rover_scratch() -> RoverScratch:
     return RoverScratch(
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
-        np.zeros(1, READING),
+        np.zeros(MOST_AXLES, READING),
         np.zeros(1, ROVER),
     )
 
@@ -219,82 +219,84 @@ def _sense_body(rover, sd):
     )
 
 
-@njit(**FINITE)
-def _observe(worlds, numbers, j, period, of_body, scratch):
-    """Sense the wheels of rover j after a control period, keep the record, and fill the observation."""
-    rover = worlds.state[j]
-    record = worlds.record
-    out = worlds.observation[j]
-    task = numbers.task[0]
-    rig = numbers.rig[0]
-    axles = numbers.suspension[0].axles
-    recorded = record.periods.size > 0
-    for a in range(axles):
-        wheel = rover.wheels[a]
-        reading = record.readings[j * axles + a, period] if recorded else scratch.reading[0]
-        sense(wheel, reading, scratch.normals[0], numbers.sd[0], numbers.errors, rig.radius)
-        reading.speed = of_body.speed  # there is one sensor of these, on the body
+@njit(**INLINE)
+def _sense_wheels(rover, of_body, numbers, scratch):
+    """Readings of the wheels of a rover into the scratch; of speed, pitch and acceleration the body has one sensor each."""
+    for a in range(numbers.suspension[0].axles):
+        reading = scratch.readings[a]
+        normals = scratch.normals[0]
+        radius = numbers.rig[0].radius
+        sense(rover.wheels[a], reading, normals, numbers.sd[0], numbers.errors, radius)
+        reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
-        write_axle(out[ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE :], wheel, reading, task)
-    if recorded:
+
+
+@njit(**INLINE)
+def _keep(record, j, period, rover, axles, readings):
+    """Keep the record of a control period of rover j, if anything on board asks for it."""
+    if record.periods.size > 0:
+        for a in range(axles):
+            record.readings[j * axles + a, period] = readings[a]
         record.periods[j] = period + 1
         record.halted[j, period] = rover.halt_left > 0.0
         record.places[j, period] = rover.odometer
+
+
+@njit(**INLINE)
+def _observe(out, rover, of_body, course, numbers, readings):
+    """Fill the observation `out` [D] of a rover, cut to the bounds of the layout."""
+    task = numbers.task[0]
+    axles = numbers.suspension[0].axles
     write_body(out, rover, of_body, task)
+    for a in range(axles):
+        write_axle(out, a, rover.wheels[a], readings[a], task)
     if task.variant == TRUE_SOIL:
         soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
-        write_true_soils(soils, rover, axles, course_of(worlds.courses, j), rig.border)
+        write_true_soils(soils, rover, axles, course, numbers.rig[0].border)
     clip(out, numbers.low, numbers.high)
-
-
-@njit(**FINITE)
-def _restart(worlds, numbers, j, scratch):
-    """Observe rover j at the start of its course."""
-    rover = worlds.state[j]
-    take_pitch(rover, numbers.suspension[0])
-    worlds.cause[j] = RUNNING
-    clear_reward(worlds, j)
-    start_odometry(rover, numbers.task[0].odometry_scale)
-    _observe(worlds, numbers, j, 0, _sense_body(rover, numbers.sd[0]), scratch)
-
-
-@njit(**FINITE)
-def _step(worlds, numbers, j, actions, scratch):
-    """The control periods of `actions` [axles] of rover j, until its episode ends: drive, sense, judge, reward."""
-    rover = worlds.state[j]
-    terrain = Terrain(course_of(worlds.courses, j), worlds.ruts[j])
-    task = numbers.task[0]
-    terms = worlds.terms[j]
-    world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
-    clear_reward(worlds, j)
-    period = 0
-    while True:
-        control_period(rover, actions, terrain, world)
-        reading = _sense_body(rover, numbers.sd[0])
-        roll_odometer(rover, reading.speed, task.period)
-        _observe(worlds, numbers, j, period, reading, scratch)
-        cause = judge(rover, task)
-        add_reward(rover, cause, task, terms)
-        period += 1
-        if period == task.held or cause != RUNNING:
-            break
-    worlds.cause[j] = cause
-    worlds.reward[j] = total_of(terms)
 
 
 @kept
 def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions` [rovers, axles].
 
-    Their courses are laid (`lay_rovers`).
+    A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are laid (`lay_rovers`).
     """
+    suspension = numbers.suspension[0]
+    task = numbers.task[0]
+    world = RoverWorld(numbers.rig[0], numbers.acting, suspension, scratch.stage[0])
     for j in range(first, end):
-        order = orders[j]
-        if order == STEP:
-            _step(worlds, numbers, j, actions[j], scratch)
-        elif order == RESTART:
-            _restart(worlds, numbers, j, scratch)
+        starts = orders[j] == RESTART
+        if not starts and orders[j] != STEP:
+            continue
+        rover = worlds.state[j]
+        terms = worlds.terms[j]
+        terrain = Terrain(course_of(worlds.courses, j), worlds.ruts[j])
+        clear_reward(worlds, j)
+        cause = RUNNING
+        period = 0
+        while True:
+            if starts:
+                take_pitch(rover, suspension)
+                start_odometry(rover, task.odometry_scale)
+            else:
+                control_period(rover, actions[j], terrain, world)
+            of_body = _sense_body(rover, numbers.sd[0])
+            if not starts:
+                roll_odometer(rover, of_body.speed, task.period)
+            _sense_wheels(rover, of_body, numbers, scratch)
+            _keep(worlds.record, j, period, rover, suspension.axles, scratch.readings)
+            period += 1
+            if starts:
+                break
+            cause = judge(rover, task)
+            add_reward(rover, cause, task, terms)
+            if period == task.held or cause != RUNNING:
+                break
+        worlds.cause[j] = cause
+        worlds.reward[j] = total_of(terms)
+        _observe(worlds.observation[j], rover, of_body, terrain.course, numbers, scratch.readings)
 
 
 @kept

@@ -67,18 +67,19 @@ def write_body(out, rover, reading, task):
 
 
 @njit(**FINITE)
-def write_axle(out, wheel, reading, task):
-    """Fill `out` [9] with the readings of the wheel of an axle."""
+def write_axle(out, a, wheel, reading, task):
+    """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
+    i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
     moment = task.weight * task.radius
-    out[0] = reading.slip
-    out[1] = reading.sinkage / task.radius
-    out[2] = reading.drawbar_pull / task.weight
-    out[3] = reading.load / task.weight
-    out[4] = reading.torque / moment
-    out[5] = reading.rim_speed / task.top_speed
-    out[6] = reading.motor_torque / moment
-    out[7] = wheel.last_action
-    out[8] = wheel.rim_command
+    out[i] = reading.slip
+    out[i + 1] = reading.sinkage / task.radius
+    out[i + 2] = reading.drawbar_pull / task.weight
+    out[i + 3] = reading.load / task.weight
+    out[i + 4] = reading.torque / moment
+    out[i + 5] = reading.rim_speed / task.top_speed
+    out[i + 6] = reading.motor_torque / moment
+    out[i + 7] = wheel.last_action
+    out[i + 8] = wheel.rim_command
 
 
 def first_soil(axles: int) -> int:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import COMPACTION, ground_at, patch_at, rut_factor_at
@@ -95,7 +95,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def soil_ahead(wheel, stage, course, rig):
     """(`SoilState` with its rut, grade [rad]) under the middle of the way of a wheel in a stage; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
@@ -162,7 +162,7 @@ def move(wheel, end, stage, ground, drive, rig):
         wheel.converged = 0
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def stand(wheel, stage, course, ahead, world):
     """`Stand` of a wheel in a stage, which `ahead` wheels have passed before it."""
     rig = world.rig
