@@ -3,9 +3,6 @@
 All wheels of a rover run over the same course, each leaving its rut to those behind it.
 """
 
-from typing import NamedTuple
-
-import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
@@ -24,7 +21,6 @@ from soil_env.simulation.world.dynamics import (
     steps_for,
 )
 from soil_env.simulation.world.newton import Motion
-from soil_env.simulation.world.terrain import Course
 from soil_env.simulation.world.wheel import (
     Ground,
     World,
@@ -35,13 +31,6 @@ from soil_env.simulation.world.wheel import (
     measure_slip,
 )
 from soil_env.terramechanics.ground import put_soil, soil_of
-
-
-class Terrain(NamedTuple):
-    """The ground that a rover drives over."""
-
-    course: Course
-    ruts: np.ndarray  # [axles, cells] `ROVER_RUT`
 
 
 @njit(**FINITE)
@@ -69,20 +58,18 @@ def _keep_stand(foot, at):
 
 
 @njit(**INLINE)
-def _take_stage(rover, ground, number, h, forced, world):
+def _take_stage(rover, patches, ruts, number, h, forced, world):
     """A stage of a step; False if Newton's method fails, with the rover as before, unless it is `forced` on."""
     rig = world.rig
     scratch = world.stage
     axles = world.suspension.axles
-    course = ground.course
-    ruts = ground.ruts
     for a in range(axles):
         wheel = rover.wheels[a]
         foot = scratch.feet[a]
         stage = _stage_of(number, h, wheel, foot, rig)
         foot.rim_start = stage.rim
-        under = Course(course.head, course.patches, ruts[a], None, None, None)
-        at = stand(wheel, stage, under, float(a), World(rig, world.acting, scratch.nodes[a]))
+        own = World(rig, world.acting, scratch.nodes[a])
+        at = stand(wheel, stage, patches, ruts[a], float(a), own)
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
     at_end = equation_of(stage.speed, stage.implicit, rover.mass, rig)
@@ -99,7 +86,7 @@ def _take_stage(rover, ground, number, h, forced, world):
         before = wheel.x
         move(wheel, end, stage, under, foot, rig)
         axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]
-        axle.floor = floor_at(ruts[a], wheel.x)
+        axle.floor = floor_at(ruts, a, wheel.x)
     take_pitch(rover, world.suspension)
     for a in range(axles):
         wheel = rover.wheels[a]
@@ -110,14 +97,14 @@ def _take_stage(rover, ground, number, h, forced, world):
 
 
 @njit(**INLINE)
-def _take_step(rover, ground, h, forced, world):
+def _take_step(rover, patches, ruts, h, forced, world):
     """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
-        if not _take_stage(rover, ground, number, h, forced, world):
+        if not _take_stage(rover, patches, ruts, number, h, forced, world):
             return number * (GAMMA * h)
     return h
 
@@ -138,7 +125,7 @@ def _change_ahead(rover, world):
 
 
 @njit(**INLINE)
-def _drive_period(rover, ground, world):
+def _drive_period(rover, patches, ruts, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
     steps = steps_for(_change_ahead(rover, world), rover.halt_left)
@@ -148,7 +135,7 @@ def _drive_period(rover, ground, world):
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = _take_step(rover, ground, h, h <= longest / FINEST, world)
+        driven = _take_step(rover, patches, ruts, h, h <= longest / FINEST, world)
         left -= driven
         if driven == h:
             h = longest
@@ -158,8 +145,10 @@ def _drive_period(rover, ground, world):
 
 
 @njit(**FINITE)
-def control_period(rover, actions, ground, world):
+def control_period(rover, actions, patches, ruts, world):
     """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
+
+    `patches`: those of its course; `ruts` [axles, cells]: `ROVER_RUT`.
 
     In a halt the drives ignore them and hold the wheels with their speed loops.
     """
@@ -172,7 +161,7 @@ def control_period(rover, actions, ground, world):
         foot.by_speed = drive.by_speed
         foot.start = wheel.x
         begin_period(wheel)
-    _drive_period(rover, ground, world)
+    _drive_period(rover, patches, ruts, world)
     _sum_up(rover, world)
 
 

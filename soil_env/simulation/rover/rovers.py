@@ -16,7 +16,7 @@ from soil_env._compiled.random_streams import NORMALS, between, normal_pair, wor
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
 from soil_env.simulation.rover.body import ROVER, suspension_of, take_pitch
-from soil_env.simulation.rover.dynamics import Terrain, control_period
+from soil_env.simulation.rover.dynamics import control_period
 from soil_env.simulation.rover.newton import STAGE, RoverWorld
 from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
 from soil_env.simulation.rover.task import (
@@ -154,7 +154,7 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 
 @njit(**EXACT)
-def _settle(rover, mass, terrain, numbers, scratch):
+def _settle(rover, mass, course, ruts, numbers, scratch):
     """Put a rover, with a mean `mass` [kg] on its wheels, at rest at the start of its course."""
     rig = numbers.rig[0]
     s = numbers.suspension[0]
@@ -164,9 +164,9 @@ def _settle(rover, mass, terrain, numbers, scratch):
         wheel = rover.wheels[a]
         wheel.stream = word(rover)
         ahead = s.base - s.places[a]
-        settle_at(wheel, ahead, rover.mass * s.shares[a], terrain.course, world)
+        settle_at(wheel, ahead, rover.mass * s.shares[a], course, world)
         rover.axles[a].height = ahead * math.sin(wheel.grade)
-        clear_ruts(terrain.ruts[a])
+        clear_ruts(ruts[a])
     rover.next_halt = between(rover, rig.halt_low, rig.halt_high)
     rover.converged = 1
 
@@ -198,7 +198,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
                 stream = rover.stream
                 worlds.state[j] = scratch.rover[0]
                 rover.stream = stream
-                _settle(rover, mass, Terrain(course, worlds.ruts[j]), numbers, scratch)
+                _settle(rover, mass, course, worlds.ruts[j], numbers, scratch)
         elif order == TRY:
             worlds.reward[j] = start_course(course, rover, course_numbers, nodes)
         else:
@@ -272,7 +272,9 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
             continue
         rover = worlds.state[j]
         terms = worlds.terms[j]
-        terrain = Terrain(course_of(worlds.courses, j), worlds.ruts[j])
+        course = course_of(worlds.courses, j)
+        ruts = worlds.ruts[j]
+        commands = actions[j]
         clear_reward(worlds, j)
         cause = RUNNING
         period = 0
@@ -281,7 +283,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
                 take_pitch(rover, suspension)
                 start_odometry(rover, task.odometry_scale)
             else:
-                control_period(rover, actions[j], terrain, world)
+                control_period(rover, commands, course.patches, ruts, world)
             of_body = _sense_body(rover, numbers.sd[0])
             if not starts:
                 roll_odometer(rover, of_body.speed, task.period)
@@ -296,7 +298,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
                 break
         worlds.cause[j] = cause
         worlds.reward[j] = total_of(terms)
-        _observe(worlds.observation[j], rover, of_body, terrain.course, numbers, scratch.readings)
+        _observe(worlds.observation[j], rover, of_body, course, numbers, scratch.readings)
 
 
 @kept

@@ -38,11 +38,11 @@ def clear_ruts(cells):
 
 
 @njit(**FINITE)
-def floor_at(cells, x):
-    """Depth [m] of the rut of the wheels ahead at x [m], linear between the middles of the cells."""
-    i, way = between_cells(cells, x)
-    here = cells[i].floor
-    return here + way * (cells[i + 1].floor - here)
+def floor_at(ruts, a, x):
+    """Depth [m] at x [m] of the rut of the wheels ahead of axle a, linear between the middles of the cells."""
+    i, way = between_cells(ruts.shape[1], x)
+    here = ruts[a, i].floor
+    return here + way * (ruts[a, i + 1].floor - here)
 
 
 @njit(**FINITE)

@@ -96,12 +96,12 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @njit(**INLINE)
-def soil_ahead(wheel, stage, course, rig):
+def soil_ahead(wheel, stage, patches, cells, border):
     """(`SoilState` with its rut, grade [rad]) under the middle of the way of a wheel in a stage; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
-    wheel.patch = patch_at(course.patches, x, wheel.patch)
-    soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)
-    return stiffened(soil, rut_factor_at(course.cells, x)), grade
+    wheel.patch = patch_at(patches, x, wheel.patch)
+    soil, grade = ground_at(patches, x, wheel.patch, border)
+    return stiffened(soil, rut_factor_at(cells, x)), grade
 
 
 @njit(**FINITE)
@@ -163,14 +163,14 @@ def move(wheel, end, stage, ground, drive, rig):
 
 
 @njit(**INLINE)
-def stand(wheel, stage, course, ahead, world):
+def stand(wheel, stage, patches, cells, ahead, world):
     """`Stand` of a wheel in a stage, which `ahead` wheels have passed before it."""
     rig = world.rig
-    soil, grade = soil_ahead(wheel, stage, course, rig)
+    soil, grade = soil_ahead(wheel, stage, patches, cells, rig.border)
     sine, cosine = sin_cos(grade)
     weight = rig.gravity * wheel.mass
     sinkage = foreseen_sinkage(wheel, stage.duration)
-    passes = (2.0 if course.cells[wheel.cell].depth > 0.0 else 1.0) + ahead
+    passes = (2.0 if cells[wheel.cell].depth > 0.0 else 1.0) + ahead
     rim = rig.radius * wheel.wheel_speed
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, passes)
     soil, arc, beside = ground_under(standing, soil, rig, world.acting)
@@ -182,7 +182,7 @@ def stand(wheel, stage, course, ahead, world):
 @njit(**FINITE)
 def take_stage(wheel, stage, drive, forced, course, world):
     """A stage of a step; False if Newton's method fails, with the wheel as before, unless it is `forced` on."""
-    at = stand(wheel, stage, course, 0.0, world)
+    at = stand(wheel, stage, course.patches, course.cells, 0.0, world)
     end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
     if not (end.converged or forced):
         return False
