@@ -59,6 +59,7 @@ TURNING = record(
     "residual",  # [m/s] of its equation
     "motor_slope",  # d T_motor/dw [N m s]
     "change",  # [m/s] of u in a step of Newton's method
+    "change_v",  # [-] of u with V in such a step
     *Reaction._fields,
 )
 
@@ -141,14 +142,14 @@ def newton_step(residual, at, world):
     slope = 1.0
     for a in range(world.suspension.axles):
         f = found[a]
-        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
-        slope -= at.by_pull * (f.pull_v - f.pull_u * at.by_torque * f.torque_v / pivot)
-        residual += at.by_pull * (f.pull_u * f.residual / pivot)
+        per_pivot = 1.0 / _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        f.change = -f.residual * per_pivot
+        f.change_v = -at.by_torque * f.torque_v * per_pivot
+        slope -= at.by_pull * (f.pull_v + f.pull_u * f.change_v)
+        residual -= at.by_pull * f.pull_u * f.change
     dv = -residual / _apart(slope)
     for a in range(world.suspension.axles):
-        f = found[a]
-        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
-        f.change = -(f.residual + at.by_torque * f.torque_v * dv) / pivot
+        found[a].change += found[a].change_v * dv
     return dv
 
 

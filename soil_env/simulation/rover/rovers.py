@@ -5,13 +5,13 @@ Nothing is identified here.
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
@@ -37,7 +37,7 @@ from soil_env.simulation.task.rules import (
     task_of,
     total_of,
 )
-from soil_env.simulation.wheels import clear_reward, new_record, start_passable
+from soil_env.simulation.wheels import new_record, start_passable
 from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
 from soil_env.simulation.world.sensors import (
@@ -57,12 +57,16 @@ from soil_env.terramechanics.reaction import Acting
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 
 
+#: Scratch of a thread: the last readings of the wheels of a rover.
+SENSED = record(readings=(READING, MOST_AXLES))
+
+
 class RoverScratch(NamedTuple):
     """Work arrays of a thread."""
 
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
-    readings: np.ndarray  # [axles] `READING`
+    sensed: np.ndarray  # [1] `SENSED`
     rover: np.ndarray  # [1] `ROVER`, blank
 
 
@@ -71,7 +75,7 @@ def new_rover_scratch() -> RoverScratch:
     return RoverScratch(
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
-        np.zeros(MOST_AXLES, READING),
+        np.zeros(1, SENSED),
         np.zeros(1, ROVER),
     )
 
@@ -207,6 +211,16 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     return failed
 
 
+class Sensors(NamedTuple):
+    """The sensors of a rover."""
+
+    sd: Any  # `READING` of the noise
+    errors: SensorErrors | None
+    radius: float  # [m] of the wheels
+    axles: int
+    normals: Any  # `NORMALS`, scratch
+
+
 @njit(**FINITE)
 def _sense_body(rover, sd):
     """`BodyReading` of a rover."""
@@ -219,42 +233,25 @@ def _sense_body(rover, sd):
     )
 
 
-@njit(**INLINE)
-def _sense_wheels(rover, of_body, numbers, scratch):
-    """Readings of the wheels of a rover into the scratch; of speed, pitch and acceleration the body has one sensor each."""
-    for a in range(numbers.suspension[0].axles):
-        reading = scratch.readings[a]
-        normals = scratch.normals[0]
-        radius = numbers.rig[0].radius
-        sense(rover.wheels[a], reading, normals, numbers.sd[0], numbers.errors, radius)
+@njit(**FINITE)
+def _sense_wheels(rover, of_body, sensors, readings):
+    """Fill `readings` [axles] of the wheels of a rover; of speed, pitch and acceleration the body has one sensor each."""
+    for a in range(sensors.axles):
+        reading = readings[a]
+        sense(rover.wheels[a], reading, sensors.normals, sensors.sd, sensors.errors, sensors.radius)
         reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
 
 
 @njit(**INLINE)
-def _keep(record, j, period, rover, axles, readings):
-    """Keep the record of a control period of rover j, if anything on board asks for it."""
-    if record.periods.size > 0:
-        for a in range(axles):
-            record.readings[j * axles + a, period] = readings[a]
-        record.periods[j] = period + 1
-        record.halted[j, period] = rover.halt_left > 0.0
-        record.places[j, period] = rover.odometer
-
-
-@njit(**INLINE)
-def _observe(out, rover, of_body, course, numbers, readings):
-    """Fill the observation `out` [D] of a rover, cut to the bounds of the layout."""
-    task = numbers.task[0]
-    axles = numbers.suspension[0].axles
-    write_body(out, rover, of_body, task)
+def _keep(sensed, j, period, rover, axles, readings):
+    """Keep the sensor record of a control period of rover j."""
     for a in range(axles):
-        write_axle(out, a, rover.wheels[a], readings[a], task)
-    if task.variant == TRUE_SOIL:
-        soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
-        write_true_soils(soils, rover, axles, course, numbers.rig[0].border)
-    clip(out, numbers.low, numbers.high)
+        sensed.readings[j * axles + a, period] = readings[a]
+    sensed.periods[j] = period + 1
+    sensed.halted[j, period] = rover.halt_left > 0.0
+    sensed.places[j, period] = rover.odometer
 
 
 @kept
@@ -263,19 +260,26 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
 
     A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are laid (`lay_rovers`).
     """
+    # records are taken out of their arrays once, since numba counts references to arrays, not to records
+    rig = numbers.rig[0]
     suspension = numbers.suspension[0]
+    axles = suspension.axles
     task = numbers.task[0]
-    world = RoverWorld(numbers.rig[0], numbers.acting, suspension, scratch.stage[0])
+    sd = numbers.sd[0]
+    world = RoverWorld(rig, numbers.acting, suspension, scratch.stage[0])
+    sensors = Sensors(sd, numbers.errors, rig.radius, axles, scratch.normals[0])
+    readings = scratch.sensed[0].readings
+    recorded = worlds.record.periods.size > 0
     for j in range(first, end):
         starts = orders[j] == RESTART
         if not starts and orders[j] != STEP:
             continue
         rover = worlds.state[j]
-        terms = worlds.terms[j]
         course = course_of(worlds.courses, j)
         ruts = worlds.ruts[j]
         commands = actions[j]
-        clear_reward(worlds, j)
+        terms = worlds.terms[j]
+        terms[:] = 0.0
         cause = RUNNING
         period = 0
         while True:
@@ -284,11 +288,12 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
                 start_odometry(rover, task.odometry_scale)
             else:
                 control_period(rover, commands, course.patches, ruts, world)
-            of_body = _sense_body(rover, numbers.sd[0])
+            of_body = _sense_body(rover, sd)
             if not starts:
                 roll_odometer(rover, of_body.speed, task.period)
-            _sense_wheels(rover, of_body, numbers, scratch)
-            _keep(worlds.record, j, period, rover, suspension.axles, scratch.readings)
+            _sense_wheels(rover, of_body, sensors, readings)
+            if recorded:
+                _keep(worlds.record, j, period, rover, axles, readings)
             period += 1
             if starts:
                 break
@@ -298,7 +303,14 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
                 break
         worlds.cause[j] = cause
         worlds.reward[j] = total_of(terms)
-        _observe(worlds.observation[j], rover, of_body, course, numbers, scratch.readings)
+        out = worlds.observation[j]
+        write_body(out, rover, of_body, task)
+        for a in range(axles):
+            write_axle(out, a, rover.wheels[a], readings[a], task)
+        if task.variant == TRUE_SOIL:
+            soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
+            write_true_soils(soils, rover, axles, course, rig.border)
+        clip(out, numbers.low, numbers.high)
 
 
 @kept
