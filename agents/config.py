@@ -74,12 +74,10 @@ class PPOConfig(Checked):
             raise FieldError(self, "batch_size", problem)
 
 
-def check_oracle(config: TrainConfig) -> None:
-    """FieldError if the oracle is to drive more than the `courses` compared."""
-    if (config.oracle_courses or 0) > config.courses:
-        problem = (
-            f" = {config.oracle_courses}: expected at most {config.courses}, the courses compared"
-        )
+def check_oracle(config: Checked, driven: int | None, courses: int) -> None:
+    """FieldError of a `config` if the oracle is to drive more than the courses compared."""
+    if (driven or 0) > courses:
+        problem = f" = {driven}: expected at most {courses}, the courses compared"
         raise FieldError(config, "oracle_courses", problem)
 
 
@@ -177,7 +175,7 @@ class TrainConfig(OfWorld):
             object.__setattr__(self, "scenario", DEFAULT_SCENARIO)
         if self.oracle_courses is None:
             object.__setattr__(self, "oracle_courses", 0 if self.rover else min(50, self.courses))
-        check_oracle(self)
+        check_oracle(self, self.oracle_courses, self.courses)
 
 
 def load_config(mapping: dict, where: str) -> TrainConfig:

@@ -135,12 +135,7 @@ def truth(
     """
     wheel = scenario.wheel
     belief = scenario.belief
-    slip, pull = np.empty((2, len(soil)))
-    soil = np.ascontiguousarray(soil)
-    load = np.ascontiguousarray(load)
-    best_points(
-        np.arange(len(soil)), soil, load, wheel.radius, wheel.width, wheel.stall_torque, slip, pull
-    )
+    _, pull = best_points(soil, np.ascontiguousarray(load), wheel)
     depth = np.log(np.maximum(bearing, 1e-4))
     ln_s = np.log(soil[:, 3]) + (soil[:, 4] - belief.sinkage_exponent) * depth
     gain = np.log(soil[:, 5] / belief.dig_gain)

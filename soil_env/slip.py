@@ -1,6 +1,8 @@
-"""The slip of a wheel, (r w - V)/(r w) driving and (r w - V)/V braking, and what follows from its definition.
+"""The slip of a wheel, (r w - V)/(r w) driving and (r w - V)/V braking, and what follows from its
+definition.
 
-r w is the speed of the rim, V the travel speed. Compiled functions take numbers, those in the plural arrays of numpy.
+r w is the speed of the rim, V the travel speed. Compiled functions take numbers, those in the
+plural arrays of numpy.
 """
 
 import numpy as np
@@ -8,12 +10,14 @@ from numba import njit
 
 from soil_env._compiled.flags import EXACT
 
+MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is told
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
 
 @njit(**EXACT)
 def signed_slip(rim_speed, travel_speed, floor):
-    """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the sign of r w - V.
+    """(slip in [-1, 1], its derivatives by the two speeds [s/m]): (r w - V)/max(|r w|, |V|), of the
+    sign of r w - V.
 
     `floor` [m/s] bounds the denominator from below, so that a wheel at rest has slip 0.
     """
@@ -35,14 +39,18 @@ def signed_slip(rim_speed, travel_speed, floor):
 
 @njit(**EXACT)
 def slip_ratio(rim_speed, travel_speed, floor):
-    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse (`signed_slip`)."""
+    """Slip in [-1, 1]: (r w - V)/(r w) when driving, (r w - V)/V when braking; mirrored in reverse
+    (`signed_slip`).
+    """
     slip = signed_slip(rim_speed, travel_speed, floor)[0]
     return -slip if rim_speed + travel_speed < 0.0 else slip
 
 
 @njit(**EXACT)
 def motion_from_slip(slip):
-    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1 spins on the spot."""
+    """(rim, travel) of a wheel travelling forward at the given slip in [-1, 1]; -1 is locked, 1
+    spins on the spot.
+    """
     if slip < 0.0:
         return 1.0, 1.0 / max(1.0 + slip, LEAST_ROLLING)
     return 1.0, 1.0 - slip
@@ -56,7 +64,9 @@ def travel_rate(travel):
 
 
 def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
-    """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in [-1, 1]."""
+    """`motion_from_slip` of arrays of numpy: V [m/s], [N], at rim speeds r w [m/s] and slips in
+    [-1, 1].
+    """
     braked = 1.0 / np.maximum(1.0 + slip, LEAST_ROLLING)
     return rim_speed * np.where(slip < 0.0, braked, 1.0 - slip)
 
@@ -64,6 +74,19 @@ def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
     """Inverse of `travel_speeds`: r w [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1)."""
     return np.where(slip < 0.0, travel_speed * (1.0 + slip), travel_speed / (1.0 - slip))
+
+
+def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """|r w - V| [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1], as `sliding_speed`."""
+    slide = travel_speed * np.abs(slip)
+    return np.where(slip < 0.0, slide, slide / np.maximum(1.0 - slip, MOST_SLIDING))
+
+
+@njit(**EXACT)
+def sliding_speed(slip, travel_speed):
+    """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
+    slide = travel_speed * abs(slip)
+    return slide if slip < 0.0 else slide / max(1.0 - slip, MOST_SLIDING)
 
 
 @njit(**EXACT)

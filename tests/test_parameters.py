@@ -11,7 +11,7 @@ from soil_env._io.loading import check, config_dir, load, read_yaml, to_dict
 from soil_env.identification.table.rig import predict_table
 from soil_env.measurement import Setup, SetupWheel
 from soil_env.parameters import ParameterError, Scenario, Soil, load_scenario
-from soil_env.simulation.world.courses import course_numbers
+from soil_env.simulation.world.courses import course_distribution
 from soil_env.terramechanics.effects import NO_EFFECTS
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel, rows_of
 
@@ -127,7 +127,7 @@ def test_own_soils_stand_beside_the_presets_and_before_them():
         parameters.soils()["snow"],
     ]
     width = scenario.wheel.width
-    drawn = course_numbers(scenario).drawn.library
+    drawn = course_distribution(scenario).presets[list(parameters.SoilState._fields)]
     assert [tuple(row) for row in drawn] == [
         s.state(width) for s in (beach, sand, parameters.soils()["snow"])
     ]

@@ -217,17 +217,7 @@ class BestSlipIdentified(SlipFollower):
         known = state["known"]
         now = np.column_stack([soils, load])
         rows = np.flatnonzero((np.abs(now - known) > CHANGE * np.abs(known)).any(axis=1))
-        wheel = self.scenario.wheel
-        best_points(
-            rows,
-            soils,
-            load,
-            wheel.radius,
-            wheel.width,
-            wheel.stall_torque,
-            state["slip"],
-            np.empty(len(load)),
-        )
+        state["slip"][rows] = best_points(soils[rows], load[rows], self.scenario.wheel)[0]
         known[rows] = now[rows]
         return state["slip"]
 

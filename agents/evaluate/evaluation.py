@@ -45,7 +45,7 @@ class Evaluation(OfTask):
 
     def __post_init__(self):
         super().__post_init__()
-        check_oracle(self)
+        check_oracle(self, self.oracle_courses, self.courses)
 
     def contestants(self) -> dict[str, Contestant]:
         """The controllers with the settings they are driven with."""

@@ -19,6 +19,12 @@ SUMS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", 
 #: Put into the caller, whose other options then hold.
 INLINE: dict[str, Any] = EXACT | {"inline": "always"}
 
+
+def uncompiled(function: Any) -> Any:
+    """Return the function that was compiled, for a single call from Python, which should not compile it."""
+    return getattr(function, "py_func", function)
+
+
 #: Stands for infinity in `FINITE` functions: more than any number there.
 HUGE = 1e300
 

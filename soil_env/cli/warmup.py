@@ -15,7 +15,6 @@ from soil_env._numba.cache import place
 from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.online import OnlineIdentifier, Readings, slips
 from soil_env.parameters import soils, wheels
-from soil_env.terramechanics.effects import excavation_rate, sliding_speed
 from soil_env.terramechanics.model import ModelWheel, WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 
@@ -60,12 +59,7 @@ def warm_up() -> None:
     identifier.traversability()
     slips(np.array([0.3]), np.array([0.2]))
     model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
-    sliding_speed(np.float64(0.3), np.float64(0.1))
-    excavation_rate(0.2, 0.1, 0.0, 1.0, 0.3)
-    out = np.zeros((2, 1))
-    best_points(
-        np.zeros(1, np.int64), np.ones((1, 7)), np.array([100.0]), 0.15, 0.15, 10.0, out[0], out[1]
-    )
+    best_points(np.ones((1, 7)), np.array([100.0]), wheels()["planetary_rover"])
     for equations in compare.HELD:
         compare.root(equations)
         compare.forces(compare.PRINTED_SET, *compare.MEASURED[:2], equations)

@@ -53,7 +53,8 @@ from soil_env.identification.table.priors import (
 from soil_env.identification.table.problem import differences, finite, most_probable
 from soil_env.identification.table.rig import predict_table
 from soil_env.parameters import SoilState
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects, sliding_speed
+from soil_env.slip import sliding_speeds
+from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, Effects
 from soil_env.terramechanics.effects.entry import Bench
 from soil_env.terramechanics.model import Rows
 
@@ -215,7 +216,7 @@ class Problem:
         sliding = 0.0
         if np.all(speed > 0.0):
             middle = math.exp(float(np.mean(np.log(speed))))
-            slide = np.array([sliding_speed(i, v) for i, v in zip(rows.slip, speed, strict=True)])
+            slide = sliding_speeds(speed, rows.slip)
             slide = slide[slide > 0.0]
             sliding = math.exp(float(np.mean(np.log(slide)))) if slide.size else middle
         return Bench(

@@ -26,11 +26,10 @@ import numpy as np
 from soil_env.discrepancy.calibrate import GRAVITY, Fit, Problem
 from soil_env.discrepancy.data import CHANNELS, folds
 from soil_env.discrepancy.judgement import SURE, groups
-from soil_env.terramechanics.model import add_residual
+from soil_env.terramechanics.model import add_residual, table_groups
 from soil_env.terramechanics.residual import (
     GROUPS,
     ResidualTerm,
-    dimensionless_groups,
     residual_law,
 )
 
@@ -170,20 +169,7 @@ def groups_of(problem: Problem, fit: Fit, offset: np.ndarray) -> np.ndarray:
     rows = problem.data.rows
     soil = problem.state(fit.parameters())
     sinkage = fit.output[:, 0] - offset[:, 0]
-    return np.array(
-        [
-            dimensionless_groups(
-                rows.slip[k],
-                sinkage[k],
-                rows.load[k],
-                *rows.conditions[k],
-                soil,
-                *rows.wheels[k, :2],
-                GRAVITY,
-            )
-            for k in range(rows.slip.size)
-        ]
-    )
+    return table_groups(rows, sinkage, soil, GRAVITY)
 
 
 def products(groups: np.ndarray) -> np.ndarray:
@@ -402,15 +388,6 @@ def law_offset(
     rows = problem.data.rows
     plain = fit.output - offset
     out = plain.copy()
-    add_residual(
-        residual_law(terms),
-        rows.slip,
-        rows.load,
-        rows.wheels,
-        rows.conditions,
-        problem.state(fit.parameters()),
-        GRAVITY,
-        out,
-    )
+    add_residual(residual_law(terms), rows, problem.state(fit.parameters()), GRAVITY, out)
     added: np.ndarray = out - plain
     return added

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from soil_env._compiled.flags import uncompiled
 from soil_env.logs.align import Aligned
 from soil_env.logs.mapping import UNKNOWN_INERTIA, LogMap
 from soil_env.logs.replay import DIFFERS, Replay
@@ -175,7 +176,7 @@ def is_steady(part: dict[str, np.ndarray], period: float, log_map: LogMap) -> bo
         float(np.mean(np.abs(part["speed"]))),
         float(np.mean(np.abs(part["rim"] - part["speed"]))),
     )
-    rate, _ = excavation_rate(
+    rate, _ = uncompiled(excavation_rate)(
         *speeds, 0.0, log_map.belief.dig_recovery, log_map.relaxation * radius
     )
     come = -math.expm1(-rate * (n / 2) * period)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from soil_env._io.loading import read_yaml
 from soil_env.slip import travel_speeds
-from soil_env.terramechanics.arc_integrals import NODE_DEPTHS, NODE_WEIGHTS
+from soil_env.terramechanics.contact import NODE_DEPTHS, NODE_WEIGHTS
 
 #: Wheel of Wong & Reece (1967), J. Terramechanics 4(1):81-98, from which the paper takes its wheel,
 #: sand and points: radius 24.7 in [m], which the paper prints as 0.6274.

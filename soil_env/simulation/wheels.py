@@ -3,13 +3,13 @@
 Nothing is identified here.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import FINITE, HUGE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
 from soil_env._compiled.random_streams import NORMALS, between
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
@@ -57,14 +57,15 @@ ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change th
 
 
 def new_record(vehicles: int, wheels: int, scenario: Scenario) -> Record:
-    """Empty sensor record of so many vehicles with their wheels; readings are `READING`, images `IMAGE`."""
+    """Empty sensor record of so many vehicles with their wheels; `periods` is empty if nothing is recorded."""
     held = scenario.control.held
+    rows = max(vehicles, 1)
     return Record(
         np.zeros(vehicles, dtype=np.int64),
-        np.zeros((wheels, held), READING),
-        np.zeros((vehicles, held), dtype=np.bool_),
-        np.zeros((vehicles, held)),
-        np.zeros((wheels if scenario.course.classes else 0, held), IMAGE),
+        np.zeros((max(wheels, 1), held), READING),
+        np.zeros((rows, held), dtype=np.bool_),
+        np.zeros((rows, held)),
+        np.zeros((rows if scenario.course.classes else 1, held), IMAGE),
     )
 
 
@@ -141,6 +142,71 @@ def new_wheel_worlds(
     )
 
 
+class Setting(NamedTuple):
+    """Constants and scratch of a thread as records.
+
+    No arrays: numba counts references to those whenever a function takes one, which costs more than small functions.
+    """
+
+    rig: Any  # `RIG`
+    acting: Acting
+    task: Any  # `TASK`
+    sd: Any  # `READING`
+    errors: SensorErrors | None
+    camera: Any  # `CAMERA`, or None
+    nodes: Any  # `ARC_NODES`
+    normals: Any  # `NORMALS`
+
+
+class Notes(NamedTuple):
+    """Rows of one wheel in the sensor record of a step; one reading is overwritten where nothing is recorded."""
+
+    recorded: bool
+    readings: np.ndarray  # [held] `READING`
+    halted: np.ndarray  # [held]
+    places: np.ndarray  # [held]
+    images: np.ndarray  # [held] `IMAGE`
+
+
+@njit(**EXACT)
+def _first(array):
+    """The only record of an array; None for None."""
+    if array is None:
+        return None
+    else:
+        return array[0]
+
+
+@njit(**INLINE)
+def setting_of(numbers, scratch):
+    """Records of `WheelNumbers` and `Scratch`."""
+    return Setting(
+        numbers.rig[0],
+        numbers.acting,
+        numbers.task[0],
+        numbers.sd[0],
+        numbers.errors,
+        _first(numbers.camera),
+        scratch.nodes[0],
+        scratch.normals[0],
+    )
+
+
+@njit(**INLINE)
+def notes_of(record, reading, k):
+    """Rows of wheel k in a sensor record; `reading` [1] of the thread where nothing is recorded."""
+    recorded = record.periods.size > 0
+    row = k if recorded else 0
+    image = row if record.images.shape[0] > 1 else 0
+    return Notes(
+        recorded,
+        record.readings[row] if recorded else reading,
+        record.halted[row],
+        record.places[row],
+        record.images[image],
+    )
+
+
 @njit
 def start_passable(course, owner, numbers, scratch):
     """Start a new course with a seed of `owner`; the mass [kg] on the wheel with payload, -1 if none is passable."""
@@ -152,12 +218,11 @@ def start_passable(course, owner, numbers, scratch):
     return mass
 
 
-@njit
-def clear_reward(worlds, k):
-    """Set the reward of a step of vehicle k to zero."""
-    worlds.reward[k] = 0.0
-    for i in range(worlds.terms.shape[1]):
-        worlds.terms[k, i] = 0.0
+@njit(**EXACT)
+def clear_reward(terms):
+    """Set the reward terms of a step to zero."""
+    for i in range(terms.size):
+        terms[i] = 0.0
 
 
 @kept
@@ -196,100 +261,71 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
 
 
 @njit(**FINITE)
-def _image(wheel, course, camera):
-    """`Sight` of the camera after a control period, if there is one."""
+def _look(wheel, course, notes, period, camera):
+    """`Sight` of the camera after a control period, and its image among the notes of the wheel."""
     if camera is None:
         return Sight(0, 0.0, 0.0)
     else:
-        return look(wheel, course, camera[0])
+        sight = look(wheel, course, camera)
+        if notes.recorded:
+            take_image(notes.images[period], wheel, course, sight, camera)
+        return sight
 
 
 @njit(**FINITE)
-def _keep_image(record, k, period, wheel, course, sight, camera):
-    if camera is None:
-        return
-    else:
-        take_image(record.images[k, period], wheel, course, sight, camera[0])
-
-
-@njit(**FINITE)
-def _sense(worlds, numbers, k, period, course, scratch):
-    """Readings of wheel k after a control period, and what its camera sees; kept if anything on board asks for them."""
-    wheel = worlds.state[k]
-    record = worlds.record
-    kept_readings = record.periods.size > 0
-    reading = record.readings[k, period] if kept_readings else scratch.reading[0]
-    sense(wheel, reading, scratch.normals[0], numbers.sd[0], numbers.errors, numbers.rig[0].radius)
-    return reading
-
-
-@njit(**FINITE)
-def _look(worlds, numbers, k, period, course):
-    """`Sight` of wheel k, kept with what runs on board, if anything does."""
-    wheel = worlds.state[k]
-    record = worlds.record
-    sight = _image(wheel, course, numbers.camera)
-    if record.periods.size > 0:
-        record.periods[k] = period + 1
-        record.halted[k, period] = wheel.halt_left > 0.0
-        record.places[k, period] = wheel.odometer
-        _keep_image(record, k, period, wheel, course, sight, numbers.camera)
+def _sense(wheel, reading, course, notes, period, setting):
+    """Fill the readings of a wheel after a control period; its `Sight`. Both are noted if anything on board asks."""
+    task = setting.task
+    sense(wheel, reading, setting.normals, setting.sd, setting.errors, task.radius)
+    if wheel.steps > 0:  # not at the start of a course
+        roll_odometer(wheel, reading.speed, task.period)
+    sight = _look(wheel, course, notes, period, setting.camera)
+    if notes.recorded:
+        notes.halted[period] = wheel.halt_left > 0.0
+        notes.places[period] = wheel.odometer
     return sight
 
 
 @njit(**FINITE)
-def _observe(out, wheel, reading, course, sight, numbers):
-    """Fill the observation `out` [D] of a wheel but for what is identified, cut to the bounds of the layout."""
-    task = numbers.task[0]
+def _observe(out, wheel, reading, course, sight, setting):
+    """Fill the observation `out` [D] of a wheel but for what is identified."""
+    task = setting.task
     write_sensors(out, wheel, reading, task)
     truth = task.variant == TRUE_SOIL
     if truth:
-        write_soil_under(out[SENSORS:], wheel, course, numbers.rig[0].border)
-    _observe_lines(out[task.seen :], wheel, course, sight, numbers.camera, truth)
-    clip(out, numbers.low, numbers.high)
+        write_soil_under(out[SENSORS:], wheel, course, setting.rig.border)
+    write_seen(out[task.seen :], wheel, course, sight, setting.camera, truth)
 
 
 @njit(**FINITE)
-def _observe_lines(out, wheel, course, sight, camera, truth):
-    if camera is None:
-        return
-    else:
-        write_seen(out, wheel, course, sight, camera[0], truth)
+def _restart(wheel, course, setting, notes, out):
+    """Observe a wheel at the start of its course."""
+    start_odometry(wheel, setting.task.odometry_scale)
+    reading = notes.readings[0]
+    sight = _sense(wheel, reading, course, notes, 0, setting)
+    _observe(out, wheel, reading, course, sight, setting)
 
 
 @njit(**FINITE)
-def _restart(worlds, numbers, k, course, scratch):
-    """Observe wheel k at the start of its course."""
-    worlds.cause[k] = RUNNING
-    clear_reward(worlds, k)
-    start_odometry(worlds.state[k], numbers.task[0].odometry_scale)
-    reading = _sense(worlds, numbers, k, 0, course, scratch)
-    sight = _look(worlds, numbers, k, 0, course)
-    _observe(worlds.observation[k], worlds.state[k], reading, course, sight, numbers)
+def _step(wheel, action, course, setting, notes, terms, out):
+    """The control periods of an action of a wheel, until its episode ends: drive, sense, judge, reward; then observe.
 
-
-@njit(**FINITE)
-def _step(worlds, numbers, k, action, course, scratch):
-    """The control periods of an action of wheel k, until its episode ends: drive, sense, judge, reward; then observe."""
-    wheel = worlds.state[k]
-    task = numbers.task[0]
-    terms = worlds.terms[k]
-    world = World(numbers.rig[0], numbers.acting, scratch.nodes[0])
-    clear_reward(worlds, k)
+    Returns the `Cause` and the number of periods.
+    """
+    task = setting.task
+    world = World(setting.rig, setting.acting, setting.nodes)
     period = 0
     while True:
         control_period(wheel, action, course, world)
-        reading = _sense(worlds, numbers, k, period, course, scratch)
-        roll_odometer(wheel, reading.speed, task.period)
-        sight = _look(worlds, numbers, k, period, course)
+        reading = notes.readings[period if notes.recorded else 0]
+        sight = _sense(wheel, reading, course, notes, period, setting)
         cause = judge(wheel, task)
         add_reward(wheel, cause, task, terms)
         period += 1
         if period == task.held or cause != RUNNING:
             break
-    worlds.cause[k] = cause
-    worlds.reward[k] = total_of(terms)
-    _observe(worlds.observation[k], wheel, reading, course, sight, numbers)
+    _observe(out, wheel, reading, course, sight, setting)
+    return cause, period
 
 
 @kept
@@ -298,26 +334,34 @@ def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
 
     Their courses are laid (`lay_wheels`).
     """
+    setting = setting_of(numbers, scratch)
+    record = worlds.record
     for k in range(first, end):
-        order = orders[k]
-        if order == STEP:
-            _step(worlds, numbers, k, actions[k], course_of(worlds.courses, k), scratch)
-        elif order == RESTART:
-            _restart(worlds, numbers, k, course_of(worlds.courses, k), scratch)
+        if orders[k] != STEP and orders[k] != RESTART:
+            continue
+        wheel = worlds.state[k]
+        course = course_of(worlds.courses, k)
+        notes = notes_of(record, scratch.reading, k)
+        out = worlds.observation[k]
+        terms = worlds.terms[k]
+        clear_reward(terms)
+        if orders[k] == STEP:
+            cause, periods = _step(wheel, actions[k], course, setting, notes, terms, out)
+        else:
+            _restart(wheel, course, setting, notes, out)
+            cause = RUNNING
+            periods = 1
+        clip(out, numbers.low, numbers.high)
+        worlds.cause[k] = cause
+        worlds.reward[k] = total_of(terms)
+        if notes.recorded:
+            record.periods[k] = periods
 
 
 @kept
 def write_true_soils(worlds, numbers, out):
     """Fill `out` [wheels, D] with the entries of `layout.truth`."""
+    border = numbers.rig[0].border
+    camera = _first(numbers.camera)
     for k in range(len(out)):
-        _write_truth(
-            out[k], worlds.state[k], course_of(worlds.courses, k), numbers.rig[0], numbers.camera
-        )
-
-
-@njit
-def _write_truth(out, wheel, course, rig, camera):
-    if camera is None:
-        write_truth(out, wheel, course, rig.border, None)
-    else:
-        write_truth(out, wheel, course, rig.border, camera[0])
+        write_truth(out[k], worlds.state[k], course_of(worlds.courses, k), border, camera)

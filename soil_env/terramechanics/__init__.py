@@ -1,1 +1,3 @@
-"""Physics of a wheel on soil: contact, named effects, residual law, steady state, `WheelSoilModel`, traversability."""
+"""Physics of a wheel on soil: contact, named effects, residual law, steady state, `WheelSoilModel`,
+traversability.
+"""

@@ -1,12 +1,14 @@
-"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper (docs/physics/contact.md).
+"""Stresses under a rigid wheel and the forces they sum to: Eqs. (1)-(10) of the source paper
+(docs/physics/contact.md).
 
-Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress distribution is
-Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
+Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; the stress
+distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 
-Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front* meaning the side the
-wheel travels to. The motion enters through two numbers without unit, `rim` = r w / v* and `travel` = V / v*, where v*
-is the rim speed (`slip.motion_from_slip`, `motion_from_speeds`). `forces` combines integrals over the arc
-(`ArcIntegrals`), the same for the world and the steady prediction.
+Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front*
+meaning the side the wheel travels to. The motion enters through two numbers without unit, `rim` = r
+w / v* and `travel` = V / v*, where v* is the rim speed (`slip.motion_from_slip`,
+`motion_from_speeds`). `forces` combines integrals over the arc (`ArcIntegrals`), the same for the
+world and the steady prediction.
 """
 
 import math
@@ -16,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
-from soil_env._compiled.flags import EXACT, SUMS, record
+from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 
 NODES_PER_ZONE = (
     8  # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
@@ -29,7 +31,8 @@ NODE_DEPTHS = (
 NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
 _none = np.zeros(NODES_PER_ZONE)
 _all = np.ones(NODES_PER_ZONE)
-#: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's share of their weights.
+#: [-] Lengths of the front and of the rear zone between the entry and each node, and the node's
+#: share of their weights.
 FRONT_AHEAD = np.concatenate([NODE_DEPTHS, _all])
 REAR_AHEAD = np.concatenate([_none, 1.0 - NODE_DEPTHS])
 FRONT_WEIGHT = np.concatenate([NODE_WEIGHTS, _none])
@@ -50,9 +53,11 @@ ARC_NODES = record(
 
 
 class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength with a peak and a residual: e(j) = (1 - x)(a + b x + c y), x = exp(-|j|/K).
+    """Mobilised share of the shear strength with a peak and a residual: e(j) = (1 - x)(a + b x + c
+    y), x = exp(-|j|/K).
 
-    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it. The law of Janosi & Hanamoto, Eq. (10), is None.
+    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it. The law of Janosi & Hanamoto, Eq.
+    (10), is None.
     """
 
     a: float
@@ -75,7 +80,8 @@ class Arc(NamedTuple):
 class ArcIntegrals(NamedTuple):
     """Integrals over the contact arc [theta2, theta1], for S = 1 [m^n] or without stress [-].
 
-    p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear strength.
+    p(theta) is the normal stress for S = 1, e(theta) in [-1, 1] the mobilised share of the shear
+    strength.
     """
 
     p_cos: float  # Int p cos(theta)
@@ -89,7 +95,9 @@ class ArcIntegrals(NamedTuple):
 
 
 class ShearRates(NamedTuple):
-    """Derivatives of Int tau cos, Int tau sin and Int tau with `rim` and `travel`, tau = (st p + c) e [Pa rad]."""
+    """Derivatives of Int tau cos, Int tau sin and Int tau with `rim` and `travel`, tau = (st p + c)
+    e [Pa rad].
+    """
 
     cos_rim: float
     sin_rim: float
@@ -109,7 +117,9 @@ class Forces(NamedTuple):
 
 @njit(**EXACT)
 def entry_angle(sinkage, r):
-    """Entry angle theta1 [rad] of a wheel of radius r [m] at a sinkage [m]: z0 = r (1 - cos theta1)."""
+    """Entry angle theta1 [rad] of a wheel of radius r [m] at a sinkage [m]: z0 = r (1 - cos
+    theta1).
+    """
     return 2.0 * asin_root((0.5 / r) * sinkage)
 
 
@@ -122,10 +132,11 @@ def smooth_arc(sinkage, r):
 
 @njit(**EXACT)
 def motion_from_speeds(rim_speed, travel_speed, floor):
-    """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and reversal.
+    """(rim, travel, direction) from rim speed r w and travel speed V [m/s], smooth through rest and
+    reversal.
 
-    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the wheel counts as
-    resting.
+    `direction` in (-1, 1) is the smoothed sign of V; `floor` [m/s] is the speed below which the
+    wheel counts as resting.
     """
     v = math.sqrt(rim_speed * rim_speed + floor * floor)
     return rim_speed / v, travel_speed / v, smoothed_sign(travel_speed, floor)[0]
@@ -133,7 +144,8 @@ def motion_from_speeds(rim_speed, travel_speed, floor):
 
 @njit(**EXACT)
 def relative_stress(theta, cos1, n, r):
-    """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry point, to the n.
+    """Normal stress for S = 1 at an angle of the front zone, Eq. (7): its depth [m] below the entry
+    point, to the n.
 
     cos1 = cos(theta1).
     """
@@ -145,7 +157,9 @@ def relative_stress(theta, cos1, n, r):
 
 @njit(**EXACT)
 def mirror_angle(theta, theta1, theta2, thetam):
-    """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone, itself in front."""
+    """Angle in the front zone with the same normal stress as `theta`, Eq. (8) for the rear zone,
+    itself in front.
+    """
     if theta >= thetam:
         return theta
     return theta1 - (theta - theta2) / (thetam - theta2) * (theta1 - thetam)
@@ -161,31 +175,39 @@ def shear_displacement(theta, theta1, sin1, rim, travel, r):
 
 @njit(**EXACT)
 def mobilised(j, K, law):
-    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq. (10) or a `ShearLaw`."""
+    """(e, de/dj): mobilised share of the shear strength at displacement j [m], signed as j; Eq.
+    (10) or a `ShearLaw`.
+    """
+    if law is None:
+        rate = 1.0 / K
+        decay = exp(-rate * abs(j))
+        return math.copysign(1.0 - decay, j), rate * decay
+    else:
+        return _mobilised_by(law, j, K)
+
+
+@njit(**INLINE)  # else LLVM leaves it out of loops over nodes, which it then cannot vectorise
+def _mobilised_by(law, j, K):
+    """`mobilised` by a `ShearLaw`."""
     distance = abs(j)
     rate = 1.0 / K
     decay = exp(-rate * distance)
-    free = math.copysign(1.0 - decay, j)
-    slope = rate * decay
-    if law is not None:
-        share = law.a + law.b * decay
-        change = rate * law.b * decay
-        if law.c != 0.0:
-            beyond = max(distance - law.onset, 0.0)
-            slow = law.c * exp(-beyond / law.length)
-            share += slow
-            change += slow / law.length if beyond > 0.0 else 0.0
-        slope = slope * share - (1.0 - decay) * change
-        free *= share
-    return free, slope
+    beyond = max(distance - law.onset, 0.0)
+    slow = law.c * exp(-beyond / law.length)
+    share = law.a + law.b * decay + slow
+    change = rate * law.b * decay + (slow / law.length if beyond > 0.0 else 0.0)
+    e = math.copysign((1.0 - decay) * share, j)
+    return e, rate * decay * share - (1.0 - decay) * change
 
 
 @njit(**SUMS)
 def lay_nodes(nodes, arc, n):
-    """Lay the nodes of an `Arc` into the scratch `nodes`, for a sinkage exponent n; (Int p cos, Int p sin).
+    """Lay the nodes of an `Arc` into the scratch `nodes`, for a sinkage exponent n; (Int p cos, Int
+    p sin).
 
-    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam - theta2) u^2 behind. That
-    removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the two nodes have the same normal stress.
+    Gauss-Legendre nodes are at theta1 - (theta1 - thetam) u^2 in front and theta2 + (thetam -
+    theta2) u^2 behind. That removes the singularity (theta1 - theta)^n at both ends. By Eq. (8) the
+    two nodes have the same normal stress.
     """
     r = arc.radius
     front = arc.theta1 - arc.thetam
@@ -217,7 +239,9 @@ def lay_nodes(nodes, arc, n):
 
 @njit(**SUMS)
 def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
-    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel, ...); notes de/dj at each node."""
+    """`ArcIntegrals` of the nodes of `lay_nodes` at a `motion` (rim, travel, ...); notes de/dj at
+    each node.
+    """
     rim = motion[0]
     travel = motion[1]
     pe_cos = 0.0
@@ -227,7 +251,11 @@ def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
     e_sin = 0.0
     e_sum = 0.0
     for k in range(NODES):
-        e, rate = mobilised(rim * nodes.by_rim[k] + travel * nodes.by_travel[k], K, law)
+        j = rim * nodes.by_rim[k] + travel * nodes.by_travel[k]
+        if law is None:
+            e, rate = mobilised(j, K, None)
+        else:
+            e, rate = _mobilised_by(law, j, K)
         nodes.rate[k] = rate
         pe_cos += nodes.stress[k] * (e * nodes.cos[k])
         pe_sin += nodes.stress[k] * (e * nodes.sin[k])
@@ -240,7 +268,7 @@ def shear_integrals(nodes, p_cos, p_sin, motion, K, law):
 
 @njit(**SUMS)
 def shear_rates(nodes, st, c):
-    """`ShearRates` of the nodes at the motion of the last `shear_integrals`, with st = S tan(phi)."""
+    """`ShearRates` of the nodes at the last motion of `shear_integrals`, with st = S tan(phi)."""
     cos_rim = 0.0
     sin_rim = 0.0
     one_rim = 0.0
@@ -262,10 +290,11 @@ def shear_rates(nodes, st, c):
 
 @njit(**EXACT)
 def forces(q, S, tan_phi, c, r, b, direction):
-    """`Forces` from `ArcIntegrals` q: Eqs. (1)-(3) with the exact resistance integral of Eq. (11) ("consistent").
+    """`Forces` from `ArcIntegrals` q: Eqs. (1)-(3) with the exact resistance integral of Eq. (11)
+    ("consistent").
 
-    `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the horizontal part of
-    the normal stress and the vertical part of the shear stress change sign.
+    `direction` is the smoothed sign of the travel speed, 1 in a steady forward run. In reverse the
+    horizontal part of the normal stress and the vertical part of the shear stress change sign.
     """
     st = S * tan_phi
     rb = r * b
@@ -278,15 +307,19 @@ def forces(q, S, tan_phi, c, r, b, direction):
 
 @njit(**EXACT)
 def bearing_share(q, tan_phi, direction):
-    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n]; Eq. (1)."""
+    """Load borne by the normal stress and by the friction in proportion to it, over S r b [m^n];
+    Eq. (1).
+    """
     return q.p_cos + direction * tan_phi * q.pe_sin
 
 
 @njit(**EXACT)
 def mobilised_sinkage_coefficient(q, load, tan_phi, c, r, b, direction):
-    """Sinkage coefficient S [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least 0.
+    """Sinkage coefficient S [N/m^(n+2)] at which Eq. (1) carries `load` [N] on this arc; at least
+    0.
 
-    Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a closed form.
+    Eq. (1) is linear in S, so at a given sinkage the coefficient that the load mobilises has a
+    closed form.
     """
     bearing = bearing_share(q, tan_phi, direction)
     rest = load / (r * b) - direction * c * q.e_sin

@@ -49,7 +49,7 @@ def put_soil(record, soil):
 
 @njit(**EXACT)
 def blend(a, b, share):
-    """Soil between two soils, share of the second: moduli geometrically, everything else linearly."""
+    """Soil between two, share of the second: moduli geometrically, everything else linearly."""
     rest = 1.0 - share
     return SoilState(
         rest * a.tan_phi + share * b.tan_phi,
@@ -64,7 +64,8 @@ def blend(a, b, share):
 
 @njit(**EXACT)
 def share_of_next(distance):
-    """(share of the next soil on a border, its derivative) at a distance from its middle, in lengths of the border.
+    """(share of the next soil on a border, its derivative) at a distance from its middle, in
+    lengths of the border.
 
     A cubic from 0 half a length before the middle to 1 half a length behind it.
     """

@@ -1,4 +1,6 @@
-"""A wheel on one soil as an object and as a file: base model, named effects and residual law; tables of predictions."""
+"""A wheel on one soil as an object and as a file: base model, named effects and residual law;
+tables of predictions.
+"""
 
 import math
 import warnings
@@ -9,9 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
+from numba import njit
 from numpy.typing import ArrayLike
 
 from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT
 from soil_env._io.files import replace_file
 from soil_env._io.loading import (
     Checked,
@@ -26,6 +30,7 @@ from soil_env._io.loading import (
 from soil_env.parameters import LARGEST_WHEEL, Soil, SoilState, check_lugs
 from soil_env.terramechanics.effects import Effects, pack_effects
 from soil_env.terramechanics.residual import (
+    GROUPS,
     ResidualLaw,
     ResidualTerm,
     WorkingPoint,
@@ -71,14 +76,16 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class WheelSoilModel(Checked):
-    """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a residual law.
+    """A wheel on one soil: the base model of Eqs. (1)-(10), the named effects that are on, and a
+    residual law.
 
-    `effects` maps a name of the catalogue to its parameters; those left out are neutral. `soil.dig_gain` is the
-    digging that the simulated world gives its soils; it is 0 in a model that was fitted to measurements, which has
-    slip-sinkage as an effect. Without a soil a model is a set of effects for worlds that bring their own soils; it
-    cannot predict. `validity`: conditions that a fitted model has seen, {"slip": (low, high), "load": ..., "speed":
-    ..., "pass": ..., "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives the
-    warning `OutsideValidity`.
+    `effects` maps a name of the catalogue to its parameters; those left out are neutral.
+    `soil.dig_gain` is the digging that the simulated world gives its soils; it is 0 in a model that
+    was fitted to measurements, which has slip-sinkage as an effect. Without a soil a model is a set
+    of effects for worlds that bring their own soils; it cannot predict. `validity`: conditions that
+    a fitted model has seen, {"slip": (low, high), "load": ..., "speed": ..., "pass": ...,
+    "grade_deg": ...} in the units of a measurement table. The first prediction beyond them gives
+    the warning `OutsideValidity`.
     """
 
     wheel: ModelWheel
@@ -115,10 +122,11 @@ class WheelSoilModel(Checked):
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:
         """Steady sinkage, drawbar pull and torque [N] for a whole table.
 
-        `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row. It has `slip` [-]
-        and `load` [N] and, as far as they matter, `speed` [m/s], `pass`, `grade_deg`, `wheel_radius`, `wheel_width`,
-        `grouser_height` [m]. Raises `ParameterError` for unknown or missing names and for values that are not finite;
-        warns once (`OutsideValidity`) of conditions outside `validity`.
+        `conditions`: a measurement table, or a mapping of arrays [N]; scalars count for every row.
+        It has `slip` [-] and `load` [N] and, as far as they matter, `speed` [m/s], `pass`,
+        `grade_deg`, `wheel_radius`, `wheel_width`, `grouser_height` [m]. Raises `ParameterError`
+        for unknown or missing names and for values that are not finite; warns once
+        (`OutsideValidity`) of conditions outside `validity`.
         """
         if self.soil is None:
             raise ParameterError("WheelSoilModel: no soil: expected one, to predict with")
@@ -173,7 +181,9 @@ class WheelSoilModel(Checked):
 
     @classmethod
     def load(cls, path: str | Path) -> "WheelSoilModel":
-        """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of range."""
+        """Read model.yaml; `ParameterError` with one line for anything unknown, missing or out of
+        range.
+        """
         if not isinstance(path, (str, Path)) or not str(path):
             raise ParameterError(f"model = {path!r}: expected the path of a model.yaml")
         return cls.from_content(read_yaml(Path(path)), str(path))
@@ -191,7 +201,9 @@ class WheelSoilModel(Checked):
 
 
 def load_model(model: str | Path | WheelSoilModel | None) -> WheelSoilModel | None:
-    """The model that the keyword `model` of an environment describes: a model.yaml, a model, or none."""
+    """The model that the keyword `model` of an environment describes: a model.yaml, a model, or
+    none.
+    """
     if model is None or isinstance(model, WheelSoilModel):
         return model
     if not isinstance(model, (str, Path)) or not str(model):
@@ -229,7 +241,9 @@ def _numbers(name: str, value) -> np.ndarray:
 
 
 def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
-    """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel of the model."""
+    """`Rows` of a table or a mapping; what is not given (or NaN) is level, fresh soil and the wheel
+    of the model.
+    """
     if not isinstance(conditions, Mapping):
         if not hasattr(conditions, "conditions"):
             raise ParameterError(
@@ -281,18 +295,39 @@ def rows_of(conditions: Any, wheel: ModelWheel) -> Rows:
     )
 
 
+@njit(**EXACT)
+def _groups(rows, k, sinkage, soil, gravity):
+    """`dimensionless_groups` of a row at a sinkage [m]."""
+    w = rows.wheels[k]
+    c = rows.conditions[k]
+    at = WorkingPoint(rows.slip[k], sinkage, rows.load[k], c[0], c[1], c[2])
+    return dimensionless_groups(at, soil, Rim(w[0], w[1], w[2], 0.0), gravity)
+
+
+@kept
+def _table_groups(rows, sinkage, soil, gravity, out):
+    for k in range(rows.slip.size):
+        groups = _groups(rows, k, sinkage[k], soil, gravity)
+        for g in range(len(groups)):
+            out[k, g] = groups[g]
+
+
+def table_groups(rows: Rows, sinkage: np.ndarray, soil: SoilState, gravity: float) -> np.ndarray:
+    """[N, 7] `dimensionless_groups` of rows at sinkages [N] in m."""
+    out = np.empty((rows.slip.size, len(GROUPS)))
+    _table_groups(rows, sinkage, floats(soil), float(gravity), out)
+    return out
+
+
 @kept
 def _add_residual(law, rows, soil, gravity, out):
     for k in range(rows.slip.size):
-        w = rows.wheels[k]
-        c = rows.conditions[k]
+        z, pull, torque = residual_at(law, _groups(rows, k, out[k, 0], soil, gravity))
         load = rows.load[k]
-        wheel = Rim(w[0], w[1], w[2], 0.0)
-        at = WorkingPoint(rows.slip[k], out[k, 0], load, c[0], c[1], c[2])
-        z, pull, torque = residual_at(law, dimensionless_groups(at, soil, wheel, gravity))
-        out[k, 0] += z * wheel.radius
+        r = rows.wheels[k, 0]
+        out[k, 0] += z * r
         out[k, 1] += pull * load
-        out[k, 2] += torque * load * wheel.radius
+        out[k, 2] += torque * load * r
 
 
 def add_residual(

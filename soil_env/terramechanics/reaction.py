@@ -1,7 +1,9 @@
-"""Reaction of the soil and of effects to a driven wheel, with the derivatives that an implicit step needs.
+"""Reaction of the soil and of effects to a driven wheel, with the derivatives that an implicit step
+needs.
 
-`ground_under` says what a wheel stands on during a step: its soil, its arc and the forces beside the contact.
-`lay_footing` puts the arc's nodes into a scratch; `reaction` then gives the forces at any two speeds.
+`ground_under` says what a wheel stands on during a step: its soil, its arc and the forces beside
+the contact. `lay_footing` puts the arc's nodes into a scratch; `reaction` then gives the forces at
+any two speeds.
 """
 
 import math
@@ -46,7 +48,9 @@ REST_SPEED = (
 
 
 class Acting(NamedTuple):
-    """What acts between wheel and soil beside the base model; None where nothing does, which compiles to no code."""
+    """What acts between wheel and soil beside the base model; None where nothing does, which
+    compiles to no code.
+    """
 
     effects: Effects | None
     law: ShearLaw | None  # None: Janosi & Hanamoto, Eq. (10)
@@ -79,7 +83,9 @@ class Beside(NamedTuple):
 
 
 class Footing(NamedTuple):
-    """What a wheel stands on during a step: its arc's integrals of the stress, the soil as sheared, the load."""
+    """What a wheel stands on during a step: its arc's integrals of the stress, the soil as sheared,
+    the load.
+    """
 
     theta1: float  # [rad] entry angle
     p_cos: float  # as in `ArcIntegrals`
@@ -91,7 +97,7 @@ class Footing(NamedTuple):
 
 
 class Reaction(NamedTuple):
-    """Soil reaction at one motion, with its derivatives by travel speed V and by rim speed u = r w."""
+    """Soil reaction at one motion, with its derivatives by travel speed V and rim speed u = r w."""
 
     load: float
     drawbar_pull: float
@@ -123,7 +129,9 @@ def lay_footing(nodes, arc, soil, load):
 
 @njit(**EXACT)
 def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
-    """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load stays what it is."""
+    """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load
+    stays what it is.
+    """
     r = wheel.contact_radius
     b = wheel.width
     rb = r * b
@@ -173,7 +181,7 @@ def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
 
 @njit(**EXACT)
 def ground_under(at, soil, wheel, acting):
-    """(`SoilState` as it is sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`."""
+    """(`SoilState` as sheared, `Arc`, `Beside`) of a wheel `Standing` on undisturbed `soil`."""
     slip = slip_ratio(at.rim_speed, at.speed, REST_SPEED)
     pull, torque = _residual_forces(at, slip, soil, wheel, acting.residual)
     soil, arc, lift, bulldozing, blades = _ground_under(at, slip, soil, wheel, acting.effects)
@@ -217,7 +225,9 @@ def _residual_forces(at, slip, soil, wheel, residual):
 
 @njit(**EXACT)
 def reaction(nodes, footing, speed, rim_speed, wheel, beside, acting):
-    """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the drivetrain add."""
+    """`Reaction` at the axle at travel speed V and rim speed u [m/s], with what `Beside` and the
+    drivetrain add.
+    """
     f = soil_reaction(nodes, footing, speed, wheel.rim_ratio * rim_speed, wheel, acting.law)
     return _at_the_axle(f, beside, speed, rim_speed, wheel, acting.effects, acting.residual)
 

@@ -1,6 +1,8 @@
-"""Steady state of a wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and load, with effects.
+"""Steady state of a wheel on uniform soil: sinkage, drawbar pull and torque at a given slip and
+load, with effects.
 
-`steady_at` is the compiled function; `steady_state`, `steady_with` and `predict_rows` are for calls from Python.
+`steady_at` is the compiled function; `steady_state`, `steady_with` and `predict_rows` are for calls
+from Python.
 """
 
 import math
@@ -11,9 +13,9 @@ from numba import njit
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import asin_root
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import EXACT, INLINE
 from soil_env.parameters import SoilState
-from soil_env.slip import motion_from_slip
+from soil_env.slip import motion_from_slip, sliding_speed
 from soil_env.terramechanics.contact import (
     ARC_NODES,
     Arc,
@@ -44,7 +46,6 @@ from soil_env.terramechanics.effects.grousers import (
     contact_radius,
     shear_radius_ratio,
 )
-from soil_env.terramechanics.effects.shear_rate import sliding_speed
 from soil_env.terramechanics.effects.shear_softening import JANOSI, mobilisation, shear_length_ratio
 from soil_env.terramechanics.effects.sinkage_offset import sinkage_zero
 from soil_env.terramechanics.effects.slip_bias import true_slip
@@ -71,11 +72,14 @@ class Steady(NamedTuple):
     sinkage: float  # [m]
     drawbar_pull: float  # [N]
     torque: float  # [N m]
-    supported: bool  # False when the soil cannot carry the load before the wheel is buried; `sinkage` is then the bound
+    #: False if the wheel is buried before the soil carries the load; `sinkage` is then the bound.
+    supported: bool
 
 
 class Rim(NamedTuple):
-    """The wheel as it meets the soil, and what that weighs. Records of a simulated wheel have the same fields."""
+    """The wheel as it meets the soil, and what that weighs. Records of a simulated wheel have the
+    same fields.
+    """
 
     radius: float  # [m]
     width: float  # [m]
@@ -115,7 +119,8 @@ class Rows(NamedTuple):
 def arc_of(sinkage, slip, fx, wheel):
     """`Arc` of a wheel at a given sinkage [m] and slip, with the effects that shape it.
 
-    The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al. 2011).
+    The tips of the lugs enter the soil, and begin to shear it, at cos = cos(theta1)/q (Ding et al.
+    2011).
     """
     if fx is None:
         return smooth_arc(sinkage, wheel.radius)
@@ -160,8 +165,8 @@ def _balance(slip, load, soil, wheel, conditions, fx):
         slide = sliding_speed(slip, conditions.speed)
         passage = Passage(soil, slip, conditions.speed, slide, conditions.passes, sine)
         ground = soil_in_contact(soil, passage, fx)
-        # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q. Where slip was taken
-        # at the rim of radius R, the tips of the lugs move faster by r/R.
+        # Shear at the radius q r stretches j, thrust and torque: K/q here, and strength times q.
+        # Where slip was taken at the rim of radius R, the tips of the lugs move faster by r/R.
         q = shear_radius_ratio(wheel, fx)
         modulus = ground.shear_modulus * shear_length_ratio(fx)
         if fx.grousers_slip_at_rim > 0.0:
@@ -195,15 +200,20 @@ def _integrals(nodes, arc, p, fx):
     """`ArcIntegrals` of an arc at the motion of a `_Balance`."""
     p_cos, p_sin = lay_nodes(nodes, arc, p.soil.sinkage_exponent)
     motion = (p.rim, p.travel)
-    if fx is None:  # the law of Eq. (10), without the code for others
-        return shear_integrals(nodes, p_cos, p_sin, motion, p.soil.shear_modulus, None)
+    modulus = p.soil.shear_modulus
+    if fx is None:
+        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
     else:
-        return shear_integrals(nodes, p_cos, p_sin, motion, p.soil.shear_modulus, p.law)
+        if p.law.b == 0.0 and p.law.c == 0.0:  # Eq. (10), which takes half the time
+            return shear_integrals(nodes, p_cos, p_sin, motion, modulus, None)
+        return shear_integrals(nodes, p_cos, p_sin, motion, modulus, p.law)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _misfit(nodes, x, p, wheel, fx):
-    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces` there)."""
+    """(ln of the mobilised over the available sinkage coefficient at the sinkage e^x [m], `Forces`
+    there).
+    """
     z = math.exp(x)
     soil = p.soil
     b = wheel.width
@@ -223,9 +233,11 @@ def _misfit(nodes, x, p, wheel, fx):
     return f, forces(q, math.exp(available), soil.tan_phi, soil.cohesion, arc.radius, b, 1.0)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _first_guess(p, wheel, guess):
-    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate, sqrt(2 r z) long."""
+    """ln of the sinkage [m] to start from: of `guess` where there is one, else of a flat plate,
+    sqrt(2 r z) long.
+    """
     if guess > 0.0:
         return math.log(guess)
     pressure = math.log(p.load / (wheel.width * math.sqrt(2.0 * wheel.radius))) - p.strength
@@ -233,9 +245,11 @@ def _first_guess(p, wheel, guess):
     return math.log(math.exp(min(x, math.log(DEEPEST * wheel.radius))) + max(p.lift, 0.0))
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _solve_balance(nodes, p, wheel, fx, guess):
-    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on `_misfit`."""
+    """(ln of the sinkage, `Forces` there, whether the soil carries the load): bracketed secant on
+    `_misfit`.
+    """
     deepest = math.log(DEEPEST * wheel.radius)
     low = math.log(max(SHALLOWEST * wheel.radius, 1.0001 * p.lift))
     high = deepest
@@ -276,7 +290,9 @@ def _solve_balance(nodes, p, wheel, fx, guess):
 
 @njit(**EXACT)
 def _as_measured(w, z, p, speed, wheel, fx):
-    """(sinkage, drawbar pull, torque) that instruments read at `Forces` w and a sinkage z [m] in the ground."""
+    """(sinkage, drawbar pull, torque) that instruments read at `Forces` w and a sinkage z [m] in
+    the ground.
+    """
     sinkage = min(p.apparent * z, DEEPEST * wheel.radius)
     if fx is None:
         return sinkage, w.drawbar_pull, w.torque
@@ -297,11 +313,12 @@ def _as_measured(w, z, p, speed, wheel, fx):
 def steady_at(nodes, point, soil, wheel, conditions, fx):
     """`Steady` sinkage, drawbar pull and torque as they are measured at a `Point`.
 
-    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim` or a record with its fields; `fx` `Effects` or None.
-    Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging deepens the hole at the same bearing
-    pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z carries the load when the coefficient s(z) that the load
-    mobilises is S ((z - l)/(k z))^n. The root of the difference of their logarithms is found by a bracketed secant in
-    ln z, in which it is nearly straight.
+    `nodes` is a scratch record of `ARC_NODES`; `wheel` a `Rim` or a record with its fields; `fx`
+    `Effects` or None. Eq. (1) is solved for the sinkage, then Eqs. (2) and (3) follow. Digging
+    deepens the hole at the same bearing pressure: s z^n = S z_w^n with z = k(i) z_w + l(i). So z
+    carries the load when the coefficient s(z) that the load mobilises is S ((z - l)/(k z))^n. The
+    root of the difference of their logarithms is found by a bracketed secant in ln z, in which it
+    is nearly straight.
     """
     slip = true_slip(point.slip, fx)
     p = _balance(slip, point.load, soil, wheel, conditions, fx)
@@ -329,7 +346,9 @@ def steady_with(
     fx: Effects | None = None,
     guess: float = 0.0,
 ) -> Steady:
-    """`steady_at` of a measured slip and weight `load` [N], starting from the sinkage `guess` [m] if there is one."""
+    """`steady_at` of a measured slip and weight `load` [N], starting from the sinkage `guess` [m]
+    if there is one.
+    """
     point = floats(Point(slip, load, guess))
     nodes = np.zeros(1, ARC_NODES)
     return _steady(nodes, point, floats(soil), floats(wheel), floats(conditions), fx)
@@ -360,7 +379,8 @@ def _predict_rows(nodes, rows, soil, unit_weight, fx, guess, out):
 def predict_rows(
     rows: Rows, soil: SoilState, unit_weight: float, fx: Effects, guess: np.ndarray, out: np.ndarray
 ) -> int:
-    """`steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N], which it renews.
+    """`steady_at` of every row into `out` [N, 3] (sinkage, drawbar pull, torque), from `guess` [N],
+    which it renews.
 
     Columns of `rows` are contiguous. Returns the number of rows that the soil carries.
     """
@@ -370,7 +390,8 @@ def predict_rows(
 
 
 def sinkage_coefficient_at(soil: SoilState, exponent: float, depth: float) -> float:
-    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with another exponent n'.
+    """S' [N/m^(n'+2)] that bears the same pressure S' z^n' = S z^n as `soil` at `depth` z [m] with
+    another exponent n'.
 
     S has a unit that depends on n, so two values compare only at the same exponent.
     """

@@ -1,7 +1,9 @@
-"""Can this wheel pass this soil? Torque required against torque available, and the slip of the best drawbar pull.
+"""Can this wheel pass this soil? Torque required against torque available, and the slip of the best
+drawbar pull.
 
-Criterion of the source paper (its Section 6): the ground is impassable where the torque that the soil takes exceeds
-what the motor has. So it is where no slip gives a positive drawbar pull in excess of the grade.
+Criterion of the source paper (its Section 6): the ground is impassable where the torque that the
+soil takes exceeds what the motor has. So it is where no slip gives a positive drawbar pull in
+excess of the grade.
 """
 
 from typing import NamedTuple
@@ -42,10 +44,12 @@ class Best(NamedTuple):
 
 @njit(**EXACT)
 def best_point_at(nodes, load, soil, wheel, conditions, fx, torque_available):
-    """`Best` of `steady.steady_at` over the slips of `SLIPS`: up from the middle of them, then down from there.
+    """`Best` of `steady.steady_at` over the slips of `SLIPS`: up from the middle of them, then down
+    from there.
 
-    `nodes`, `soil`, `wheel`, `conditions` and `fx` as there; load [N], torque_available [N m]. The curve has one
-    maximum, so each scan stops once it has clearly passed it, or where more slip takes more torque than there is.
+    `nodes`, `soil`, `wheel`, `conditions` and `fx` as there; load [N], torque_available [N m]. The
+    curve has one maximum, so each scan stops once it has clearly passed it, or where more slip
+    takes more torque than there is.
     """
     best = Best(SLIPS[0], -np.inf, 0.0, 0.0)
     n = soil.sinkage_exponent
@@ -107,7 +111,7 @@ def best_working_point_with(
 def best_working_point(
     load: float, soil: SoilState, r: float, b: float, torque_available: float
 ) -> Best:
-    """`best_working_point_with` of the base model on level, fresh soil, with the digging of `soil`."""
+    """`best_working_point_with` of the base model on level, fresh soil that digs as `soil`."""
     return best_working_point_with(load, soil, Rim(r, b, 0.0, 0.0), LEVEL, None, torque_available)
 
 
@@ -124,7 +128,8 @@ def _best_points(nodes, soils, load, wheel, torque_available, slip, pull):
 def best_points(soils: np.ndarray, load: np.ndarray, wheel: Wheel) -> tuple[np.ndarray, np.ndarray]:
     """(slip [-], drawbar pull [N]) of `best_working_point` of many wheels, [n] each.
 
-    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of all wheels.
+    `soils` [n, 7] are rows of `SoilState`, `load` [n] in N; the size and the motor are those of all
+    wheels.
     """
     count = len(load)
     slip = np.empty(count)

@@ -1,4 +1,6 @@
-"""The conditions that a fitted model has seen: {condition: (lowest, highest)} in the units of a measurement table."""
+"""The conditions that a fitted model has seen: {condition: (lowest, highest)} in the units of a
+measurement table.
+"""
 
 import math
 from collections.abc import Mapping
@@ -21,7 +23,9 @@ class OutsideValidity(UserWarning):
 
 
 def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, tuple[float, float]]:
-    """A range for each condition that has one; `ParameterError` for unknown names and for what is no range."""
+    """A range for each condition that has one; `ParameterError` for unknown names and for what is
+    no range.
+    """
     if not isinstance(validity, Mapping):
         raise ParameterError(
             f"{where}: expected a mapping of conditions to [lowest, highest], got {validity!r}"
@@ -43,7 +47,9 @@ def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, t
 def seen(
     slip: ArrayLike, load: ArrayLike, conditions: np.ndarray
 ) -> dict[str, tuple[float, float]]:
-    """The ranges of slips [N], loads [N] and conditions [N, 3] (speed, 0 = not known; pass; sine of the grade)."""
+    """The ranges of slips [N], loads [N] and conditions [N, 3] (speed, 0 = not known; pass; sine of
+    the grade).
+    """
     speed = conditions[:, 0]
     columns = {
         "slip": slip,
@@ -61,7 +67,7 @@ def outside(
     load: ArrayLike,
     conditions: np.ndarray,
 ) -> str:
-    """Conditions of the rows that lie outside by more than 1 % of the range, in words; "" if none."""
+    """Conditions of rows that lie outside by more than 1 % of the range, in words; "" if none."""
     asked = seen(slip, load, conditions)
     out = []
     for name, (low, high) in validity.items():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from soil_env.identification.online import identifier
-from soil_env.identification.online.lanes.lanes import COUNT
 from soil_env.identification.online.pooling import pool, share
 from soil_env.identification.online.stretches import (
     ERROR_OF_MODEL,
@@ -20,6 +19,7 @@ from tests.identification.observing import observe
 SCENARIO = load_scenario("mixed")
 NUMBERS = pool_numbers(SCENARIO)
 IDENTIFIER = identifier.identifier_numbers(SCENARIO)
+SECOND = 1  # row of the wheel on the second axle
 SHARED = [0, 1, 3]
 PRIOR_MEAN = NUMBERS.prior[:3]
 PRIOR = NUMBERS.prior[3:].reshape(3, 3)
@@ -41,10 +41,10 @@ class Wheels:
 
     def __init__(self, *posteriors):
         self.axles = len(posteriors)
-        self.ids = identifier.new_identifiers(COUNT * self.axles)
-        self.pools = new_pools(COUNT * self.axles)
+        self.ids = identifier.new_identifiers(self.axles)
+        self.pools = new_pools(self.axles)
         for a, (mean, covariance) in enumerate(posteriors):
-            k = COUNT * a
+            k = a
             identifier.forget(self.ids, k, IDENTIFIER)
             forget_stretches(self.pools, self.ids, k)
             self.ids.estimate[k] = mean
@@ -57,7 +57,7 @@ class Wheels:
 
     def pooled(self, axle=0):
         """(estimate, variances less those of the model)."""
-        k = COUNT * axle
+        k = axle
         pool(self.pools, self.ids, k, 0, self.axles, NUMBERS)
         return self.pools.estimate[k].copy(), self.pools.sd[k] ** 2 - ERROR_OF_MODEL**2
 
@@ -135,7 +135,7 @@ def test_what_another_knows_of_another_soil_is_not_taken():
 def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share):
     """The front wheel knows both soils; the other is on the border with that share of the new one."""
     wheels = Wheels((MEAN + SD, covariance(0.01)), (MEAN, covariance(100.0)))
-    k = COUNT
+    k = SECOND
     border = 4.2
     p = wheels.pools
     leave_behind(wheels, border)
@@ -162,24 +162,24 @@ def test_the_place_that_the_front_wheel_has_found_is_kept():
     reading = identifier.SensorReading(0.2, 0.02, 10.0, 147.0, 5.0, 0.08, 0.1, 0.0, 5.0, 0.0)
 
     def read():
-        observe(wheels.ids, COUNT, reading, IDENTIFIER)
-        wheels.ids.status[COUNT] = Status.CONVERGED.value  # no border by the forces
-        point.misfit[COUNT] = 0.0
+        observe(wheels.ids, SECOND, reading, IDENTIFIER)
+        wheels.ids.status[SECOND] = Status.CONVERGED.value  # no border by the forces
+        point.misfit[SECOND] = 0.0
 
     for _ in range(20):
         read()
     p.left[0] = 1
     p.ends[0, 0] = 4.2
     p.start[0] = 4.2
-    note(p, wheels.ids, COUNT, 4.2 - 0.49 * NUMBERS.border, 0, True, NUMBERS)
+    note(p, wheels.ids, SECOND, 4.2 - 0.49 * NUMBERS.border, 0, True, NUMBERS)
     share(p, wheels.ids, 0, 2, identifier.RENEWED, NUMBERS, IDENTIFIER)
-    handed = point.border[COUNT]
-    assert point.crossing[COUNT] == 1.0 and handed - point.place[COUNT] == pytest.approx(
+    handed = point.border[SECOND]
+    assert point.crossing[SECOND] == 1.0 and handed - point.place[SECOND] == pytest.approx(
         0.49 * NUMBERS.border
     )
     for _ in range(20):  # 16 cm on, to the middle of the border
         read()
-    assert point.border[COUNT] == pytest.approx(handed, abs=0.1 * NUMBERS.border)
+    assert point.border[SECOND] == pytest.approx(handed, abs=0.1 * NUMBERS.border)
 
 
 def test_a_posterior_wider_than_the_prior_does_not_throw_the_other():

@@ -10,20 +10,21 @@ import pytest
 import yaml
 
 from soil_env._io.loading import ParameterError
-from soil_env._numba.compiling import compiled_root
-from soil_env._numba.random_streams import seed_stream
 from soil_env.identification.online import soil_prior
 from soil_env.logs.mapping import read_map
 from soil_env.parameters import (
     Belief,
+    SoilState,
     load_rover,
     load_scenario,
     rover_names,
     scenario_names,
     to_dict,
 )
-from soil_env.simulation.world.courses import course_numbers, draw_soil
+from soil_env.simulation.world.courses import course_distribution
+from soil_env.simulation.world.terrain import SOIL
 from tests.logs.bags import write_map
+from tests.simulation.courses import draw_soils, stream_of
 
 MIXED = load_scenario("mixed")
 EVERY = [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in rover_names()]
@@ -31,17 +32,9 @@ EVERY = [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in r
 
 def test_the_library_is_what_the_world_draws():
     """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, passable or not."""
-
-    @compiled_root
-    def drawn(streams, numbers, out):
-        for k in range(len(out)):
-            soil = draw_soil(streams, 0, numbers)
-            for j in range(7):
-                out[k, j] = soil[j]
-
-    out = np.empty((4000, 7))
-    drawn(np.array([seed_stream(np.random.default_rng(0))]), course_numbers(MIXED), out)
-    tangent, cohesion, K, S, n, gain = out[:, :6].T
+    drawn = np.zeros(4000, SOIL)
+    draw_soils(stream_of(0), course_distribution(MIXED), drawn)
+    tangent, cohesion, K, S, n, gain = (drawn[name] for name in SoilState._fields[:6])
     y = np.log(S) + n * math.log(soil_prior.depth_of(MIXED))
     rows = np.stack([tangent, cohesion, n, np.log(K), y, np.log(gain / MIXED.belief.dig_gain)])
     mean, covariance = soil_prior.prior_of_belief(MIXED)

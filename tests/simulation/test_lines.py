@@ -1,15 +1,20 @@
-"""Terrain classes, two lines over a patch, the choice between them at halts, and the view of the camera."""
+"""Terrain classes, two lines over a patch, the choice between them at halts, and the camera."""
 
 import math
 
 import numpy as np
 import pytest
 
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.task import VARIANTS, layout
-from soil_env.simulation.world import camera, courses as drawing
+from soil_env.simulation.world import camera
+from soil_env.simulation.world.terrain import course_of
+from soil_env.simulation.world.wheel import WHEEL
 from soil_env.terramechanics.ground import blend
-from tests.simulation.wheels import course, margin, started
+from tests.simulation.courses import course, margin, stream_of
+from tests.simulation.wheels import started
 
 SEEDS = range(30)
 
@@ -25,7 +30,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def drawn(scenario):
-    return [course(seed, scenario)[:2] for seed in SEEDS]
+    return [course(seed, scenario) for seed in SEEDS]
 
 
 def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, scenario):
@@ -33,44 +38,37 @@ def test_each_patch_has_a_passable_line_and_dead_ends_lack_the_deficit(drawn, sc
     forks = 0
     dead = 0
     first = 0
-    for courses, mass in drawn:
-        lines = courses.lines
-        n = courses.patches[0]
-        for p in range(n):
-            m = [
-                margin(lines.soils[0, p, i], lines.grades[0, p, i], mass, scenario)
-                for i in range(2)
-            ]
-            assert max(m) >= spec.margin[0] - 1e-9
-            if min(m) < spec.margin[0] - 1e-9:
-                assert -spec.deficit[1] - 1e-9 <= min(m) <= -spec.deficit[0] + 1e-9
+    for one in drawn:
+        for lines in one.lines:
+            margins = [margin(line, line.grade, one.mass, scenario) for line in lines]
+            assert max(margins) >= spec.margin[0] - 1e-9
+            if min(margins) < spec.margin[0] - 1e-9:
+                assert -spec.deficit[1] - 1e-9 <= min(margins) <= -spec.deficit[0] + 1e-9
                 dead += 1
-                first += m[0] < m[1]
-            forks += lines.count[0, p] == 2
-            assert np.all(np.degrees(lines.grades[0, p]) <= spec.grade_deg[1] + 1e-9)
-            assert np.all(np.degrees(lines.grades[0, p]) >= spec.grade_deg[0] - 1e-9)
+                first += margins[0] < margins[1]
+        forks += np.sum(one.forks["lines"] == 2)
+        grades = np.degrees(one.lines["grade"])
+        assert np.all(grades <= spec.grade_deg[1] + 1e-9)
+        assert np.all(grades >= spec.grade_deg[0] - 1e-9)
     assert forks > 100
-    # dead ends whose deficit the steepest grade does not allow are drawn again, as other patches are
-    assert abs(dead / forks - spec.dead_ends) < 3.5 * math.sqrt(
-        spec.dead_ends * (1.0 - spec.dead_ends) / forks
-    )
+    # dead ends whose deficit the steepest grade does not allow are drawn again
+    deviation = math.sqrt(spec.dead_ends * (1.0 - spec.dead_ends) / forks)
+    assert abs(dead / forks - spec.dead_ends) < 3.5 * deviation
     assert abs(first - 0.5 * dead) < 2.0 * math.sqrt(dead)
 
 
 def test_every_border_between_passable_lines_is_passable(drawn, scenario):
-    for courses, mass in drawn:
-        lines = courses.lines
+    def passable(line, mass):
+        return margin(line, line.grade, mass, scenario) > 0.0
+
+    for one in drawn:
         checked = 0
-        for p in range(1, courses.patches[0]):
-            for a in range(2):
-                for b in range(2):
-                    grades = lines.grades[0, p - 1, a], lines.grades[0, p, b]
-                    soils = SoilState(*lines.soils[0, p - 1, a]), SoilState(*lines.soils[0, p, b])
-                    if all(
-                        margin(s, g, mass, scenario) > 0.0
-                        for s, g in zip(soils, grades, strict=True)
-                    ):
-                        middle = margin(blend(*soils, 0.5), 0.5 * sum(grades), mass, scenario)
+        for before, here in zip(one.lines[:-1], one.lines[1:], strict=True):
+            for a in before:
+                for b in here:
+                    if passable(a, one.mass) and passable(b, one.mass):
+                        grade = 0.5 * (a.grade + b.grade)
+                        middle = margin(blend(a, b, 0.5), grade, one.mass, scenario)
                         assert middle >= scenario.course.margin[0] - 1e-3
                         checked += 1
         assert checked > 3
@@ -78,40 +76,35 @@ def test_every_border_between_passable_lines_is_passable(drawn, scenario):
 
 def test_patches_of_a_class_scatter_about_its_soil(drawn):
     """The first patches show each class once; the classes of two courses are different soils."""
-    for (courses, _), (other, _) in zip(drawn[:10], drawn[1:11], strict=True):
-        lines = courses.lines
-        n = courses.patches[0]
-        assert sorted(lines.classes[0, :3, 0]) == [0, 1, 2] and np.all(lines.count[0, :3] == 1)
-        assert np.all(lines.count[0, 3:n] == 2) and np.all(
-            lines.classes[0, 3:n, 0] != lines.classes[0, 3:n, 1]
-        )
+    for one, other in zip(drawn[:10], drawn[1:11], strict=True):
+        classes = one.lines["terrain"]
+        library = one.courses.library[0]
+        assert sorted(classes[:3, 0]) == [0, 1, 2]
+        assert np.all(one.forks["lines"][:3] == 1) and np.all(one.forks["lines"][3:] == 2)
+        assert np.all(classes[3:, 0] != classes[3:, 1])
         for c in range(3):
-            of_class = lines.soils[0, :n][lines.classes[0, :n] == c]
-            assert np.all(np.abs(of_class[:, 0] / lines.library[0, c, 0] - 1.0) < 0.04)
-            assert (
-                len(np.unique(of_class[:, 2])) > 1 or len(of_class) == 2
-            )  # a patch with one line has it twice
-        assert not np.any(
-            lines.library[0, :, :6] == other.lines.library[0, :, :6]
-        )  # the recovery of digging is one
+            of_class = one.lines[classes == c]
+            assert np.all(np.abs(of_class["tan_phi"] / library["tan_phi"][c] - 1.0) < 0.04)
+            # a patch with one line has it twice
+            assert len(np.unique(of_class["shear_modulus"])) > 1 or len(of_class) == 2
+        for name in SoilState._fields[:6]:  # the recovery of digging is one
+            assert not np.any(library[name] == other.courses.library[0][name])
 
 
 def test_what_is_in_sight_is_final(scenario):
     """Lowering grades at the next border must not change a line that the camera has shown."""
     changed = 0
     for seed in SEEDS:
-        (courses, mass, numbers), x = course(seed, scenario, whole=False), 0.0
+        one = course(seed, scenario, whole=False)
+        x = 0.0
         while x < scenario.course.length:
-            drawing.extend_course(0, courses, mass, x + numbers.drawn.ahead, numbers)
-            edges = courses.edges[0]
-            patches = courses.patches[0]
-            seen = [p for p in range(patches) if edges[p] <= x + scenario.camera.range]
-            grades = courses.lines.grades[0].copy()
-            drawing.extend_course(
-                0, courses, mass, np.inf if x > 5.0 else courses.ready[0] + 1e-9, numbers
-            )
-            np.testing.assert_array_equal(courses.lines.grades[0, seen], grades[seen])
-            changed += np.any(courses.lines.grades[0, :patches] != grades[:patches])
+            one.extend(x + one.numbers.drawn.spec.ahead)
+            patches = one.count
+            seen = one.patches["start"] <= x + scenario.camera.range
+            grades = one.lines["grade"].copy()
+            one.extend(HUGE if x > 5.0 else one.ready + 1e-9)
+            np.testing.assert_array_equal(one.lines["grade"][:patches][seen], grades[seen])
+            changed += np.any(one.lines["grade"][:patches] != grades)
             x += 0.5
     assert changed > 0
 
@@ -119,14 +112,16 @@ def test_what_is_in_sight_is_final(scenario):
 def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
     repeated = 0
     for seed in SEEDS:
-        courses, mass, numbers = course(seed, scenario, whole=False)
-        drawing.extend_course(0, courses, mass, 5.0, numbers)
-        mud = numbers._replace(drawn=numbers.drawn._replace(grade_low=1.0, grade_high=1.0))
-        p = courses.patches[0]
-        assert not drawing.extend_course(0, courses, mass, np.inf, mud)
-        for q in range(p, courses.patches[0]):
-            repeated += courses.lines.taken[0, p - 1] == 0 and courses.margins[0, p - 1] < 0.0
-            assert courses.margins[0, q] > 0.0 and courses.lines.count[0, q] == 1
+        one = course(seed, scenario, whole=False)
+        one.extend(5.0)
+        p = one.count
+        spec = one.numbers.drawn.spec.copy()
+        spec.grade = (1.0, 1.0)
+        mud = one.numbers._replace(drawn=one.numbers.drawn._replace(spec=spec))
+        assert not one.extend(HUGE, mud)
+        repeated += one.forks["taken"][p - 1] == 0 and one.patches["margin"][p - 1] < 0.0
+        assert np.all(one.patches["margin"][p:] > 0.0)
+        assert np.all(one.forks["lines"][p:] == 1)
     assert repeated > 0
 
 
@@ -229,26 +224,29 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     np.testing.assert_allclose(image[stays, names.index("ahead_grade")], expected[stays], atol=1e-6)
 
 
-def test_averaging_images_leaves_the_fixed_error_of_a_border():
-    sim = simulation(seed=7, wheels=300)
-    numbers = sim.numbers.task.camera
-    worlds = sim.worlds
-    noise = sim.scenario.camera.border_noise
-    worlds.state["x"] = 0.5
-    images = np.array(
-        [
-            [
-                camera.look(
-                    worlds.state, worlds.counts, k, worlds.courses, worlds.streams, numbers
-                ).left
-                for k in range(300)
-            ]
-            for _ in range(40)
-        ]
-    )
-    true = worlds.courses.edges[:300, 1] - 0.5
-    assert images.std(axis=0).mean() == pytest.approx(noise, rel=0.05)
-    assert (images.mean(axis=0) - true).std() == pytest.approx(noise, rel=0.15)
+@kept
+def look_often(wheels, courses, view, left):
+    """Distance [m] to the next border by each of many images of a wheel on the first course."""
+    for i in range(left.size):
+        left[i] = camera.look(wheels[0], course_of(courses, 0), view[0]).left
+
+
+def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
+    noise = scenario.camera.border_noise
+    view = camera.camera_of(scenario)
+    fixed = []
+    scatter = []
+    for seed in range(300):
+        one = course(seed, scenario, whole=False)
+        wheels = np.zeros(1, WHEEL)
+        wheels["x"] = 0.5
+        wheels["stream"] = stream_of(seed)["stream"]
+        images = np.zeros(40)
+        look_often(wheels, one.courses, view, images)
+        scatter.append(images.std())
+        fixed.append(images.mean() - (one.patches["end"][0] - 0.5))
+    assert np.mean(scatter) == pytest.approx(noise, rel=0.05)
+    assert np.std(fixed) == pytest.approx(noise, rel=0.15)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -1,24 +1,20 @@
-"""Courses: reproducible, continuous, passable by the stated margin; soils scattered as `SoilSpread` says; the rut."""
+"""Courses: reproducible, continuous, passable; soils scattered as `SoilSpread` says; the rut."""
 
 import math
 
 import numpy as np
 import pytest
 
-from soil_env._numba.random_streams import seed_stream
+from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario, soils
 from soil_env.simulation.world import courses as drawing, terrain
+from soil_env.terramechanics.ground import soil_of
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
-from tests.simulation.wheels import EVEN, course, margin
+from tests.simulation.courses import EVEN, course, draw_soils, margin, stream_of
 
 SEEDS = range(25)
-
-
-def arrays(courses):
-    """All arrays of `Courses`, by name."""
-    fields = courses._asdict()
-    return fields | fields.pop("lines")._asdict()
+LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
 
 
 @pytest.fixture(scope="module")
@@ -28,229 +24,215 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def drawn(scenario):
-    return [course(seed, scenario)[:2] for seed in SEEDS]
+    return [course(seed, scenario) for seed in SEEDS]
 
 
 def test_patches_cover_the_course(drawn, scenario):
     low, high = scenario.course.patch_length
-    for courses, mass in drawn:
-        p = courses.patches[0]
-        edges = courses.edges[0, : p + 1]
-        assert edges[0] == 0.0 and edges[-1] >= scenario.course.length > edges[-2]
-        assert np.all(np.diff(edges) >= low) and np.all(np.diff(edges) <= high)
-        assert np.all(np.isinf(courses.edges[0, p + 1 :]))
-        payload = mass - scenario.wheel.body_mass
+    for one in drawn:
+        patches = one.patches
+        assert patches["start"][0] == 0.0
+        assert patches["end"][-1] >= scenario.course.length > patches["start"][-1]
+        np.testing.assert_array_equal(patches["start"][1:], patches["end"][:-1])
+        lengths = patches["end"] - patches["start"]
+        assert np.all(lengths >= low - 1e-9) and np.all(lengths <= high + 1e-9)
+        assert np.all(one.courses.patches[0, one.count :]["start"] == HUGE)
+        payload = one.mass - scenario.wheel.body_mass
         assert scenario.course.payload[0] <= payload <= scenario.course.payload[1]
-        assert np.all(np.degrees(courses.grades[0, :p]) <= scenario.course.grade_deg[1] + 1e-9)
-
-
-LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
+        assert np.all(np.degrees(patches["grade"]) <= scenario.course.grade_deg[1] + 1e-9)
 
 
 @pytest.mark.parametrize("name", ["mixed", "two_lines"])
 @pytest.mark.parametrize("seed", range(6))
 def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed, name):
     scenario = load_scenario(name, LONG if name == "mixed" else {"course": {"length": 30.0}})
-    whole, mass, _ = course(seed, scenario)
-    courses, same, numbers = course(seed, scenario, whole=False)
-    assert same == mass
+    whole = course(seed, scenario)
+    one = course(seed, scenario, whole=False)
+    assert one.mass == whole.mass
     rng = np.random.default_rng(seed)
     x = 0.0
     pieces = 0
-    while not np.isinf(courses.ready[0]):
+    while one.ready < HUGE:
         x += rng.uniform(0.0, 3.0)
-        before = courses.patches[0]
-        assert drawing.extend_course(0, courses, mass, x, numbers)
-        pieces += courses.patches[0] > before
+        before = one.count
+        assert one.extend(x)
+        pieces += one.count > before
     assert pieces > 5
-    for name, array in arrays(courses).items():
-        np.testing.assert_array_equal(array, arrays(whole)[name], name)
+    for name, array in one.courses._asdict().items():
+        if array is not None:
+            np.testing.assert_array_equal(array, getattr(whole.courses, name), name)
 
 
 def test_a_start_takes_a_few_patches_however_long_the_course():
-    long = [
-        load_scenario("mixed", {"course": {"length": metres}}) for metres in (10.0, 100.0, 1000.0)
-    ]
-    drawn = {int(course(3, scenario, whole=False)[0].patches[0]) for scenario in long}
-    assert len(drawn) == 1 and max(drawn) <= 3
+    counts = set()
+    for metres in (10.0, 100.0, 1000.0):
+        scenario = load_scenario("mixed", {"course": {"length": metres}})
+        counts.add(course(3, scenario, whole=False).count)
+    assert len(counts) == 1 and max(counts) <= 3
 
 
 def test_ground_up_to_ready_is_final():
-    """Lowering grades at the next border must not change the ground that a wheel may already have seen."""
+    """Lowering grades at the next border must not change ground that a wheel may have seen."""
     scenario = load_scenario("mixed", LONG)
+    border = scenario.course.border
     changed = 0
     for seed in SEEDS:
-        courses, mass, numbers = course(seed, scenario, whole=False)
-        while not np.isinf(courses.ready[0]):
-            x = np.linspace(0.0, courses.ready[0], 40)
-            before = [terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x]
-            last = courses.patches[0] - 1
-            grade = courses.grades[0, courses.patches[0] - 1]
-            drawing.extend_course(0, courses, mass, courses.ready[0] + 1e-9, numbers)
-            assert [
-                terrain.ground_at(courses, 0, at, 0, scenario.course.border)[:2] for at in x
-            ] == before
-            changed += courses.grades[0, last] != grade
+        one = course(seed, scenario, whole=False)
+        while one.ready < HUGE:
+            x = np.linspace(0.0, one.ready, 40)
+            before = [one.ground_at(at, border) for at in x]
+            last = one.count - 1
+            grade = one.patches["grade"][last]
+            one.extend(one.ready + 1e-9)
+            assert [one.ground_at(at, border) for at in x] == before
+            changed += one.patches["grade"][last] != grade
     assert changed > 10
 
 
 @pytest.mark.parametrize("low", [0.03, 0.1])
 def test_patches_and_the_middles_of_borders_are_passable(low):
-    """With the same margin on every patch many borders fall short at first, and must have been lowered."""
+    """With the same margin on every patch many borders must have been lowered."""
     high = 0.12 if low == 0.03 else low
     scenario = load_scenario("mixed", {"course": {"margin": [low, high], "grade_deg": [-20, 35]}})
     lowered = 0
     for seed in SEEDS:
-        courses, mass, _ = course(seed, scenario)
-        margins = courses.margins[0, : courses.patches[0]]
-        grades = courses.grades[0]
-        lowered += np.sum(margins > high + 1e-6)
-        for i, expected in enumerate(margins):
-            found = margin(courses.soils[0, i], grades[i], mass, scenario)
-            assert found >= low - 1e-9 and found == pytest.approx(expected, abs=1e-9)
+        one = course(seed, scenario)
+        lowered += np.sum(one.patches["margin"] > high + 1e-6)
+        for i, patch in enumerate(one.patches):
+            found = margin(patch, patch.grade, one.mass, scenario)
+            assert found >= low - 1e-9 and found == pytest.approx(patch.margin, abs=1e-9)
             if i > 0:
-                x = courses.edges[0, i]
-                soil, grade, _ = terrain.ground_at(courses, 0, x, 0, scenario.course.border)
-                assert grade == pytest.approx(0.5 * (grades[i - 1] + grades[i]))
+                soil, grade = one.ground_at(patch.start, scenario.course.border)
+                assert grade == pytest.approx(0.5 * (one.patches[i - 1].grade + patch.grade))
                 # the mean of two angles has not quite the mean of their tangents
-                assert margin(soil, grade, mass, scenario) >= low - 1e-3
+                assert margin(soil, grade, one.mass, scenario) >= low - 1e-3
     assert lowered > 0 or high > low
 
 
 def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
     wheel = scenario.wheel
-    for courses, mass in drawn[:8]:
-        load = mass * scenario.gravity
-        soil = SoilState(*courses.soils[0, 0])
-        states = [steady_state(i, load, soil, wheel.radius, wheel.width) for i in SLIPS]
-        strongest = best_working_point(load, soil, wheel.radius, wheel.width, 1e6)
-        for torque in (
-            1e6,
-            0.8 * strongest.torque,
-        ):  # the second motor cannot turn the wheel at the best slip
+    size = (wheel.radius, wheel.width)
+    for one in drawn[:8]:
+        load = one.mass * scenario.gravity
+        soil = SoilState(*map(float, soil_of(one.patches[0])))
+        states = [steady_state(i, load, soil, *size) for i in SLIPS]
+        strongest = best_working_point(load, soil, *size, 1e6)
+        # the second motor cannot turn the wheel at the best slip
+        for torque in (1e6, 0.8 * strongest.torque):
             pulls = [s.drawbar_pull for s in states if s.supported and s.torque <= torque]
-            best = best_working_point(load, soil, wheel.radius, wheel.width, torque)
-            # the scan starts each root search from the last: equal but for the tolerance of that search
-            assert best.drawbar_pull == pytest.approx(
-                max(pulls, default=-math.inf), abs=1e-6 * load
-            )
+            best = best_working_point(load, soil, *size, torque)
+            # equal but for the tolerance of the root search, which starts from the last one
+            highest = max(pulls, default=-math.inf)
+            assert best.drawbar_pull == pytest.approx(highest, abs=1e-6 * load)
             assert best.torque <= torque
-        assert (
-            best_working_point(load, soil, wheel.radius, wheel.width, 0.0).drawbar_pull == -math.inf
-        )
+        assert best_working_point(load, soil, *size, 0.0).drawbar_pull < -1e9
 
 
 def test_ground_is_continuous(drawn, scenario):
     """At borders of patches, ends of the smooth passage, middles of patches, and on a fine grid."""
     border = scenario.course.border
     d = 1e-9
-    for courses, _ in drawn[:5]:
-        edges = courses.edges[0, : courses.patches[0] + 1]
+    for one in drawn[:5]:
         assert (
-            np.ptp(np.log(courses.soils[0, : courses.patches[0], 3])) > 0.3
+            np.ptp(np.log(one.patches["sinkage_coefficient"])) > 0.3
         )  # there is something to jump
 
-        def row(x, courses=courses):
-            soil, grade, _ = terrain.ground_at(courses, 0, x, 0, border)
+        def row(x, one=one):
+            soil, grade = one.ground_at(x, border)
             return np.array([*soil, math.tan(grade) + 1.0])
 
-        for x in (
-            *edges,
-            *(edges - 0.5 * border),
-            *(edges + 0.5 * border),
-            *(0.5 * (edges[:-1] + edges[1:])),
-            *np.arange(0.0, 10.0, 0.01),
-        ):
+        edges = np.append(one.patches["start"], one.patches["end"][-1])
+        middles = 0.5 * (edges[:-1] + edges[1:])
+        grid = np.arange(0.0, 10.0, 0.01)
+        places = [edges, edges - 0.5 * border, edges + 0.5 * border, middles, grid]
+        for x in np.concatenate(places):
             assert np.abs(row(x + d) / row(x - d) - 1.0).max() < 1e-5
 
 
-def sample(numbers, count=20_000):
-    words = np.array([seed_stream(np.random.default_rng(0))], dtype=np.uint64)
-    return np.array([drawing.draw_soil(words, 0, numbers) for _ in range(count)])
+def sample(scenario, count=20_000):
+    """Soils as they are drawn, passable or not, `SOIL` [count]."""
+    found = np.zeros(count, terrain.SOIL)
+    draw_soils(stream_of(0), drawing.course_distribution(scenario), found)
+    return found
 
 
 def test_soils_scatter_as_stated():
-    """Means, coefficients of variation and correlations; cutting at 2.5 sigma takes up to 3 % of the scatter."""
+    """Means, variations and correlations; cutting at 2.5 sigma takes up to 3 % of the scatter."""
     changes = {"soils": {"lete_sand": 1}, "spread": {"shear_modulus": 0.4, "dig_gain": 0.4}}
     scenario = load_scenario("mixed", changes)
-    rows = sample(drawing.course_numbers(scenario))
+    rows = sample(scenario)
     preset = soils()["lete_sand"].state(scenario.wheel.width)
-    s = scenario.spread
-    n = rows[:, 4]
+    spread = scenario.spread
+    n = rows["sinkage_exponent"]
 
     def scattering(soil):
-        pressure = soil[3] * s.reference_sinkage ** soil[4]
-        return np.stack([np.arctan(soil[0]), soil[1], soil[2], pressure, soil[5]], axis=-1)
+        tan_phi, cohesion, modulus, coefficient, exponent, gain, _ = soil
+        pressure = coefficient * spread.reference_sinkage**exponent
+        return np.stack([np.arctan(tan_phi), cohesion, modulus, pressure, gain], axis=-1)
 
-    x = scattering(rows.T)
-    np.testing.assert_allclose(x.mean(axis=0), scattering(np.array(preset)), rtol=0.012)
-    variations = [s.friction, s.cohesion, s.shear_modulus, s.stiffness, s.dig_gain]
+    x = scattering([rows[name] for name in SoilState._fields])
+    np.testing.assert_allclose(x.mean(axis=0), scattering(preset), rtol=0.012)
+    variations = [
+        spread.friction,
+        spread.cohesion,
+        spread.shear_modulus,
+        spread.stiffness,
+        spread.dig_gain,
+    ]
     np.testing.assert_allclose(x.std(axis=0) / x.mean(axis=0), variations, rtol=0.05)
     assert n.mean() == pytest.approx(preset.sinkage_exponent, rel=0.002)
-    assert n.std() / n.mean() == pytest.approx(s.exponent, rel=0.03)
+    assert n.std() / n.mean() == pytest.approx(spread.exponent, rel=0.03)
     found = np.corrcoef(np.column_stack([x[:, 0], np.log(x[:, 1:])]).T)
-    np.testing.assert_allclose(found, s.factor() @ s.factor().T, atol=0.03)
-    named = (
-        s.friction_cohesion,
-        s.friction_shear_modulus,
-        s.friction_stiffness,
-        s.stiffness_dig_gain,
-    )
-    assert np.allclose([found[0, 1], found[0, 2], found[0, 3], found[3, 4]], named, atol=0.03)
+    np.testing.assert_allclose(found, spread.factor() @ spread.factor().T, atol=0.03)
+    assert found[0, 1] == pytest.approx(spread.friction_cohesion, abs=0.03)
+    assert found[0, 2] == pytest.approx(spread.friction_shear_modulus, abs=0.03)
+    assert found[0, 3] == pytest.approx(spread.friction_stiffness, abs=0.03)
+    assert found[3, 4] == pytest.approx(spread.stiffness_dig_gain, abs=0.03)
     assert abs(np.corrcoef(n, x[:, 0])[0, 1]) < 0.03
 
 
 def test_presets_are_drawn_by_weight():
-    scenario = load_scenario(
-        "mixed", {"soils": {"dry_sand": 3, "snow": 1, "lete_sand": 0}, "spread": EVEN}
-    )
-    cohesions = sample(drawing.course_numbers(scenario), 4000)[:, 1]
-    assert set(np.round(cohesions)) == {1040.0, 1030.0}
-    assert np.mean(np.round(cohesions) == 1040.0) == pytest.approx(0.75, abs=0.03)
+    weights = {"dry_sand": 3, "snow": 1, "lete_sand": 0}
+    scenario = load_scenario("mixed", {"soils": weights, "spread": EVEN})
+    cohesions = np.round(sample(scenario, 4000)["cohesion"])
+    assert set(cohesions) == {1040.0, 1030.0}
+    assert np.mean(cohesions == 1040.0) == pytest.approx(0.75, abs=0.03)
 
 
 def test_rolling_compacts_digging_loosens_within_bounds(scenario):
-    courses = terrain.new_courses(1, scenario)
+    cells = terrain.new_courses(1, scenario).cells[0]
     for times in range(50):
-        terrain.leave_rut(courses, 0, 0, 0.02, 1.0, terrain.COMPACTION)
-        terrain.leave_rut(courses, 0, 1, 0.06, 3.0, terrain.COMPACTION)
+        terrain.leave_rut(cells[0], 0.02, 1.0, terrain.COMPACTION)
+        terrain.leave_rut(cells[1], 0.06, 3.0, terrain.COMPACTION)
         if times == 0:
-            assert courses.rut_factors[0, 0] > 1.0 > courses.rut_factors[0, 1]
-            assert courses.rut[0, :2] == pytest.approx([0.02, 0.06])
-    low, high = terrain.RUT_FACTOR_BOUNDS
-    assert courses.rut_factors[0, 0] == pytest.approx(high) and courses.rut_factors[
-        0, 1
-    ] == pytest.approx(low)
+            assert cells[0].factor > 1.0 > cells[1].factor
+            assert cells["depth"][:2] == pytest.approx([0.02, 0.06])
+    assert cells[0].factor == pytest.approx(terrain.LARGEST_RUT_FACTOR)
+    assert cells[1].factor == pytest.approx(terrain.LEAST_RUT_FACTOR)
 
 
 def test_the_rut_factor_is_continuous_and_that_of_a_cell_in_its_middle(scenario):
-    courses = terrain.new_courses(1, scenario)
-    courses.rut_factors[0] = np.random.default_rng(0).uniform(
-        0.3, 3.0, courses.rut_factors.shape[1]
-    )
+    cells = terrain.new_courses(1, scenario).cells[0]
+    cells["factor"] = np.random.default_rng(0).uniform(0.3, 3.0, cells.size)
     x = np.arange(-0.7, scenario.course.length + 0.3, 1e-4)
-    factor = np.array([terrain.between_cells(courses.rut_factors, 0, at) for at in x])
+    factor = np.array([terrain.rut_factor_at(cells, at) for at in x])
     assert np.abs(np.diff(factor)).max() < 2.8 * 1e-4 / terrain.CELL
     for cell in (0, 7, 50):
         middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
-        assert terrain.between_cells(courses.rut_factors, 0, middle) == pytest.approx(
-            courses.rut_factors[0, cell], rel=1e-6
-        )
+        found = terrain.rut_factor_at(cells, middle)
+        assert found == pytest.approx(cells[cell].factor, rel=1e-6)
 
 
 def test_a_cell_is_passed_only_when_none_of_it_counts_any_more(scenario):
-    """From middle to middle: the factor under the wheel never jumps, and rocking over a border passes no cell."""
-    courses = terrain.new_courses(1, scenario)
-    cell = terrain.cell_at(terrain.new_courses(1, scenario), 0.5)
-    middle = (cell + 0.5) * terrain.CELL - terrain.BEHIND
-    for x in np.linspace(middle - 0.999 * terrain.CELL, middle + 0.999 * terrain.CELL, 50):
-        assert terrain.cell_after(courses, cell, x) == cell
-    for cells in (1, 2, 7):
-        assert (
-            terrain.cell_after(courses, cell, middle + cells * terrain.CELL + 1e-9) == cell + cells
-        )
-        assert (
-            terrain.cell_after(courses, cell, middle - cells * terrain.CELL - 1e-9) == cell - cells
-        )
-    assert terrain.cell_after(courses, cell, 1e6) == courses.rut_factors.shape[1] - 1
-    assert terrain.cell_after(courses, cell, -1e6) == 0
+    """From middle to middle: the factor never jumps, and rocking over a border passes no cell."""
+    cells = terrain.new_courses(1, scenario).cells[0]
+    cell = terrain.cell_at(cells, 0.5)
+    size = terrain.CELL
+    middle = (cell + 0.5) * size - terrain.BEHIND
+    for x in np.linspace(middle - 0.999 * size, middle + 0.999 * size, 50):
+        assert terrain.cell_after(cells, cell, x) == cell
+    for passed in (1, 2, 7):
+        assert terrain.cell_after(cells, cell, middle + passed * size + 1e-9) == cell + passed
+        assert terrain.cell_after(cells, cell, middle - passed * size - 1e-9) == cell - passed
+    assert terrain.cell_after(cells, cell, 1e6) == cells.size - 1
+    assert terrain.cell_after(cells, cell, -1e6) == 0

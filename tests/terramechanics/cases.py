@@ -2,7 +2,7 @@
 
 import pytest
 
-from soil_env.terramechanics.effects import CATALOGUE, NO_EFFECTS, acting, pack_effects
+from soil_env.terramechanics.effects import CATALOGUE, acting_effects, pack_effects
 from soil_env.terramechanics.model import ModelWheel
 from soil_env.terramechanics.residual import ResidualTerm
 
@@ -56,7 +56,8 @@ SIZES = {
 }
 
 
-#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel soon settles.
+#: What drives of tests/simulation need: a weight that pulls in full, and forces under which a wheel
+#: soon settles.
 TUNED = {
     "bulldozing": {"rankine": 1.0, "hegedus": 0.7},
     "grade": {"share": 1.0, "weakening": 0.7},
@@ -89,7 +90,7 @@ TOGETHER = {
     "slip_bias": {"offset": 0.03},
 }
 #: Those that act on the wheel in a simulated world, not on its sensors only.
-ACTING = [case for case, effects in CASES.items() if acting(pack_effects(effects)) != NO_EFFECTS]
+ACTING = [case for case, effects in CASES.items() if acting_effects(pack_effects(effects))]
 RESIDUAL = (
     ResidualTerm("drawbar_pull", -0.1, {"slip": 1}),
     ResidualTerm("torque", 0.05, {"speed": 1}),

@@ -1,9 +1,9 @@
 """Independent judge: Eqs. (1)-(12) of the source paper by adaptive quadrature.
 
-Written from the equations, not from `soil_env` (which it must never import): Hutangkabodee, Zweiri, Seneviratne &
-Althoefer (2006), IJAC 3:244-251, with the corrections in the notes on physics (r/K in the exponent of Eq. (10)).
-Steady forward travel only. `steady` adds the named effects, each from the equation of its source. SI units, angles in
-rad.
+Written from the equations, not from `soil_env` (which it must never import): Hutangkabodee, Zweiri,
+Seneviratne & Althoefer (2006), IJAC 3:244-251, with the corrections in the notes on physics (r/K in
+the exponent of Eq. (10)). Steady forward travel only. `steady` adds the named effects, each from
+the equation of its source. SI units, angles in rad.
 """
 
 import math
@@ -24,7 +24,9 @@ class Ground(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Load W [N], drawbar pull by (11) and by (12) [N], torque T [N m]; `scale` [N] sums the sizes of all forces."""
+    """Load W [N], drawbar pull by (11) and by (12) [N], torque T [N m]; `scale` [N] sums the sizes
+    of all forces.
+    """
 
     load: float
     drawbar_pull: float
@@ -105,7 +107,9 @@ def forces(soil, slip, theta1, r, b, theta2=0.0, thetam=None):
 
 
 class SteadyResult(NamedTuple):
-    """Readings: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its target."""
+    """Readings: sinkage [m], drawbar pull [N], torque [N m]; `balance` is W of Eq. (1) over its
+    target.
+    """
 
     sinkage: float
     drawbar_pull: float
@@ -114,7 +118,9 @@ class SteadyResult(NamedTuple):
 
 
 class Site(NamedTuple):
-    """Wheel of radius r and width b [m] with lugs of height `lug` [m], and where and how it is driven."""
+    """Wheel of radius r and width b [m] with lugs of height `lug` [m], and where and how it is
+    driven.
+    """
 
     r: float
     b: float
@@ -132,7 +138,9 @@ def rate_law(speed, reference_speed, power, slope):
 
 
 def mobilised_share(j, K, softening):
-    """Share of the strength at j [m] >= 0: Janosi & Hanamoto, with a peak, or decaying to a residual."""
+    """Share of the strength at j [m] >= 0: Janosi & Hanamoto, with a peak, or decaying to a
+    residual.
+    """
     sharpness = softening.get("sharpness", 0.0)
     if sharpness > 0.0 and softening.get("slope_kept", 0.0):
         K *= 4.0 * sharpness / (1.0 + sharpness)  # e = j/K at the start, as Janosi & Hanamoto
@@ -148,7 +156,9 @@ def mobilised_share(j, K, softening):
 
 
 def passive_pressure(tan_phi, cohesion, depth, unit_weight, surcharge=0.0):
-    """Force [N/m] of Rankine's passive wedge on a wall of height `depth` [m] under `surcharge` [Pa]."""
+    """Force [N/m] of Rankine's passive wedge on a wall of height `depth` [m] under `surcharge`
+    [Pa].
+    """
     sine = tan_phi / math.hypot(1.0, tan_phi)
     kp = (1.0 + sine) / (1.0 - sine)
     return (
@@ -157,7 +167,9 @@ def passive_pressure(tan_phi, cohesion, depth, unit_weight, surcharge=0.0):
 
 
 def hegedus(tan_phi, cohesion, depth, unit_weight):
-    """Bulldozing resistance [N/m] of Hegedus, as Ishigami et al. (2007) Eq. (20) write it, on level ground."""
+    """Bulldozing resistance [N/m] of Hegedus, as Ishigami et al. (2007) Eq. (20) write it, on level
+    ground.
+    """
     phi = math.atan(tan_phi)
     x = math.pi / 4.0 - phi / 2.0
     wedge = depth * cohesion + 0.5 * unit_weight * depth**2 * (
@@ -167,10 +179,11 @@ def hegedus(tan_phi, cohesion, depth, unit_weight):
 
 
 def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
-    """`SteadyResult` of a wheel at a measured slip under the weight `load` [N]; None where it sinks deeper than 1.5 r.
+    """`SteadyResult` of a wheel at a measured slip under the weight `load` [N]; None where it sinks
+    deeper than 1.5 r.
 
-    `effects` is {name: {parameter: value}}, each effect as in the equation of its source. The sinkage is the first root
-    of Eq. (1). `digging` is the (gain, recovery) of the soil itself.
+    `effects` is {name: {parameter: value}}, each effect as in the equation of its source. The
+    sinkage is the first root of Eq. (1). `digging` is the (gain, recovery) of the soil itself.
     """
     fx = {
         name: effects.get(name, {})

@@ -1,4 +1,6 @@
-"""Entries of the catalogue, and properties of the laws; the independent judge is in `test_steady_effects`."""
+"""Entries of the catalogue, and properties of the laws; the independent judge is in
+`test_steady_effects`.
+"""
 
 import math
 
@@ -15,9 +17,8 @@ from soil_env.terramechanics.steady import Conditions, Rim, steady_with
 from tests.terramechanics.cases import of_every_form
 
 SOIL = SoilState(math.tan(math.radians(30.0)), 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
-WHEEL = Rim(0.15, 0.12, 0.01)
+WHEEL = Rim(0.15, 0.12, 0.01, 16000.0)
 DRIVEN = Conditions(0.1, 3.0, math.sin(math.radians(6.0)))
-UNIT_WEIGHT = 16000.0
 
 
 def on(name, **parameters):
@@ -34,19 +35,19 @@ RIG = {
 }
 #: Parameters of a law that change nothing alone, beside those with a centre of their own.
 NUISANCES = {("shear_softening", "onset")}
-#: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift; apparent
-#: slip-sinkage is by its meaning one of the sinkage alone.
+#: Forms that reach fewer channels than their effect does: lugs as blades add a thrust, but no lift;
+#: apparent slip-sinkage is by its meaning one of the sinkage alone.
 NARROWER = {("grousers", "blades"): {PULL, TORQUE}, ("slip_sinkage", "apparent"): {SINKAGE}}
 
 
 def steady(parameters, name, conditions=DRIVEN):
-    return steady_with(
-        0.3, 100.0, SOIL, WHEEL, conditions, UNIT_WEIGHT, pack_effects({name: parameters}), 0.0
-    )
+    return steady_with(0.3, 100.0, SOIL, WHEEL, conditions, pack_effects({name: parameters}))
 
 
 def strengths(effect, form):
-    """(idle values of a form, [(parameter, a value of ordinary size)]) without the nuisances of its law."""
+    """(idle values of a form, [(parameter, a value of ordinary size)]) without the nuisances of its
+    law.
+    """
     idle = {p.name: p.neutral for p in effect.parameters} | dict(form.fixed)
     free = [effect.parameter(name) for name in form.free]
     free = [p for p in free if p.centre is None and (effect.name, p.name) not in NUISANCES]
@@ -77,7 +78,9 @@ def test_entries_are_consistent(effect, form):
 
 @of_every_form
 def test_strengths_move_the_channels_they_list_and_neutral_ones_none(effect, form):
-    """Nuisances and switches of a law do nothing alone; on fresh, level ground effects of pass and grade are gone."""
+    """Nuisances and switches of a law do nothing alone; on fresh, level ground effects of pass and
+    grade are gone.
+    """
     idle, free = strengths(effect, form)
     nuisances = {p.name: 0.7 * p.centre for p in effect.parameters if p.centre is not None}
     nuisances |= {name: RIG[e, name] for e, name in NUISANCES if e == effect.name}
@@ -162,11 +165,13 @@ J = np.linspace(0.0, 1.0, 20001)  # [m], to 50 K
 
 @pytest.mark.parametrize("residual", [0.4, 0.65, 0.9])
 def test_wongs_law_is_of_the_family(residual):
-    """Wong & Preston-Thomas (1983): Kr {1 + [1/(Kr (1 - 1/e)) - 1] e^(1 - j/K)} (1 - e^(-j/K)), over its maximum."""
+    """Wong & Preston-Thomas (1983): Kr {1 + [1/(Kr (1 - 1/e)) - 1] e^(1 - j/K)} (1 - e^(-j/K)),
+    over its maximum.
+    """
     x = np.exp(-J / 0.02)
     sharpness = math.e * (1.0 / (residual * (1.0 - math.exp(-1.0))) - 1.0)
     wong = residual * (1.0 + sharpness * x) * (1.0 - x)
-    law = shear_softening.shear_law(on("shear_softening", sharpness=sharpness))
+    law = shear_softening.mobilisation(on("shear_softening", sharpness=sharpness))
     found = [contact.mobilised(j, 0.02, law)[0] for j in J]
     np.testing.assert_allclose(found, wong / wong.max(), rtol=1e-4, atol=1e-7)
 
@@ -190,7 +195,7 @@ softening = st.fixed_dictionaries(
 )
 def test_slope_of_the_shear_law(parameters, relative, k, sign):
     """de/dj against central differences; e is odd in j, its slope even."""
-    law = shear_softening.shear_law(on("shear_softening", **parameters))
+    law = shear_softening.mobilisation(on("shear_softening", **parameters))
     j = sign * relative * k
     h = 1e-4 * min(k, abs(j), parameters["length"])
     assume(abs(abs(j) - parameters["onset"]) > h)  # a kink

@@ -16,6 +16,7 @@ from soil_env.terramechanics.effects import (
     shear_softening,
     text,
 )
+from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import CASES, of_every_form
 
 SOIL = SoilState(0.6, 900.0, 0.02, 3e5, 0.8, 0.0, 0.5)
@@ -23,6 +24,7 @@ GAMMA = 15000.0
 WIDTH = 0.12
 HEIGHT = 0.012
 RADIUS = 0.15
+WHEEL = Rim(RADIUS, WIDTH, HEIGHT, GAMMA)
 AT = {
     "i": 0.3,
     "z": 0.03,
@@ -83,7 +85,8 @@ def model(name, form, values):
     """{left side: value} by the compiled laws."""
     fx = pack_effects({name: values})
     at = AT
-    ground = effects.soil_in_contact(SOIL, fx, at["i"], at["V"], at["v"], at["N"], 0.0)
+    passage = effects.Passage(SOIL, at["i"], at["V"], at["v"], at["N"], 0.0)
+    ground = effects.soil_in_contact(SOIL, passage, fx)
     if name == "slip_sinkage":
         ratio = effects.slip_sinkage_ratio(at["i"], *effects.digging(SOIL, fx))
         if form == "apparent":
@@ -100,15 +103,14 @@ def model(name, form, values):
         return ends if name == "rear_contact" else {"thetam": ends["thetam"]}
     if name == "grousers":
         if form == "blades":
-            force = grousers.blade_force(
-                at["theta1"], at["z"], at["i"], SOIL, GAMMA, WIDTH, HEIGHT, fx
-            )
+            thrust = grousers.blade_thrust(at["theta1"], at["z"], SOIL, WHEEL, fx)
+            force = grousers.blades_at(thrust, at["i"])[0]
             return {"F": force, "DP": force, "T": force * (RADIUS + HEIGHT / 2)}
         if form.startswith("shear"):
-            return {"r_s": RADIUS * grousers.shear_radius_ratio(RADIUS, HEIGHT, fx)}
-        return {"r_w": RADIUS + fx.grousers_radius_share * HEIGHT}
+            return {"r_s": RADIUS * grousers.shear_radius_ratio(WHEEL, fx)}
+        return {"r_w": grousers.contact_radius(WHEEL, fx)}
     if name == "bulldozing":
-        return {"DP": -bulldozing.bulldozing_resistance(at["z"], SOIL, GAMMA, WIDTH, fx)}
+        return {"DP": -bulldozing.bulldozing_resistance(at["z"], SOIL, WHEEL, fx)}
     if name == "multipass":
         out = {"S_N": ground.sinkage_coefficient, "K_N": ground.shear_modulus}
         out |= {"tan(phi_N)": ground.tan_phi} if fx.multipass_strength else {}
@@ -119,7 +121,7 @@ def model(name, form, values):
         return {"c_v": ground.cohesion, "tan(phi_v)": ground.tan_phi}
     if name == "shear_softening":
         K = at["K"] * shear_softening.shear_length_ratio(fx)
-        law = shear_softening.shear_law(fx)
+        law = shear_softening.mobilisation(fx)
         return {"tau": mobilised(at["j"], K, law)[0]}
     if name == "grade":
         sine = math.sin(0.1)

@@ -42,10 +42,8 @@ def conditions(count=5, **more):
 
 def single(model, slip, load, wheel=WHEEL, conditions=LEVEL):
     """`steady_with` of one point."""
-    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height)
-    return steady_with(
-        slip, load, model.soil.state(wheel.width), rim, conditions, UNIT_WEIGHT, model.numbers, 0.0
-    )
+    rim = Rim(wheel.radius, wheel.width, wheel.grouser_height, UNIT_WEIGHT)
+    return steady_with(slip, load, model.soil.state(wheel.width), rim, conditions, model.numbers)
 
 
 def stacked(prediction):

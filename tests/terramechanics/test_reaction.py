@@ -1,58 +1,83 @@
-"""The reaction with effects: its derivatives, and each added force against its own equation.
-
-Lanes are compared with floats in tests/simulation/test_worlds.py.
-"""
+"""The reaction with effects: its derivatives, and each added force against its own equation."""
 
 import math
 
 import numpy as np
 import pytest
+from numba import njit
 
-from soil_env._numba.compiling import compiled_root
+from soil_env._compiled.flags import record
 from soil_env.parameters import soils
 from soil_env.terramechanics import contact, reaction
-from soil_env.terramechanics.arc_integrals import integrals_of
-from soil_env.terramechanics.effects import acting, grousers, pack_effects
+from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects, grousers, pack_effects
 from soil_env.terramechanics.residual import residual_law
-from soil_env.terramechanics.steady import Rim
 from tests.terramechanics.cases import ACTING, CASES, LUG, RESIDUAL, TOGETHER
 
 R = 0.15
 GRAVITY = 9.81
 EVERY = [*ACTING, "together", "none"]
+#: What the reaction reads of a wheel.
+RIG = record(
+    "radius",
+    "width",
+    "grouser_height",
+    "unit_weight",
+    "gravity",
+    "contact_radius",
+    "shear_ratio",
+    "rim_ratio",
+)
+NODES = np.zeros(1, contact.ARC_NODES)
 
 
-@compiled_root
-def react(ground, v, u, load, wheel):
-    """`Reaction` at the axle of a wheel on its `Ground`, at travel speed v and rim speed u [m/s], carrying `load`."""
-    rim = wheel.rim_ratio * u
-    soil = ground.soil
-    motion = contact.motion_from_speeds(rim, v, reaction.REST_SPEED)
-    integrals = integrals_of(
-        ground.arc, motion[0], motion[1], soil.shear_modulus, soil.sinkage_exponent, wheel.law
-    )
-    f = reaction.reaction_from(
-        integrals,
-        motion,
-        v,
-        rim,
-        load,
-        soil.tan_phi,
-        soil.cohesion,
-        wheel.contact_radius,
-        wheel.width,
-    )
-    return reaction.at_the_axle(
-        f, ground.bulldozing, ground.blades, ground.pull, ground.torque, v, u, wheel
-    )
+@njit
+def _ground(at, soil, rig, acting):
+    return reaction.ground_under(at, soil, rig[0], acting)
+
+
+@njit
+def _react(nodes, ground, v, u, load, rig, acting):
+    soil, arc, beside = ground
+    footing = reaction.lay_footing(nodes[0], arc, soil, load)
+    return reaction.reaction(nodes[0], footing, v, u, rig[0], beside, acting)
+
+
+@njit
+def _at_the_axle(f, beside, v, u, rig, acting):
+    wheel = rig[0]
+    return reaction._at_the_axle(f, beside, v, u, wheel, acting.effects, acting.residual)
 
 
 def wheel_with(case):
-    """`Interaction` of the rover's wheel with the effects of a case, and a residual law beside them all."""
+    """(rig [1], `Acting`) of the rover's wheel with the effects of a case; "together" has a
+    residual law, too.
+    """
     fx = {"together": TOGETHER, "none": {}}.get(case) or CASES.get(case, {})
-    law = residual_law(RESIDUAL if case == "together" else ())
-    rim = Rim(R, R, 0.0 if case == "none" else LUG)
-    return reaction.interaction(rim, acting(pack_effects(fx)), law, GRAVITY, 1500.0 * GRAVITY)
+    law = residual_law(RESIDUAL) if case == "together" else None
+    acting = reaction.acting_on(acting_effects(pack_effects(fx)), law)
+    rig = np.zeros(1, RIG)
+    rig["radius"] = R
+    rig["width"] = R
+    rig["grouser_height"] = 0.0 if case == "none" else LUG
+    rig["unit_weight"] = 1500.0 * GRAVITY
+    rig["gravity"] = GRAVITY
+    rig["contact_radius"] = grousers.contact_radius(rig[0], acting.effects)
+    rig["shear_ratio"] = grousers.shear_radius_ratio(rig[0], acting.effects)
+    rig["rim_ratio"] = rig["shear_ratio"] * rig["contact_radius"] / R
+    return rig, acting
+
+
+def ground_under(sinkage, v, u, soil, wheel, sin_grade=0.0, passes=1.0, weight=160.0):
+    """(soil as sheared, `Arc`, `Beside`) under a wheel of `wheel_with`."""
+    at = reaction.Standing(*map(float, (sinkage, v, u, weight, sin_grade, passes)))
+    return _ground(at, soil, *wheel)
+
+
+def react(ground, v, u, load, wheel):
+    """`Reaction` at the axle of a wheel on its ground, at travel speed v and rim speed u [m/s],
+    carrying `load`.
+    """
+    return _react(NODES, ground, float(v), float(u), float(load), *wheel)
 
 
 def motion(rng):
@@ -73,7 +98,7 @@ def test_rates_of_the_reaction_against_central_differences(case):
         v, u = motion(rng)
         sinkage = rng.uniform(0.005, 0.12)
         load = rng.uniform(50.0, 250.0)
-        ground = reaction.ground_under(sinkage, v, u, 160.0, soil, math.sin(0.1), 2.0, wheel)
+        ground = ground_under(sinkage, v, u, soil, wheel, math.sin(0.1), 2.0)
 
         def forces(v, u, load=load, ground=ground):
             return np.array(react(ground, v, u, load, wheel)[1:4])
@@ -82,14 +107,17 @@ def test_rates_of_the_reaction_against_central_differences(case):
         by_u = (forces(v, u + d) - forces(v, u - d)) / (2.0 * d)
         f = react(ground, v, u, load, wheel)
         size = 1e-3 * np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-6
-        assert np.all(np.abs([f.dp_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
-        assert np.all(np.abs([f.dp_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
+        assert np.all(np.abs([f.pull_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
+        assert np.all(np.abs([f.pull_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
 
 
 @pytest.mark.parametrize("name", sorted(soils()))
 def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
-    """Driving forward j keeps its sign: there `reaction_from` meets differences of higher order to seven digits."""
+    """Driving forward j keeps its sign: there the derivatives meet differences of higher order to
+    seven digits.
+    """
     soil = soils()[name].state(R)
+    wheel = wheel_with("none")
     rng = np.random.default_rng(1)
     for _ in range(20):
         u = rng.uniform(0.05, 0.6)
@@ -97,27 +125,29 @@ def test_the_rates_are_exact_where_the_quadrature_is_smooth(name):
         sinkage = rng.uniform(0.01, 0.06)
         load = rng.uniform(80.0, 250.0)
 
-        def forces(v, u, sinkage=sinkage, load=load):
-            return np.array(reaction.reaction(v, u, sinkage, load, soil, R, R)[:4])
+        ground = ground_under(sinkage, v, u, soil, wheel)
+
+        def forces(v, u, ground=ground, load=load):
+            return np.array(react(ground, v, u, load, wheel)[:4])
 
         def slope(f, h=2e-4):
             return (8.0 * (f(h) - f(-h)) - (f(2.0 * h) - f(-2.0 * h))) / (12.0 * h)
 
-        f = reaction.reaction(v, u, sinkage, load, soil, R, R)
+        f = react(ground, v, u, load, wheel)
         if f.sinkage_coefficient == 0.0:
             continue  # cohesion alone carries more than the load
         by_v = slope(lambda h, v=v, u=u, forces=forces: forces(v + h, u))[1:]
         by_u = slope(lambda h, v=v, u=u, forces=forces: forces(v, u + h))[1:]
         size = 2e-7 * (np.maximum(np.abs(by_v), np.abs(by_u)) + 1e-9)
-        assert np.all(np.abs([f.dp_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
-        assert np.all(np.abs([f.dp_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
+        assert np.all(np.abs([f.pull_v, f.torque_v, f.sinkage_coefficient_v] - by_v) <= size)
+        assert np.all(np.abs([f.pull_u, f.torque_u, f.sinkage_coefficient_u] - by_u) <= size)
         assert f.load == pytest.approx(load, rel=1e-12)  # whatever the motion
 
 
 def test_a_reaction_moved_is_its_tangent():
     soil = soils()["lete_sand"].state(R)
     wheel = wheel_with("together")
-    ground = reaction.ground_under(0.02, 0.2, 0.35, 160.0, soil, 0.0, 1.0, wheel)
+    ground = ground_under(0.02, 0.2, 0.35, soil, wheel)
     f = react(ground, 0.2, 0.35, 160.0, wheel)
     errors = []
     for h in (1e-2, 1e-3, 1e-4):
@@ -132,17 +162,18 @@ FLAT = reaction.Reaction(160.0, 20.0, 8.0, 1e6, -50.0, 30.0, -7.0, 4.0, 0.0, 0.0
 
 
 def axle(case, v=0.3, u=0.4, bulldozing=0.0, blades=0.0, pull=0.0, torque=0.0, f=FLAT):
-    return reaction.at_the_axle(f, bulldozing, blades, pull, torque, v, u, wheel_with(case))
+    beside = reaction.Beside(0.0, bulldozing, blades, pull, torque)
+    return _at_the_axle(f, beside, v, u, *wheel_with(case))
 
 
 @pytest.mark.parametrize(("v", "sign"), [(0.3, 1.0), (-0.3, -1.0), (0.0, 0.0)])
 def test_bulldozing_resists_the_travel(v, sign):
-    found = axle("none", v=v, bulldozing=12.0)
+    found = axle("bulldozing-rankine", v=v, bulldozing=12.0)
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull - 12.0 * sign, abs=1e-3)
     assert found.torque == FLAT.torque
     if v == 0.0:
-        assert found.dp_v == pytest.approx(
-            FLAT.dp_v - 12.0 / reaction.REST_SPEED
+        assert found.pull_v == pytest.approx(
+            FLAT.pull_v - 12.0 / reaction.REST_SPEED
         )  # the slope of V/sqrt(V^2 + rest^2)
 
 
@@ -160,20 +191,25 @@ def test_bulldozing_resists_the_travel(v, sign):
 def test_blades_push_with_the_slip_at_their_lever(v, u, slip):
     """A wheel in reverse that spins pushes itself backward; at no slip the blades do nothing."""
     found = axle("grousers-blades", v=v, u=u, blades=30.0)
-    wheel = wheel_with("grousers-blades")
+    rig, _ = wheel_with("grousers-blades")
     thrust = 30.0 * math.tanh(slip / grousers.BLADE_SLIP)
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull + thrust)
     assert found.torque == pytest.approx(FLAT.torque + thrust * (R + 0.5 * LUG))
-    assert wheel.rim_ratio == wheel.shear_ratio == 1.0
+    assert rig["rim_ratio"] == rig["shear_ratio"] == 1.0
 
 
-def test_a_base_reaction_is_that_of_the_whole_without_effects():
+def test_effects_at_their_neutral_values_leave_the_base_model():
+    """The code for effects and that without them agree."""
     soil = soils()["lete_sand"].state(R)
-    wheel = wheel_with("none")
+    plain = wheel_with("none")
+    with_code = plain[0], reaction.Acting(NO_EFFECTS, None, residual_law(()))
     rng = np.random.default_rng(3)
     for _ in range(50):
-        (v, u), sinkage, load = motion(rng), rng.uniform(0.005, 0.12), rng.uniform(50.0, 250.0)
-        ground = reaction.ground_under(sinkage, v, u, load, soil, 0.0, 1.0, wheel)
-        assert ground[2:] == (0.0,) * 5 and ground.arc == contact.smooth_arc(sinkage, R)
-        expected = reaction.reaction(v, u, sinkage, load, soil, R, R)
-        assert react(ground, v, u, load, wheel) == pytest.approx(expected, rel=1e-12)
+        v, u = motion(rng)
+        sinkage = rng.uniform(0.005, 0.12)
+        load = rng.uniform(50.0, 250.0)
+        ground = ground_under(sinkage, v, u, soil, plain)
+        assert ground == (soil, contact.smooth_arc(sinkage, R), reaction.Beside(*[0.0] * 5))
+        expected = react(ground, v, u, load, plain)
+        ground = ground_under(sinkage, v, u, soil, with_code)
+        assert react(ground, v, u, load, with_code) == pytest.approx(expected, rel=1e-12)

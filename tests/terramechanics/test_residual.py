@@ -1,4 +1,6 @@
-"""The residual law: terms, their packing, the dimensionless groups, and the ranges that the groups are held in."""
+"""The residual law: terms, their packing, the dimensionless groups, and the ranges that the groups
+are held in.
+"""
 
 import math
 
@@ -10,10 +12,12 @@ from soil_env.terramechanics.residual import (
     CHANNELS,
     GROUPS,
     ResidualTerm,
+    WorkingPoint,
     dimensionless_groups,
     residual_at,
     residual_law,
 )
+from soil_env.terramechanics.steady import Rim
 
 SOIL = SoilState(0.6, 1000.0, 0.02, 8e5, 0.8, 0.0, 0.5)
 POINT = (0.3, 0.7, 0.1, 0.05, 0.08, 2.0, 0.1)  # one value of each group
@@ -25,8 +29,11 @@ def value(terms, groups=POINT):
 
 
 def test_groups_by_hand():
-    """r = 0.15 m, b = 0.12 m, z = 0.03 m, W = 90 N, V = 0.1 m/s, N = 2, sin b = 0.1, on the Moon (1.62 m/s2)."""
-    found = dimensionless_groups(-0.3, 0.03, 90.0, 0.1, 2.0, 0.1, SOIL, 0.15, 0.12, 1.62)
+    """r = 0.15 m, b = 0.12 m, z = 0.03 m, W = 90 N, V = 0.1 m/s, N = 2, sin b = 0.1, on the Moon
+    (1.62 m/s2).
+    """
+    point = WorkingPoint(-0.3, 0.03, 90.0, 0.1, 2.0, 0.1)
+    found = dimensionless_groups(point, SOIL, Rim(0.15, 0.12, 0.0, 0.0), 1.62)
     bearing = 8e5 * 0.12 * 0.15**1.8  # S b r^(n+1)
     expected = {
         "slip": 0.3,
@@ -48,7 +55,9 @@ def test_groups_are_held_inside_their_range(x, held):
 
 
 def test_downhill_and_rest():
-    """Whole powers keep the sign of a grade; where a power has no value, the term is 0, never inf or nan."""
+    """Whole powers keep the sign of a grade; where a power has no value, the term is 0, never inf
+    or nan.
+    """
     for power, expected in ((1.0, -0.1), (2.0, 0.01), (-1.0, -10.0), (0.5, 0.0)):
         found = value([ResidualTerm("torque", 1.0, {"grade": power})], (*POINT[:6], -0.1))[2]
         assert found == pytest.approx(expected)

@@ -8,9 +8,9 @@ import pytest
 from soil_env.parameters import SoilState, soils
 from soil_env.slip import motion_from_slip
 from soil_env.terramechanics import steady
-from soil_env.terramechanics.arc_integrals import arc_integrals
 from soil_env.terramechanics.contact import entry_angle, forces
 from soil_env.terramechanics.effects import slip_sinkage_ratio
+from tests.terramechanics.arcs import arc_integrals
 
 R = B = 0.15
 
@@ -45,10 +45,11 @@ def excess(slip, load, soil, depths):
 
 @pytest.mark.parametrize("seed", range(150))
 def test_root_by_brute_force(seed):
-    """On any soil, soft cohesive ones among them: W reaches the load first at the sinkage found, or nowhere.
+    """On any soil, soft cohesive ones among them: W reaches the load first at the sinkage found, or
+    nowhere.
 
-    In deep cohesive soil cohesion alone may carry the load, and under a locked wheel friction may take more than the
-    normal stress gives; neither may mislead the root search.
+    In deep cohesive soil cohesion alone may carry the load, and under a locked wheel friction may
+    take more than the normal stress gives; neither may mislead the root search.
     """
     rng = np.random.default_rng(seed)
     soil = SoilState(
@@ -73,6 +74,8 @@ def test_root_by_brute_force(seed):
 
 
 def test_a_locked_wheel_drags_twice_its_load_in_dry_sand():
-    """The figure of docs/physics/index.md; on the CMU testbed -38.8 N at a load of 19.5 N (Pavlov & Johnson)."""
+    """The figure of docs/physics/index.md; on the CMU testbed -38.8 N at a load of 19.5 N (Pavlov &
+    Johnson).
+    """
     found = steady.steady_state(-1.0, 147.15, soils()["dry_sand"].state(0.15), 0.15, 0.15)
     assert found.supported and found.drawbar_pull / 147.15 == pytest.approx(-1.9, abs=0.05)

@@ -1,4 +1,6 @@
-"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row by row."""
+"""`steady_with` with named effects: against quadrature, in equivalent cases, under scaling, and row
+by row.
+"""
 
 import math
 
@@ -8,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import CATALOGUE, pack_effects, true_slip
-from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, predict_rows, steady_with
+from soil_env.terramechanics.steady import DEEPEST, Conditions, Rim, Rows, predict_rows, steady_with
 from tests.terramechanics import reference
 from tests.terramechanics.cases import of_every_form, values
 
@@ -48,15 +50,15 @@ def random_place(rng):
 
 def steady(soil, slip, load, site, effects, guess=0.0):
     """`steady_with` of a `reference.Site` with effects by name."""
-    wheel = Rim(site.r, site.b, site.lug)
+    wheel = Rim(site.r, site.b, site.lug, site.unit_weight)
     conditions = Conditions(site.speed, site.passes, math.sin(site.grade))
-    return steady_with(
-        slip, load, soil, wheel, conditions, site.unit_weight, pack_effects(effects), guess
-    )
+    return steady_with(slip, load, soil, wheel, conditions, pack_effects(effects), guess)
 
 
 def compare(soil, slip, load, site, effects):
-    """The model agrees with quadrature: to 3e-4 driving, to 2e-3 where shear may reverse within the arc."""
+    """The model agrees with quadrature: to 3e-4 driving, to 2e-3 where shear may reverse within the
+    arc.
+    """
     found = steady(soil, slip, load, site, effects)
     ground = reference.Ground(math.degrees(math.atan(soil.tan_phi)), *soil[1:5])
     judge = reference.steady(ground, slip, load, site, effects, (soil.dig_gain, soil.dig_recovery))
@@ -70,7 +72,9 @@ def compare(soil, slip, load, site, effects):
 
 
 def random_slip(rng):
-    """Driven in three cases of four, and not rolling freely, where the sign of a lug's thrust is smoothed."""
+    """Driven in three cases of four, and not rolling freely, where the sign of a lug's thrust is
+    smoothed.
+    """
     return rng.uniform(0.03, 0.85) if rng.random() < 0.75 else rng.uniform(-0.3, -0.06)
 
 
@@ -162,7 +166,7 @@ def test_units_do_not_matter(seed, length, force, speed):
 
 
 def table(seed, count=162):
-    """(slip, load, wheels, conditions, soil, unit weight, effects) of a random table."""
+    """(`Rows`, soil, unit weight, effects) of a random table."""
     rng = np.random.default_rng(seed)
     soil, site, load = random_place(rng)
     effects = random_effects(rng, 3)
@@ -175,32 +179,23 @@ def table(seed, count=162):
         [10.0 ** rng.uniform(-2.0, 0.0, count), rng.integers(1, 4, count), grade], axis=1
     )
     loads = load * rng.choice([0.5, 1.0, 1.5], count)
-    return (
-        rng.uniform(-0.5, 0.95, count),
-        loads,
-        wheels,
-        conditions,
-        soil,
-        site.unit_weight,
-        pack_effects(effects),
-    )
+    rows = Rows(rng.uniform(-0.5, 0.95, count), loads, wheels, conditions)
+    return rows, soil, site.unit_weight, pack_effects(effects)
 
 
-def rows(case, guess):
-    out = np.full((case[0].size, 3), np.nan)
+def predicted(case, guess):
+    out = np.full((case[0].slip.size, 3), np.nan)
     return predict_rows(*case, guess, out), out
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_rows_are_single_points_whatever_the_guess(seed):
     case = table(seed)
-    slip, load, wheels, conditions, soil, weight, fx = case
+    (slip, load, wheels, conditions), soil, weight, fx = case
     guess = np.zeros(slip.size)
-    carried, cold = rows(case, guess)
+    carried, cold = predicted(case, guess)
     single = [
-        steady_with(
-            slip[k], load[k], soil, Rim(*wheels[k]), Conditions(*conditions[k]), weight, fx, 0.0
-        )
+        steady_with(slip[k], load[k], soil, Rim(*wheels[k], weight), Conditions(*conditions[k]), fx)
         for k in range(slip.size)
     ]
     np.testing.assert_array_equal(cold, np.array([s[:3] for s in single]))
@@ -215,7 +210,7 @@ def test_rows_are_single_points_whatever_the_guess(seed):
         np.full(r.size, 1e-300),
         np.full(r.size, 1e3),
     ):
-        again, out = rows(case, start)
+        again, out = predicted(case, start)
         assert again == carried
         np.testing.assert_array_less(np.abs(out - cold) / size, 2e-6)
 

@@ -52,14 +52,8 @@ def predict_table(
         )
         start = guess[here].copy()
         values_here = np.empty_like(out[here])
-        predict_rows(
-            *(np.ascontiguousarray(column[here]) for column in rows),
-            there,
-            unit_weight,
-            fx,
-            start,
-            values_here,
-        )
+        rows_here = Rows(*(np.ascontiguousarray(column[here]) for column in rows))
+        predict_rows(rows_here, there, unit_weight, fx, start, values_here)
         out[here] = values_here
         guess[here] = start
     out[:, 1] -= along

@@ -1,7 +1,8 @@
-"""Camera: terrain class under the wheel, and class, grade and distance of the lines of the patch ahead.
+"""Camera: terrain class under the wheel, and class, grade and distance of the lines ahead.
 
-Label and grade of a line are wrong in the same way in every image (`lines._draw_looks`), so that they do not average
-out. The distance of a border has an error of that kind and one that is new in every image.
+Label and grade of a line are wrong in the same way in every image (`lines._draw_looks`), so that
+they do not average out. The distance of a border has an error of that kind and one that is new in
+every image.
 """
 
 from typing import NamedTuple
@@ -120,7 +121,7 @@ def take_image(image, wheel, course, sight, camera):
 
 @njit(**EXACT)
 def write_view(out, wheel, course, sight, camera):
-    """Fill `out` with distance, class here, and grade and class of each line ahead; return the count of numbers."""
+    """Fill `out` with distance, class here, grade and class of lines ahead; return the count."""
     classes = camera.classes
     ahead = patch_ahead(course, sight, camera)
     out[0] = max(sight.left, 0.0) if ahead >= 0 else camera.sight

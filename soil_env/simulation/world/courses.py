@@ -1,8 +1,8 @@
-"""Drawing courses: every patch passable by construction, as the wheel comes near it (docs/physics/wheel.md).
+"""Drawing courses: every patch passable by construction (docs/physics/wheel.md).
 
-A course has a random stream of its own, and its patches are drawn from it in order, each as the wheel comes near it:
-what they are like does not depend on how far or in how many pieces the course is drawn. Ground of terrain classes and
-with two lines is drawn by `lines`.
+A course has a random stream of its own, and its patches are drawn from it in order, each as the
+wheel comes near it: what they are like does not depend on how far or in how many pieces the course
+is drawn. Ground of terrain classes and with two lines is drawn by `lines`.
 
 Functions take a `Course`, `CourseNumbers` and the scratch `nodes` of an arc (`contact.ARC_NODES`).
 """
@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE
+from soil_env._compiled.flags import EXACT, HUGE, INLINE
 from soil_env._compiled.random_streams import word
 from soil_env.parameters import Scenario
-from soil_env.simulation.world.lines import draw_classes, draw_lines, repeat_lines
+from soil_env.simulation.world.lines import draw_classes, draw_lines, repeat_patch
 from soil_env.simulation.world.passability import (
     DISTRIBUTION,
     IMPASSABLE,
@@ -54,7 +54,7 @@ def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> C
 def course_distribution(
     scenario: Scenario, model: WheelSoilModel | None = None
 ) -> CourseDistribution:
-    """Pack what courses are drawn from; a `model` with a soil stands for the soils of the scenario."""
+    """Pack what courses are drawn from; the soil of a `model` replaces those of the scenario."""
     course = scenario.course
     camera = scenario.camera
     wheel = scenario.wheel
@@ -85,7 +85,8 @@ def course_distribution(
         spread.exponent,
     )
     spec.factor = spread.factor()
-    return CourseDistribution(spec, _presets(scenario, model))
+    plain = None if course.classes else True
+    return CourseDistribution(spec, _presets(scenario, model), plain)
 
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
@@ -101,21 +102,22 @@ def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
     return np.array([(share, *soil) for soil, share in zip(soils, shares, strict=True)], PRESET)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def draw_course(course, owner, numbers, nodes):
     """`start_course` and all of its patches; the mass [kg] on the wheel with payload, or -1.
 
-    -1: no passable course was found, as the soils are too weak for this wheel within the bounds of grade and margin.
+    -1: no passable course was found, as the soils are too weak for this wheel within the bounds of
+    grade and margin.
     """
     mass = start_course(course, owner, numbers, nodes)
     if mass > 0.0 and not extend_course(course, mass, HUGE, numbers, nodes):
-        return -1.0
+        mass = -1.0
     return mass
 
 
 @njit(**EXACT)
 def start_course(course, owner, numbers, nodes):
-    """Start a course afresh, with a seed from the stream of `owner`; the mass [kg] on the wheel with payload, or -1.
+    """Start a course with a seed from the stream of `owner`; the mass [kg] on the wheel, or -1.
 
     Only as much is drawn as a wheel at its start needs; `extend_course` draws the rest.
     """
@@ -129,7 +131,7 @@ def start_course(course, owner, numbers, nodes):
     for _ in range(REDRAWS):
         mass = spec.body_mass + within(head, spec.payload)
         load = mass * numbers.rig.gravity
-        if not _draw_classes(course, course.lines, load, numbers, nodes):
+        if not draw_classes(course, course.library, load, numbers, nodes):
             continue
         if _try_patch(course, load, numbers, nodes):
             extend_course(course, mass, spec.ahead, numbers, nodes)
@@ -139,104 +141,74 @@ def start_course(course, owner, numbers, nodes):
 
 @njit(**EXACT)
 def extend_course(course, mass, x, numbers, nodes):
-    """Draw patches until the ground is final up to x [m] or the course ends; `mass` [kg] on the wheel.
+    """Draw patches until the ground is final up to x [m] or the course ends; `mass` in kg.
 
     False if no passable patch was found for some place, and the patch before it was repeated there.
     """
-    found = True
     load = mass * numbers.rig.gravity
+    found = True
     while course.head.ready < x:
         tries = 0
         while tries < REDRAWS and not _try_patch(course, load, numbers, nodes):
             tries += 1
         if tries == REDRAWS:
             found = False
-            _repeat_patch(course, course.lines)
+            repeat_patch(course, course.lines)
             length = within(course.head, numbers.drawn.spec.patch_length)
             _add_patch(course, length, numbers.drawn.spec)
     return found
 
 
 @njit(**EXACT)
-def _draw_classes(course, lines, load, numbers, nodes):
-    """Draw the soils of terrain classes, where there are any; False if that fails."""
-    if lines is None:
-        return True
-    else:
-        return draw_classes(course, load, numbers, nodes)
-
-
-@njit(**EXACT)
-def _repeat_patch(course, lines):
-    """Patch after the last one as that one, for want of another."""
-    if lines is None:
-        p = course.head.patches
-        course.patches[p] = course.patches[p - 1]
-    else:
-        repeat_lines(course)
-
-
-@njit(**EXACT)
 def _try_patch(course, load, numbers, nodes):
     """Draw the next patch and add it; False, with the course as before, if it is not passable.
 
-    The blend at the border to the patch before is checked too, and the grades on both sides lowered if it falls short.
-    So the grade of a patch is final when the next one is drawn.
+    The blend at the border to the patch before is checked too, and the grades on both sides lowered
+    if it falls short. So the grade of a patch is final when the next one is drawn.
     """
-    length = within(course.head, numbers.drawn.spec.patch_length)
-    if not _draw_patch(course, course.lines, load, numbers, nodes):
-        return False
-    _add_patch(course, length, numbers.drawn.spec)
-    return True
+    drawn = numbers.drawn
+    length = within(course.head, drawn.spec.patch_length)
+    found = draw_lines(course, course.lines, load, numbers, nodes)
+    if not found:
+        found = _draw_ground(course, drawn.plain, load, numbers, nodes)
+    if found:
+        _add_patch(course, length, drawn.spec)
+    return found
 
 
 @njit(**EXACT)
-def _draw_patch(course, lines, load, numbers, nodes):
-    """Draw soil and grade of the next patch; False, with the patches before it unchanged, if it is not passable."""
-    if lines is not None:
-        return draw_lines(course, load, numbers, nodes)
+def _draw_ground(course, plain, load, numbers, nodes):
+    """Draw soil and grade of the next patch without classes; False if it is not passable."""
+    if plain is None:
+        return False
     else:
-        return _draw_ground(course, load, numbers, nodes)
-
-
-@njit(**EXACT)
-def _draw_ground(course, load, numbers, nodes):
-    """`_draw_patch` of a course without terrain classes."""
-    p = course.head.patches
-    spec = numbers.drawn.spec
-    margin = within(course.head, spec.margin)
-    if p == 0:
-        margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
-    patch = course.patches[p]
-    tries = 0
-    while True:
-        soil = draw_soil(course.head, numbers.drawn)
-        tangent, pull = steepest(load, soil, margin, numbers, nodes)
-        if pull > IMPASSABLE:
-            break
-        tries += 1
-        if tries == REDRAWS:
-            return False
-    put_soil(patch, soil)
-    patch.margin = pull - tangent
-    patch.grade = math.atan(tangent)
-    if p == 0:
-        return True
-    before = course.patches[p - 1]
-    grade = before.grade
-    margin = before.margin
-    if not _joined(course, p, load, numbers, nodes):
-        before.grade = grade
-        before.margin = margin
+        p = course.head.patches
+        spec = numbers.drawn.spec
+        margin = within(course.head, spec.margin)
+        if p == 0:
+            margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
+        patch = course.patches[p]
+        for _ in range(REDRAWS):
+            soil = draw_soil(course.head, numbers.drawn)
+            tangent, pull = steepest(load, soil, margin, numbers, nodes)
+            if pull > IMPASSABLE:
+                put_soil(patch, soil)
+                patch.grade = math.atan(tangent)
+                patch.margin = pull - tangent
+                return p == 0 or _joined(course, p, load, numbers, nodes)
         return False
-    return True
 
 
 @njit(**EXACT)
 def _joined(course, p, load, numbers, nodes):
-    """Lower the grades of patches p - 1 and p until their border is passable; False if that cannot be."""
+    """Lower the grades of patches p - 1 and p until their border is passable.
+
+    False, with the patch before as it was, if that cannot be.
+    """
     spec = numbers.drawn.spec
     patches = course.patches
+    kept_grade = patches[p - 1].grade
+    kept_margin = patches[p - 1].margin
     short = spec.margin[0] - margin_between(patches[p - 1], patches[p], load, numbers, nodes)
     if short <= 0.0:
         return True
@@ -256,12 +228,16 @@ def _joined(course, p, load, numbers, nodes):
         if p > 1:
             before = margin_between(patches[p - 2], patches[p - 1], load, numbers, nodes)
             least = min(least, before)
-    return spec.margin[0] - least <= TOLERANCE
+    if spec.margin[0] - least <= TOLERANCE:
+        return True
+    patches[p - 1].grade = kept_grade
+    patches[p - 1].margin = kept_margin
+    return False
 
 
 @njit(**EXACT)
 def _add_patch(course, length, spec):
-    """Count the patch just written: its place, the cells below it, and how far the ground is final now."""
+    """Count the patch just written: its place, its cells, and how far the ground is final now."""
     head = course.head
     p = head.patches
     start = 0.0 if p == 0 else course.patches[p - 1].end

@@ -1,14 +1,15 @@
-"""Courses of terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
+"""Terrain classes, and the lines between which a wheel may choose (docs/physics/wheel.md).
 
-One of two lines over a patch is passable by construction, as every patch of a course without classes is, and so is
-every border between passable lines; the other may be steeper than any slip can climb.
+One of two lines over a patch is passable by construction, as every patch of a course without
+classes is, and so is every border between passable lines; the other may be steeper than any slip
+can climb.
 """
 
 import math
 
 from numba import njit
 
-from soil_env._compiled.flags import EXACT, HUGE
+from soil_env._compiled.flags import EXACT, HUGE, INLINE
 from soil_env._compiled.random_streams import normal_pair, uniform
 from soil_env.simulation.world.passability import (
     IMPASSABLE,
@@ -27,21 +28,24 @@ REDRAWS = 30  # attempts at the soil of a class
 
 
 @njit(**EXACT)
-def draw_classes(course, load, numbers, nodes):
-    """Draw the soils of the classes of a course; False if none was found that leaves the highest margin."""
-    spec = numbers.drawn.spec
-    for c in range(spec.classes):
-        tries = 0
-        while tries < REDRAWS:
-            soil = draw_soil(course.head, numbers.drawn)
-            _, pull = steepest(load, soil, spec.margin[1], numbers, nodes)
-            if pull > IMPASSABLE:
-                put_soil(course.library[c], soil)
-                break
-            tries += 1
-        if tries == REDRAWS:
-            return False
-    return True
+def draw_classes(course, library, load, numbers, nodes):
+    """Draw the soils of the classes of a course; False if none leaves the highest margin."""
+    if library is None:
+        return True
+    else:
+        spec = numbers.drawn.spec
+        for c in range(spec.classes):
+            tries = 0
+            while tries < REDRAWS:
+                soil = draw_soil(course.head, numbers.drawn)
+                _, pull = steepest(load, soil, spec.margin[1], numbers, nodes)
+                if pull > IMPASSABLE:
+                    put_soil(library[c], soil)
+                    break
+                tries += 1
+            if tries == REDRAWS:
+                return False
+        return True
 
 
 @njit(**EXACT)
@@ -51,9 +55,9 @@ def _another(owner, classes, one):
     return other + 1 if other >= one else other
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _introduced(course, p, classes):
-    """Class of one of the first patches, p < classes: one that no patch before it is of, by chance."""
+    """Class of a patch p < classes: one that no patch before it is of, by chance."""
     left = classes - p
     pick = int(uniform(course.head) * left)
     for c in range(classes):
@@ -69,7 +73,7 @@ def _introduced(course, p, classes):
 
 @njit(**EXACT)
 def _draw_line(course, line, margin, load, numbers, nodes):
-    """Draw soil and grade of a `LINE` whose class is known; False if its grade would be out of bounds.
+    """Draw soil and grade of a `LINE` of a known class; False if its grade would be out of bounds.
 
     A negative margin is a deficit: the line is steeper by it than the steepest that it could be.
     """
@@ -90,61 +94,70 @@ def _draw_line(course, line, margin, load, numbers, nodes):
 
 
 @njit(**EXACT)
-def draw_lines(course, load, numbers, nodes):
-    """Draw the lines of the patch after the last one; False if it is not passable.
+def draw_lines(course, lines, load, numbers, nodes):
+    """Draw the lines of the next patch; False if it is not passable, and without classes.
 
-    Where the border between a passable line of this patch and one of the patch before falls short of the least margin,
-    the grades of both are lowered, so that the grades of a patch are final when the next one is drawn.
+    Where the border between a passable line of this patch and one of the patch before falls short
+    of the least margin, the grades of both are lowered, so that the grades of a patch are final
+    when the next one is drawn.
     """
-    head = course.head
-    p = head.patches
-    spec = numbers.drawn.spec
-    two = spec.lines > 1 and p >= spec.classes
-    margin = within(head, spec.margin)
-    other = within(head, spec.margin)
-    if p == 0:
-        margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
-    course.forks[p].lines = 2 if two else 1
-    straight = course.lines[p, 0]
-    beside = course.lines[p, 1]
-    if p < spec.classes:
-        straight.terrain = _introduced(course, p, spec.classes)
+    if lines is None:
+        return False
     else:
-        straight.terrain = int(uniform(head) * spec.classes)
-    if two:
-        beside.terrain = _another(head, spec.classes, straight.terrain)
-        if uniform(head) < spec.dead_ends:
-            deficit = -within(head, spec.deficit)
-            if uniform(head) < 0.5:
-                margin = deficit
-            else:
-                other = deficit
-    if not _draw_line(course, straight, margin, load, numbers, nodes):
-        return False
-    if not two:
-        course.lines[p, 1] = straight
-    elif not _draw_line(course, beside, other, load, numbers, nodes):
-        return False
-    if p > 0 and not _joined(course, p, load, numbers, nodes):
-        return False
-    _draw_looks(course, p, spec)
-    take_line(course, p, 0)
-    return True
+        head = course.head
+        p = head.patches
+        spec = numbers.drawn.spec
+        two = spec.lines > 1 and p >= spec.classes
+        margin = within(head, spec.margin)
+        other = within(head, spec.margin)
+        if p == 0:
+            margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
+        course.forks[p].lines = 2 if two else 1
+        straight = lines[p, 0]
+        beside = lines[p, 1]
+        if p < spec.classes:
+            straight.terrain = _introduced(course, p, spec.classes)
+        else:
+            straight.terrain = int(uniform(head) * spec.classes)
+        if two:
+            beside.terrain = _another(head, spec.classes, straight.terrain)
+            if uniform(head) < spec.dead_ends:
+                deficit = -within(head, spec.deficit)
+                if uniform(head) < 0.5:
+                    margin = deficit
+                else:
+                    other = deficit
+        if not _draw_line(course, straight, margin, load, numbers, nodes):
+            return False
+        if not two:
+            lines[p, 1] = straight
+        elif not _draw_line(course, beside, other, load, numbers, nodes):
+            return False
+        if p > 0 and not _joined(course, p, load, numbers, nodes):
+            return False
+        _draw_looks(course, p, spec)
+        take_line(course, p, 0)
+        return True
 
 
 @njit(**EXACT)
-def repeat_lines(course):
-    """Patch after the last one as the passable line of that one: for want of another."""
+def repeat_patch(course, lines):
+    """Patch after the last one as that one, or as its passable line: for want of another."""
     p = course.head.patches
-    line = 0 if passable(course.lines[p - 1, 0]) else 1
-    for i in range(2):
-        course.lines[p, i] = course.lines[p - 1, line]
-    course.forks[p] = course.forks[p - 1]
-    course.forks[p].lines = 1
-    take_line(course, p, 0)
+    if lines is None:
+        course.patches[p] = course.patches[p - 1]
+    else:
+        line = 0 if passable(lines[p - 1, 0]) else 1
+        for i in range(2):
+            lines[p, i] = lines[p - 1, line]
+        fork = course.forks[p]
+        fork.lines = 1
+        fork.halt = 0.0
+        fork.border_error = 0.0
+        take_line(course, p, 0)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def _draw_looks(course, p, spec):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
     head = course.head
@@ -175,9 +188,10 @@ def passable(line):
 
 @njit(**EXACT)
 def _joined(course, p, load, numbers, nodes):
-    """Lower grades until each border between passable lines of patches p - 1 and p is passable; False if that fails.
+    """Lower grades until each border between passable lines of patches p - 1 and p is passable.
 
-    Ground that slopes weaken may not have its grades changed afterwards: there a short border is a failure.
+    Ground that slopes weaken may not have its grades changed afterwards: there a short border is a
+    failure.
     """
     spec = numbers.drawn.spec
     lines = course.lines
@@ -212,7 +226,7 @@ def _joined(course, p, load, numbers, nodes):
 
 @njit(**EXACT)
 def _lower(line, short, lowest):
-    """Lower the grade of a line by what a border falls `short` of, as far as the tangent `lowest`."""
+    """Lower the grade of a line by what a border falls `short` of, down to the tangent `lowest`."""
     line.grade = math.atan(max(math.tan(line.grade) - LOWERING * short, lowest))
 
 
@@ -229,7 +243,7 @@ def take_line(course, p, line):
 
 @njit(**EXACT)
 def next_fork(wheel, course, border):
-    """The patch with two lines that a wheel comes to next and has not touched yet, or -1; `border` [m]."""
+    """The patch with two lines that a wheel comes to next and has not touched yet, or -1."""
     ahead = wheel.patch + 1
     if ahead >= course.head.patches or course.forks[ahead].lines < 2:
         return -1
@@ -238,7 +252,7 @@ def next_fork(wheel, course, border):
 
 @njit(**EXACT)
 def plan_halt(wheel, course, rig):
-    """Let a wheel halt before the next fork; a halt that would be shortly before that one waits for it."""
+    """Let a wheel halt before the next fork; a halt shortly before that one waits for it."""
     fork = next_fork(wheel, course, rig.border)
     if fork >= 0:
         place = course.patches[fork].start + course.forks[fork].halt
@@ -262,6 +276,6 @@ def choosing(wheel, course, view):
 
 @njit(**EXACT)
 def settled(wheel, course, p):
-    """True if a wheel has no choice of a line over patch p: it had none, or has come to the halt before it."""
+    """True if a wheel has no choice over patch p: one line, or it has come to the halt."""
     fork = course.forks[p]
     return fork.lines < 2 or wheel.best_x >= course.patches[p].start + fork.halt

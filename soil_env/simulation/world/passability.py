@@ -63,6 +63,7 @@ class CourseDistribution(NamedTuple):
 
     spec: Any  # `DISTRIBUTION`
     presets: np.ndarray  # [soils] `PRESET`
+    plain: bool | None  # None with terrain classes: what they have no use for is not compiled
 
 
 class CourseNumbers(NamedTuple):
@@ -91,35 +92,30 @@ def draw_soil(owner, drawn):
 
 @njit(**EXACT)
 def scattered(mean, share, owner, spec):
-    """A soil that scatters about `mean` by a share of `SoilSpread` (deviations cut at 2.5 sigma)."""
+    """A soil that scatters about `mean` by a share of `SoilSpread`; deviations are cut."""
     z0, z1 = normal_pair(owner)
     z2, z3 = normal_pair(owner)
     z4, z5 = normal_pair(owner)
-    normal = (z0, z1, z2, z3, z4)
-    variation = spec.variation
-    friction = share * variation[0] * _correlated(spec.factor, 0, normal)
+    f = spec.factor
+    friction = share * spec.variation[0] * _cut(f[0, 0] * z0)
     phi = min(math.atan(mean.tan_phi) * (1.0 + friction), STEEPEST_FRICTION)
-    n = mean.sinkage_exponent * (1.0 + share * variation[5] * min(max(z5, -CUT), CUT))
+    deviation = _cut(f[1, 0] * z0 + f[1, 1] * z1)
+    cohesion = mean.cohesion * _factor(share * spec.variation[1], deviation)
+    deviation = _cut(f[2, 0] * z0 + f[2, 1] * z1 + f[2, 2] * z2)
+    modulus = mean.shear_modulus * _factor(share * spec.variation[2], deviation)
+    deviation = _cut(f[3, 0] * z0 + f[3, 1] * z1 + f[3, 2] * z2 + f[3, 3] * z3)
+    stiffer = _factor(share * spec.variation[3], deviation)
+    deviation = _cut(f[4, 0] * z0 + f[4, 1] * z1 + f[4, 2] * z2 + f[4, 3] * z3 + f[4, 4] * z4)
+    gain = mean.dig_gain * _factor(share * spec.variation[4], deviation)
+    n = mean.sinkage_exponent * (1.0 + share * spec.variation[5] * _cut(z5))
     depth = spec.reference_sinkage
-    pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent  # [Pa] at that depth
-    stiffness = pressure * _factor(share * variation[3], _correlated(spec.factor, 3, normal))
-    return SoilState(
-        math.tan(phi),
-        mean.cohesion * _factor(share * variation[1], _correlated(spec.factor, 1, normal)),
-        mean.shear_modulus * _factor(share * variation[2], _correlated(spec.factor, 2, normal)),
-        stiffness / depth**n,
-        n,
-        mean.dig_gain * _factor(share * variation[4], _correlated(spec.factor, 4, normal)),
-        mean.dig_recovery,
-    )
+    pressure = mean.sinkage_coefficient * depth**mean.sinkage_exponent * stiffer  # [Pa] at `depth`
+    coefficient = pressure / depth**n
+    return SoilState(math.tan(phi), cohesion, modulus, coefficient, n, gain, mean.dig_recovery)
 
 
 @njit(**EXACT)
-def _correlated(factor, row, normal):
-    """Deviation [sigma] of property `row` by the Cholesky factor of the correlations."""
-    deviation = 0.0
-    for column in range(row + 1):
-        deviation += factor[row, column] * normal[column]
+def _cut(deviation):
     return min(max(deviation, -CUT), CUT)
 
 
@@ -131,23 +127,8 @@ def _factor(variation, deviation):
 
 
 @njit(**EXACT)
-def _best_pull(load, soil, at, numbers, nodes):
-    """Best steady drawbar pull over load under `Conditions`, `IMPASSABLE` where the wheel would be bogged at it."""
-    spec = numbers.drawn.spec
-    rig = numbers.rig
-    acting = numbers.acting
-    best = best_point_at(nodes, load, soil, rig, at, acting.effects, spec.stall_torque)
-    pull, torque = _residual_of(best, load, soil, at, rig, acting.residual)
-    if best.sinkage > SAFE_SINKAGE * spec.bogged_sinkage:
-        return IMPASSABLE
-    if best.torque + torque * load * rig.radius > spec.stall_torque:
-        return IMPASSABLE
-    return max(best.drawbar_pull / load + pull, IMPASSABLE)
-
-
-@njit(**EXACT)
 def _residual_of(best, load, soil, at, rig, residual):
-    """(pull [of weight], torque [of weight times radius]) that a residual law adds at a working point."""
+    """(pull [of weight], torque [of weight x radius]) that a residual law adds."""
     if residual is None:
         return 0.0, 0.0
     else:
@@ -159,22 +140,31 @@ def _residual_of(best, load, soil, at, rig, residual):
 
 @njit(**EXACT)
 def capacity(load, soil, tangent, numbers, nodes):
-    """Best steady drawbar pull over load [N] on a slope, `IMPASSABLE` where the wheel would be bogged, driving or not.
+    """Best steady drawbar pull over load [N] on a slope, `IMPASSABLE` where the wheel is bogged.
 
-    Where strength depends on speed, the lesser one of starting and of driving. Of the slope only the loss of bearing
-    counts: W cos(grade) sinks less than W, so W is on the safe side.
+    Where strength depends on speed, the lesser one of starting and of driving. Of the slope only
+    the loss of bearing counts: W cos(grade) sinks less than W, so W is on the safe side.
     """
-    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
-    at_rest = Conditions(0.0, 1.0, sin_grade)
-    point = Point(0.0, load, 0.0)
-    rest = steady_at(nodes, point, soil, numbers.rig, at_rest, numbers.acting.effects)
     spec = numbers.drawn.spec
-    if rest.sinkage > SAFE_SINKAGE * spec.bogged_sinkage or not rest.supported:
+    rig = numbers.rig
+    effects = numbers.acting.effects
+    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
+    deepest = SAFE_SINKAGE * spec.bogged_sinkage
+    at_rest = Conditions(0.0, 1.0, sin_grade)
+    rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rig, at_rest, effects)
+    if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
-    pull = _best_pull(load, soil, Conditions(spec.speed, 1.0, sin_grade), numbers, nodes)
-    if depends_on_speed(numbers.acting.effects):
-        pull = min(pull, _best_pull(load, soil, at_rest, numbers, nodes))
-    return pull
+    least = HUGE
+    for speed in (spec.speed, 0.0):
+        at = Conditions(speed, 1.0, sin_grade)
+        best = best_point_at(nodes, load, soil, rig, at, effects, spec.stall_torque)
+        pull, torque = _residual_of(best, load, soil, at, rig, numbers.acting.residual)
+        if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
+            return IMPASSABLE
+        least = min(least, best.drawbar_pull / load + pull)
+        if not depends_on_speed(effects):
+            break
+    return max(least, IMPASSABLE)
 
 
 @njit(**EXACT)
@@ -195,9 +185,10 @@ def margin_between(a, b, load, numbers, nodes):
 
 @njit(**EXACT)
 def steepest(load, soil, margin, numbers, nodes):
-    """(tangent of the steepest grade that leaves `margin`, `capacity` there); `IMPASSABLE` twice if none does.
+    """(tangent of the steepest grade that leaves `margin`, `capacity`), or `IMPASSABLE` twice.
 
-    On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it is sought for.
+    On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it
+    is sought for.
     """
     low = numbers.drawn.spec.grade[0]
     high = numbers.drawn.spec.grade[1]

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import exp, power
-from soil_env._compiled.flags import EXACT, FINITE, record
+from soil_env._compiled.flags import EXACT, FINITE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
@@ -156,8 +156,8 @@ def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarra
         rig["grouser_height"] = model.wheel.grouser_height
         rig["unit_weight"] = model.density * scenario.gravity
     effects = acting_in(model).effects
-    r = contact_radius(rig[0], effects)
-    ratio = shear_radius_ratio(rig[0], effects)
+    r = uncompiled(contact_radius)(rig[0], effects)
+    ratio = uncompiled(shear_radius_ratio)(rig[0], effects)
     rig["contact_radius"] = r
     rig["shear_ratio"] = ratio
     rig["rim_ratio"] = ratio * r / w.radius

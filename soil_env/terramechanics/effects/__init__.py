@@ -1,24 +1,29 @@
-"""Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their composition.
+"""Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their
+composition.
 
 How to add an effect, in two files:
 
-1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves, `EffectParameter`s, and for each
-   published form its equation as text and its source. Set `varies` to the condition that shows the effect. A constant
-   of the source that is not fitted is a parameter `reference_speed` with scale 0. Another form of a listed mechanism is
-   a `Form`, no effect.
-2. Write its law there as a function under `@njit(**EXACT)`. `fx.<name>_<parameter>` are its numbers; at the neutral
-   values the law changes nothing.
-3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of its place:
-   `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and stress peak), `soil_resistance`
-   (force against the travel) or `drive_friction` (between motor and axle); a law of speed to `depends_on_speed` too.
-   Model files, the simulated world, `WheelSoilModel.predict`, the discrepancy workflow, its report and the table of
-   `text.markdown` have it from there.
-4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source writes it to
-   `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics tests/simulation/test_worlds.py
-   tests/discrepancy/test_search.py`. `agents/worlds.py` lists the effects that hidden training worlds draw from.
+1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves,
+   `EffectParameter`s, and for each published form its equation as text and its source. Set `varies`
+   to the condition that shows the effect. A constant of the source that is not fitted is a
+   parameter `reference_speed` with scale 0. Another form of a listed mechanism is a `Form`, no
+   effect.
+2. Write its law there as a function under `@njit(**EXACT)`. `fx.<name>_<parameter>` are its
+   numbers; at the neutral values the law changes nothing.
+3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of
+   its place: `soil_in_contact` (strength and bearing under the wheel), `arc_ends` (exit angle and
+   stress peak), `soil_resistance` (force against the travel) or `drive_friction` (between motor and
+   axle); a law of speed to `depends_on_speed` too. Model files, the simulated world,
+   `WheelSoilModel.predict`, the discrepancy workflow, its report and the table of `text.markdown`
+   have it from there.
+4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source
+   writes it to `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics
+   tests/simulation/test_worlds.py tests/discrepancy/test_search.py`. `agents/worlds.py` lists the
+   effects that hidden training worlds draw from.
 
-Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the other branch of
-`if fx is None` while it compiles, if `fx` is an argument of that function and the branch has an `else`.
+Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
+other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the
+branch has an `else`. With effects it compiles both branches, which return the same types.
 """
 
 from collections import namedtuple
@@ -46,7 +51,6 @@ from soil_env.terramechanics.effects import (
 )
 from soil_env.terramechanics.effects.drivetrain_friction import Friction, friction_at
 from soil_env.terramechanics.effects.entry import Effect, Passage
-from soil_env.terramechanics.effects.shear_rate import sliding_speed
 from soil_env.terramechanics.effects.slip_bias import measured_slip, true_slip
 from soil_env.terramechanics.effects.slip_sinkage import (
     digging,
@@ -76,7 +80,6 @@ __all__ = [
     "measured_slip",
     "onto_fresh",
     "pack_effects",
-    "sliding_speed",
     "slip_sinkage_ratio",
     "soil_in_contact",
     "soil_resistance",
@@ -106,7 +109,8 @@ CATALOGUE: Mapping[str, Effect] = MappingProxyType(
 )
 
 
-#: Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as compiled code takes them.
+#: Parameters of all effects of the catalogue, `<effect>_<parameter>` each, as compiled code takes
+#: them.
 Effects = namedtuple(
     "Effects",
     [f"{effect.name}_{p.name}" for effect in CATALOGUE.values() for p in effect.parameters],
@@ -116,7 +120,9 @@ NO_EFFECTS = Effects(*(p.neutral for effect in CATALOGUE.values() for p in effec
 
 
 def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
-    """Return the `Effects` of parameters by effect name; `ParameterError` for unknown names and values out of range."""
+    """Return the `Effects` of parameters by effect name; `ParameterError` for unknown names and
+    values out of range.
+    """
     if not isinstance(effects, Mapping):
         raise ParameterError(f"effects: expected a mapping of effect names, got {effects!r}")
     values = {}
@@ -135,15 +141,16 @@ def pack_effects(effects: Mapping[str, Mapping[str, float]]) -> Effects:
             where = f"effects: {name}: {key}"
             value = number(float, value, where)
             if not p.low <= value <= p.high:
-                raise ParameterError(
-                    f"{where} = {value}: expected a number in [{p.low:g}, {p.high:g}] {p.unit}".rstrip()
-                )
+                bounds = f"[{p.low:g}, {p.high:g}] {p.unit}".rstrip()
+                raise ParameterError(f"{where} = {value}: expected a number in {bounds}")
             values[f"{name}_{key}"] = value
     return NO_EFFECTS._replace(**values)
 
 
 def switched_on(fx: Effects | None) -> Effects | None:
-    """The effects as compiled code takes them: None where all are neutral, which leaves their laws out."""
+    """The effects as compiled code takes them: None where all are neutral, which leaves their laws
+    out.
+    """
     return None if fx == NO_EFFECTS else fx
 
 
@@ -174,7 +181,9 @@ def soil_in_contact(soil, passage, fx):
 
 @njit(**EXACT)
 def arc_ends(theta1, slip, fx):
-    """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays 5 % of the arc away from its ends."""
+    """(exit angle theta2, angle thetam of the stress peak) [rad]; the peak stays 5 % of the arc
+    away from its ends.
+    """
     if fx is None:
         return 0.0, 0.5 * theta1
     else:

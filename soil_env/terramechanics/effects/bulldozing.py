@@ -10,7 +10,9 @@ from soil_env.terramechanics.effects.entry import PULL, Effect, EffectParameter 
 
 @njit(**EXACT)
 def passive_coefficient(tan_phi):
-    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 - sin phi)."""
+    """Rankine's coefficient of passive earth pressure, tan^2(45 deg + phi/2) = (1 + sin phi)/(1 -
+    sin phi).
+    """
     secant = math.sqrt(1.0 + tan_phi * tan_phi)
     return (secant + tan_phi) / (secant - tan_phi)
 

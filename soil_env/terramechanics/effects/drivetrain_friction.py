@@ -25,7 +25,9 @@ class Friction(NamedTuple):
 
 @njit(**EXACT)
 def friction_at(torque, wheel_speed, floor, fx):
-    """`Friction`: Coulomb, viscous and a share of the torque; the sign is smoothed below `floor` [rad/s]."""
+    """`Friction`: Coulomb, viscous and a share of the torque; the sign is smoothed below `floor`
+    [rad/s].
+    """
     turning, turn = smoothed_sign(wheel_speed, floor)
     share = fx.drivetrain_friction_share
     viscous = fx.drivetrain_friction_viscous
@@ -72,7 +74,7 @@ EFFECT = Effect(
             needs_speed=True,
         ),
     ),
-    beside="speed",  # friction of lubricated bearings falls and rises again with the speed (Stribeck)
+    beside="speed",  # lubricated friction falls and rises again with the speed (Stribeck)
     symbols={"T_measured": "measured torque", "w": "wheel speed, rad/s"},
     priors=_priors,
 )

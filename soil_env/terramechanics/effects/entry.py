@@ -14,7 +14,9 @@ CHANNELS: tuple[Channel, ...] = (SINKAGE, PULL, TORQUE)
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """Parameter of an effect; its prior is normal about `neutral`, or log-normal about `centre` where that is given."""
+    """Parameter of an effect; its prior is normal about `neutral`, or log-normal about `centre`
+    where that is given.
+    """
 
     name: str
     symbol: str  # in the equations
@@ -22,7 +24,8 @@ class EffectParameter:
     neutral: float  # value that switches the law off, or an idle one where another parameter does
     low: float
     high: float
-    scale: float  # prior standard deviation, relative where `centre` is given; 0 where the table gives it
+    #: Prior standard deviation, relative where `centre` is given; 0 where the table gives it.
+    scale: float
     doc: str
     centre: float | None = None  # prior mean of a nuisance parameter of the law
 
@@ -31,8 +34,8 @@ class EffectParameter:
 class Form:
     """Published form of an effect: the parameters that it frees, its equation and its source.
 
-    The equation holds {parameter} for each parameter; every other symbol is in `SYMBOLS` or in `Effect.symbols`.
-    Several equations are separated by ";".
+    The equation holds {parameter} for each parameter; every other symbol is in `SYMBOLS` or in
+    `Effect.symbols`. Several equations are separated by ";".
     """
 
     name: str
@@ -69,14 +72,13 @@ class Effect:
     forms: tuple[Form, ...]
     varies: str | None = None  # column that must vary in a table for the effect to show
     shows_without: bool = False  # shows, if faintly, where that column does not vary
-    beside: str | None = (
-        None  # column, or the time elapsed, that it may depend on in a way that no form has
-    )
-    any_form: bool = False  # named by its place, as an error of one sensor is, however it goes with the conditions
+    #: Column, or the time elapsed, that it may depend on in a way that no form has.
+    beside: str | None = None
+    #: Named by its place, as an error of one sensor is, however it goes with the conditions.
+    any_form: bool = False
     symbols: Mapping[str, str] = field(default_factory=dict)  # of its equations, beside `SYMBOLS`
-    sensed: tuple[
-        str, ...
-    ] = ()  # parameters that act on sensors, or that the simulated world has anyway
+    #: Parameters that act on sensors, or that the simulated world has anyway.
+    sensed: tuple[str, ...] = ()
     #: Prior (standard deviation, low, high) by parameter, where the rig sets it.
     priors: Callable[[Bench], Mapping[str, tuple[float, float, float]]] = lambda bench: {}
     #: Neutral value, or centre, by parameter, where the rig sets it.
@@ -99,7 +101,9 @@ class Effect:
 
 
 class Passage(NamedTuple):
-    """Motion of the wheel over the soil, and that soil before any effect: what laws of the soil depend on."""
+    """Motion of the wheel over the soil, and that soil before any effect: what laws of the soil
+    depend on.
+    """
 
     undisturbed: NamedTuple  # `SoilState`
     slip: float

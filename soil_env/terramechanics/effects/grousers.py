@@ -22,7 +22,9 @@ BLADE_SLIP = 0.015  # slip over which the thrust of the lugs comes in
 
 @njit(**EXACT)
 def contact_radius(wheel, fx):
-    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the lugs."""
+    """Radius [m] that carries the normal stress: of the rim, or part of the way to the tips of the
+    lugs.
+    """
     if fx is None:
         return wheel.radius
     else:
@@ -35,12 +37,15 @@ def shear_radius_ratio(wheel, fx):
     if fx is None:
         return 1.0
     else:
-        return 1.0 + fx.grousers_shear_share * wheel.grouser_height / contact_radius(wheel, fx)
+        r = wheel.radius + fx.grousers_radius_share * wheel.grouser_height
+        return 1.0 + fx.grousers_shear_share * wheel.grouser_height / r
 
 
 @njit(**EXACT)
 def at_shear_radius(soil, q, shear_modulus):
-    """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q; K as given [m]."""
+    """The soil whose forces at the rim are those of `soil` at q times its radius: strength times q;
+    K as given [m].
+    """
     return SoilState(
         q * soil.tan_phi,
         q * soil.cohesion,
@@ -54,10 +59,11 @@ def at_shear_radius(soil, q, shear_modulus):
 
 @njit(**EXACT)
 def blade_thrust(theta1, sinkage, soil, wheel, fx):
-    """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x theta1 x thrust of one.
+    """Thrust [N] of the lugs in the ground along the rim of a slipping wheel: lugs a radian x
+    theta1 x thrust of one.
 
-    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt Kp) (Bekker 1969).
-    q = gamma z/2 is the soil above it on average.
+    One blade of width b and height h pushes soil out with b (1/2 gamma h^2 Kp + q h Kp + 2 c h sqrt
+    Kp) (Bekker 1969). q = gamma z/2 is the soil above it on average.
     """
     height = wheel.grouser_height
     if fx.grousers_blades == 0.0 or height <= 0.0:
@@ -70,7 +76,9 @@ def blade_thrust(theta1, sinkage, soil, wheel, fx):
 
 @njit(**EXACT)
 def blades_at(thrust, slip):
-    """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel rolls freely."""
+    """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel
+    rolls freely.
+    """
     share = math.tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
@@ -152,8 +160,8 @@ EFFECT = Effect(
         Form(
             "blades",
             ("blades",),
-            "F = {blades} theta1 b [1/2 gamma h (h + z) Kp + 2 c h sqrt(Kp)] tanh(i/0.015); DP = DP_0 + F; "
-            "T = T_0 + F (r + h/2)",
+            "F = {blades} theta1 b [1/2 gamma h (h + z) Kp + 2 c h sqrt(Kp)] tanh(i/0.015); "
+            "DP = DP_0 + F; T = T_0 + F (r + h/2)",
             "Bekker (1969), Introduction to Terrain-Vehicle Systems",
         ),
     ),

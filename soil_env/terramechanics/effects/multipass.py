@@ -36,7 +36,8 @@ def depends_on_passes(fx):
 
 @njit(**EXACT)
 def pass_factor(passes, slip, fx):
-    """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at the same slip.
+    """Sinkage coefficient in the track of earlier passes over that of fresh soil, earlier passes at
+    the same slip.
 
     N^a [1 + g (1 - exp(-(N - 1)/d)) + s (1 - exp(-|i|/k1)) + p (N - 1)].
     """

@@ -18,7 +18,8 @@ from soil_env.terramechanics.effects.entry import (
 
 @njit(**EXACT)
 def rate_factor(speed, reference, exponent, slope):
-    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the power m is 0.
+    """Strength at `speed` over strength at `reference` [m/s]: (v/v0)^m, or 1 + a ln(v/v0) where the
+    power m is 0.
 
     Below v0/50 soil counts as loaded at rest. Never less than 0.1.
     """

@@ -15,7 +15,9 @@ from soil_env.terramechanics.effects.entry import (
 
 @njit(**EXACT)
 def exit_and_peak(theta1, fx):
-    """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept, at theta1/2."""
+    """Exit angle -l theta1, with the stress peak midway between entry and exit or, if it is kept,
+    at theta1/2.
+    """
     theta2 = -fx.rear_contact_ratio * theta1
     return theta2, 0.5 * (theta1 + fx.rear_contact_peak_follows * theta2)
 

@@ -18,13 +18,6 @@ from soil_env.terramechanics.effects.penetration_rate import rate_factor
 
 
 @njit(**EXACT)
-def sliding_speed(slip, travel_speed):
-    """|r w - V| [m/s] of a wheel that travels at V with the given slip."""
-    slide = travel_speed * abs(slip)
-    return slide if slip < 0.0 else slide / max(1.0 - slip, 0.02)
-
-
-@njit(**EXACT)
 def strength_goes_with_speed(fx):
     """True if the law is on."""
     return (
@@ -34,7 +27,9 @@ def strength_goes_with_speed(fx):
 
 @njit(**EXACT)
 def sheared_fast(soil, passage, fx):
-    """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its own law."""
+    """Soil with friction and cohesion by the `rate_factor` of the sliding speed, or cohesion by its
+    own law.
+    """
     cohesion = soil.cohesion
     if fx.shear_rate_cohesion != 0.0:
         faster = log(1.0 + passage.slide / fx.shear_rate_onset_speed)
@@ -95,7 +90,8 @@ EFFECT = Effect(
         Form(
             "power",
             ("exponent",),
-            "c_v = c (v/{reference_speed})^{exponent}; tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
+            "c_v = c (v/{reference_speed})^{exponent}; "
+            "tan(phi_v) = tan(phi) (v/{reference_speed})^{exponent}",
             "Grahn (1991), J. Terramechanics 28:339-347",
         ),
         Form(

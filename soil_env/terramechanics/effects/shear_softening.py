@@ -4,7 +4,7 @@ from typing import Any
 
 from numba import njit
 
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import EXACT, uncompiled
 from soil_env.terramechanics.contact import ShearLaw
 from soil_env.terramechanics.effects.entry import (
     PULL,
@@ -24,9 +24,10 @@ JANOSI = ShearLaw(1.0, 0.0, 0.0, 1.0, 0.0)
 def mobilisation(fx):
     """`ShearLaw` with a peak and a residual strength, or that of Eq. (10) where neither is on.
 
-    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for s > 1 (family of
-    Wong 1983). It is divided by its peak, so that phi and c stay those of the peak. `shear_softening_drop` lets the
-    strength decay to the residual 1 - d over the length L beyond an onset (Oida 1979).
+    (1 - x)(1 + s x) with x = exp(-j/K) falls from its peak to the residual share 4 s/(1 + s)^2 for
+    s > 1 (family of Wong 1983). It is divided by its peak, so that phi and c stay those of the
+    peak. `shear_softening_drop` lets the strength decay to the residual 1 - d over the length L
+    beyond an onset (Oida 1979).
     """
     if fx is None:
         return JANOSI
@@ -55,10 +56,12 @@ def shear_length_ratio(fx):
 
 
 def shear_law(fx: Any) -> ShearLaw | None:
-    """`mobilisation` of a world: None unless the strength has a peak or falls, which leaves its code out."""
+    """`mobilisation` of a world: None unless the strength has a peak or falls, which leaves its
+    code out.
+    """
     if fx is None or (fx.shear_softening_sharpness < 1.0 and fx.shear_softening_drop == 0.0):
         return None
-    return mobilisation(fx)
+    return uncompiled(mobilisation)(fx)
 
 
 def _priors(bench: Bench) -> dict[str, tuple[float, float, float]]:

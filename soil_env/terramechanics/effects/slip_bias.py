@@ -16,7 +16,8 @@ from soil_env.terramechanics.effects.entry import (
 
 @njit(**EXACT)
 def true_slip(measured, fx):
-    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1 - e).
+    """Slip of the wheel where the measured one has an offset d, or comes from a rolling radius r (1
+    - e).
 
     Driving, the latter is i = m + e (1 - m).
     """

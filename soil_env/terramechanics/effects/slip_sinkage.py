@@ -17,11 +17,13 @@ from soil_env.terramechanics.effects.entry import (
 
 @njit(**EXACT)
 def slip_sinkage_ratio(slip, gain, recovery):
-    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i| + recovery |i|).
+    """Steady sinkage over the sinkage of the same load on undisturbed soil: 1 + gain |i| / (1 - |i|
+    + recovery |i|).
 
-    gain = 1.5 and recovery = 0.5 give (1 + i)/(1 - 0.5 i) of Lyasko (2010), J. Terramechanics 47(1):21-31;
-    recovery = 0 gives the i/(1 - i) law of Reece for the soil a wheel excavates. For a braked wheel the digging is
-    driven by the share |i| of its travel that it slides: 1 + gain |i| / (1 + recovery |i|).
+    gain = 1.5 and recovery = 0.5 give (1 + i)/(1 - 0.5 i) of Lyasko (2010), J. Terramechanics
+    47(1):21-31; recovery = 0 gives the i/(1 - i) law of Reece for the soil a wheel excavates. For a
+    braked wheel the digging is driven by the share |i| of its travel that it slides: 1 + gain |i| /
+    (1 + recovery |i|).
 
     Both are the steady states of `excavation_rate`.
     """
@@ -30,19 +32,24 @@ def slip_sinkage_ratio(slip, gain, recovery):
 
 @njit(**EXACT)
 def digging_ratio(slid, way, gain, recovery):
-    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way` of the same unit."""
+    """Steady sinkage over that without slip, at least 1, where the rim slides by `slid` on a `way`
+    of the same unit.
+    """
     return 1.0 + gain * slid / max(way + recovery * slid, 1e-6)
 
 
 @njit(**EXACT)
 def onto_fresh(x, low, high):
-    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had touched before."""
+    """Distance [m] by which a wheel at x has left the stretch from `low` to `high` that it had
+    touched before.
+    """
     return max(x - high, 0.0) + max(low - x, 0.0)
 
 
 @njit(**EXACT)
 def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
-    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that undisturbed soil has:
+    """Coefficients (A, B) [1/s] of the sinkage law dz/dt = B z_w - A z, with z_w [m] that
+    undisturbed soil has:
 
     dz/dt = { |V| (z_w - z) + |r w - V| [gain z_w - recovery (z - z_w)] } / length
     """
@@ -53,7 +60,9 @@ def excavation_rate(travel_speed, slip_speed, gain, recovery, length):
 
 @njit(**EXACT)
 def digging(soil, fx):
-    """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the soil."""
+    """(gain, recovery) of `slip_sinkage_ratio`: the effect's where it is on, else those of the
+    soil.
+    """
     if fx is None:
         return soil.dig_gain, soil.dig_recovery
     else:
@@ -64,7 +73,9 @@ def digging(soil, fx):
 
 @njit(**EXACT)
 def excavated_depth(slip, fx):
-    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law with its length l."""
+    """Depth [m] that a slipping wheel excavates whatever its load: l |i| / (1 - |i|), Reece's law
+    with its length l.
+    """
     if fx is None:
         return 0.0
     else:

@@ -1,4 +1,6 @@
-"""The catalogue as text: equations in symbols and with numbers, their legends, and a table of all effects."""
+"""The catalogue as text: equations in symbols and with numbers, their legends, and a table of all
+effects.
+"""
 
 import re
 from collections.abc import Mapping

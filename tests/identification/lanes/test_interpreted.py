@@ -86,7 +86,7 @@ def wheels(name):
 
 def rovers(name):
     scenario = load_rover(name)
-    rows = 8 * scenario.axles
+    rows = VEHICLES * scenario.axles
     on_board = rovers_on_board(rows, scenario, shown(13 * scenario.axles, 0))
     return follow(on_board, scenario, rows)
 
