@@ -54,7 +54,7 @@ ROVER = record(
 )
 #: A `Vehicle` as compiled code takes it. Arms count from the centre of mass forward.
 SUSPENSION = record(
-    "base",  # [m] from the front axle to the rear one
+    "wheelbase",  # [m] from the front axle to the rear one
     "height",  # [m] of the centre of mass above the axles
     "pivot_arm",  # [m] of the bogie's pivot
     "pivot_height",  # [m] above the axles
@@ -72,7 +72,7 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
     axles = scenario.axles
     places = np.array(v.axles)
     s = np.zeros(1, SUSPENSION)
-    s["base"] = v.base
+    s["wheelbase"] = v.base
     s["height"] = v.centre_height
     s["pivot_arm"] = v.centre - v.pivot
     s["pivot_height"] = v.pivot_height
@@ -136,7 +136,7 @@ def take_pitch(rover, s):
     """Pitch of the body of a rover, from where its wheels stand."""
     front = _height_of(rover, 0)
     rear = _height_of(rover, s.axles - 1)
-    length = s.base
+    length = s.wheelbase
     b = s.bogie
     if b >= 0:
         on_rear = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])

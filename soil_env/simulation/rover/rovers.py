@@ -167,7 +167,7 @@ def _settle(rover, mass, course, ruts, numbers, scratch):
     for a in range(s.axles):
         wheel = rover.wheels[a]
         wheel.stream = word(rover)
-        ahead = s.base - s.places[a]
+        ahead = s.wheelbase - s.places[a]
         settle_at(wheel, ahead, rover.mass * s.shares[a], course, world)
         rover.axles[a].height = ahead * math.sin(wheel.grade)
         clear_ruts(ruts[a])
@@ -185,7 +185,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     nodes = scratch.stage[0].nodes[0]
     course_numbers = CourseNumbers(numbers.drawn, numbers.rig[0], numbers.acting)
     s = numbers.suspension[0]
-    ahead = s.base + numbers.drawn.spec.ahead  # [m] before the rear axle
+    ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] before the rear axle
     failed = 0
     for j in range(first, end):
         order = orders[j]
