@@ -1,9 +1,9 @@
 """Body of a rover: its state, and its suspension in equilibrium (docs/physics/rover.md).
 
-A rover is seen from the side, its two sides alike, so all masses and forces are those of one side. Loads follow from
-the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the loads of the forces
-that the last reaction foresees, and again with those of the forces found, where that changes a load by more than
-`LOAD_TOLERANCE`.
+A rover is seen from the side, its two sides alike, so all masses and forces are those of one side.
+Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is
+solved with the loads of the forces that the last reaction foresees, and again with those of the
+forces found, where that changes a load by more than `LOAD_TOLERANCE`.
 """
 
 import math
@@ -25,8 +25,9 @@ AXLE = record(
     "height",  # [m] of the undisturbed ground under the wheel
     "floor",  # [m] depth below it of the rut that the wheels ahead have left there
 )
-#: A rover: its body, then its wheels and axles from the front on. The names that `WHEEL` has too mean the same, so that
-#: its laws of halts, of progress, of odometry and of the reward hold for rovers.
+#: A rover: its body, then its wheels and axles from the front on. The names that `WHEEL` has too
+#: mean the same, so that its laws of halts, of progress, of odometry and of the reward hold for
+#: rovers.
 ROVER = record(
     "x",  # [m] distance along the course of the rear axle: how far the whole rover has come
     "best_x",  # [m] furthest x so far
@@ -86,7 +87,9 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @njit(**FINITE)
 def _share_out(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least `least`."""
+    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least
+    `least`.
+    """
     one = (-moment - other_arm * together) / (arm - other_arm)
     one = min(max(one, least), together - least)
     return one, together - one
@@ -94,13 +97,16 @@ def _share_out(together, moment, arm, other_arm, least):
 
 @njit(**FINITE)
 def _moment(force, height):
-    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above its axle."""
+    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above
+    its axle.
+    """
     return force.torque + height * force.drawbar_pull
 
 
 @njit(**FINITE)
 def bear(forces, weight, s):
-    """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of `forces` [axles].
+    """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
+    `forces` [axles].
 
     `weight` [N] is normal to the body. With two axles the third load is 0.
     """

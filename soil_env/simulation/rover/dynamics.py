@@ -59,7 +59,9 @@ def _keep_stand(foot, at):
 
 @njit(**INLINE)
 def _take_stage(rover, patches, ruts, number, h, forced, world):
-    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is `forced` on."""
+    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
+    `forced` on.
+    """
     rig = world.rig
     scratch = world.stage
     axles = world.suspension.axles
@@ -98,7 +100,9 @@ def _take_stage(rover, patches, ruts, number, h, forced, world):
 
 @njit(**INLINE)
 def _take_step(rover, patches, ruts, h, forced, world):
-    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
+    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
+    method fails.
+    """
     for a in range(world.suspension.axles):
         foot = world.stage.feet[a]
         foot.speed_before = rover.wheels[a].speed
@@ -140,7 +144,8 @@ def _drive_period(rover, patches, ruts, world):
         if driven == h:
             h = longest
         else:
-            h = 0.5 * h if failed else longest  # after the first failure the rest is tried once more
+            # after the first failure the rest is tried once more
+            h = 0.5 * h if failed else longest
             failed = True
 
 

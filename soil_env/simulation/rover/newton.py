@@ -1,7 +1,9 @@
-"""Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an axle.
+"""Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an
+axle.
 
-The equation of each axle has its own rim speed and V only, so a step of Newton's method is the elimination of all rim
-speeds, at a cost that is linear in the axles. Stages and reaction are those of `simulation.world`.
+The equation of each axle has its own rim speed and V only, so a step of Newton's method is the
+elimination of all rim speeds, at a cost that is linear in the axles. Stages and reaction are those
+of `simulation.world`.
 """
 
 from typing import Any, NamedTuple
@@ -37,8 +39,8 @@ from soil_env.terramechanics.reaction import (
 TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
-#: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has the fields of a
-#: `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
+#: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
+#: the fields of a `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
 FOOT = record(
     "start",  # [m] where the control period began
     "speed_before",  # [m/s] V at the beginning of the step
@@ -136,7 +138,9 @@ def _apart(x):
 
 @njit(**FINITE)
 def newton_step(residual, at, world):
-    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle; `residual` of travel."""
+    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle;
+    `residual` of travel.
+    """
     found = world.stage.found
     r = world.rig.radius
     slope = 1.0
@@ -155,7 +159,8 @@ def newton_step(residual, at, world):
 
 @njit(**FINITE)
 def foresee(rover, at, world):
-    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and the changes of u.
+    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and
+    the changes of u.
 
     The stage begins at `Equation` and `rim_start` of each axle.
     """
@@ -177,11 +182,11 @@ def foresee(rover, at, world):
 
 @njit(**INLINE)
 def _begin(rover, at, weight, world):
-    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a `SHORT` way off.
+    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a
+    `SHORT` way off.
 
     The loads are those of the forces foreseen there.
     """
-    rig = world.rig
     s = world.suspension
     feet = world.stage.feet
     found = world.stage.found
@@ -207,7 +212,9 @@ def _begin(rover, at, weight, world):
 
 @njit(**INLINE)
 def _evaluate(v, at, world):
-    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which gets the rest."""
+    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which
+    gets the rest.
+    """
     rig = world.rig
     pull = 0.0
     largest = 0.0
@@ -237,9 +244,11 @@ def _largest_change(v, at, world):
 
 @njit(**INLINE)
 def _iterate(v, at, world):
-    """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds in `trial`.
+    """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds
+    in `trial`.
 
-    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has the rest.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has
+    the rest.
     """
     axles = world.suspension.axles
     found = world.stage.found
@@ -275,7 +284,9 @@ def _iterate(v, at, world):
 
 @njit(**INLINE)
 def _bear_anew(weight, world):
-    """True if the forces found change a load; the loads are then theirs, and the speeds found are tried next."""
+    """True if the forces found change a load; the loads are then theirs, and the speeds found are
+    tried next.
+    """
     s = world.suspension
     feet = world.stage.feet
     found = world.stage.found
@@ -294,7 +305,9 @@ def _bear_anew(weight, world):
 
 @njit(**FINITE)
 def solve_speeds(rover, at, world):
-    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the reactions."""
+    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the
+    reactions.
+    """
     weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, at, weight, world)
     converged = False

@@ -1,4 +1,5 @@
-"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at rest, `step_rovers` drives.
+"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at rest,
+`step_rovers` drives.
 
 Nothing is identified here.
 """
@@ -177,10 +178,11 @@ def _settle(rover, mass, course, ruts, numbers, scratch):
 
 @kept
 def lay_rovers(worlds, numbers, orders, scratch, first, end):
-    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those not found.
+    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those
+    not found.
 
-    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the mean mass on a wheel,
-    or -1 if no passable course was found.
+    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the
+    mean mass on a wheel, or -1 if no passable course was found.
     """
     nodes = scratch.stage[0].nodes[0]
     course_numbers = CourseNumbers(numbers.drawn, numbers.rig[0], numbers.acting)
@@ -235,7 +237,9 @@ def _sense_body(rover, sd):
 
 @njit(**FINITE)
 def _sense_wheels(rover, of_body, sensors, readings):
-    """Fill `readings` [axles] of the wheels of a rover; of speed, pitch and acceleration the body has one sensor each."""
+    """Fill `readings` [axles] of the wheels of a rover; of speed, pitch and acceleration the body
+    has one sensor each.
+    """
     for a in range(sensors.axles):
         reading = readings[a]
         sense(rover.wheels[a], reading, sensors.normals, sensors.sd, sensors.errors, sensors.radius)
@@ -256,11 +260,14 @@ def _keep(sensed, j, period, rover, axles, readings):
 
 @kept
 def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
-    """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions` [rovers, axles].
+    """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
+    [rovers, axles].
 
-    A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are laid (`lay_rovers`).
+    A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are
+    laid (`lay_rovers`).
     """
-    # records are taken out of their arrays once, since numba counts references to arrays, not to records
+    # records are taken out of their arrays once, since numba counts references to arrays, not to
+    # records
     rig = numbers.rig[0]
     suspension = numbers.suspension[0]
     axles = suspension.axles

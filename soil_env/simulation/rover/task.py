@@ -1,7 +1,9 @@
-"""Observation of a rover: readings of the body and of each axle, and what is known of the soil under each.
+"""Observation of a rover: readings of the body and of each axle, and what is known of the soil
+under each.
 
-Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a whole, whose state has
-the same names (`body.ROVER`). A wheel that is stuck is no end as long as the rover gets on.
+Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a
+whole, whose state has the same names (`body.ROVER`). A wheel that is stuck is no end as long as the
+rover gets on.
 """
 
 from dataclasses import replace
@@ -37,7 +39,9 @@ def axle_names(axles: int) -> tuple[str, ...]:
 
 
 def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
-    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+    """The observation of a variant, number by number; the first entries are those of `blind` in
+    every variant.
+    """
     wheel = {e.name: e for e in layout(variant)}
     known = [e for e in layout(variant) if e.name not in {b.name for b in layout("blind")}]
     entries = [wheel[name] for name in _OF_BODY]

@@ -1,4 +1,6 @@
-"""A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to wheels behind."""
+"""A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to
+wheels behind.
+"""
 
 import math
 from typing import NamedTuple
@@ -96,14 +98,17 @@ def now(simulation: Simulation) -> Axles:
 
 
 def driven(simulation: Simulation, command, periods: int) -> Axles:
-    """The state after so many control periods (of actions of one) with a command for all axles or for each."""
+    """The state after so many control periods (of actions of one) with a command for all axles or
+    for each.
+    """
     for _ in range(periods):
         simulation.step(command)
     return now(simulation)
 
 
 def left_over(simulation, a):
-    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing balances, over the
+    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing
+    balances, over the
     weight and over weight times base."""
     v = simulation.scenario.vehicle
     w = a.wheel
@@ -150,7 +155,9 @@ def test_forces_and_moments_are_in_equilibrium(climbing):
 
 
 def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
-    """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on what it has left."""
+    """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on
+    what it has left.
+    """
     simulation, a = climbing
     scenario = simulation.scenario
     w = a.wheel
@@ -196,7 +203,9 @@ def test_no_axle_lifts_off():
 
 
 def test_energy_is_accounted_for():
-    """Work of the motors less that on soil, of height, of speed, and of the integrator, over every period."""
+    """Work of the motors less that on soil, of height, of speed, and of the integrator, over every
+    period.
+    """
     scenario = load_rover("mars_rover", {"control": {"action": "wheel_speed"}})
     simulation = started(scenario, seed=3)
     inertia = scenario.wheel.inertia
@@ -218,7 +227,9 @@ def test_energy_is_accounted_for():
 
 
 def course(seed, refine, rover):
-    """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by `refine`."""
+    """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by
+    `refine`.
+    """
     simulation = started(load_rover(rover, {"control": {"action": "wheel_speed"}}), seed)
     simulation.worlds.state["next_halt"] = 1e9
     simulation.numbers.rig["substeps"] *= refine
@@ -250,7 +261,9 @@ def test_halving_the_step_changes_little(rover):
 
 
 def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
-    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two periods."""
+    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two
+    periods.
+    """
     lowest = []
     for substep in (0.1, 0.0125):
         control = {"action": "wheel_speed", "substep": substep}
