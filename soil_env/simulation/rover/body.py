@@ -1,9 +1,9 @@
 """Body of a rover: its state, and its suspension in equilibrium (docs/physics/rover.md).
 
-A rover is seen from the side, its two sides alike, so all masses and forces are those of one side. Loads follow from
-the DP and T of the same stage, which in turn follow from the loads: each stage is solved with the loads of the forces
-that the last reaction foresees, and again with those of the forces found, where that changes a load by more than
-`LOAD_TOLERANCE`.
+A rover is seen from the side, its two sides alike, so all masses and forces are those of one side.
+Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is
+solved with the loads of the forces that the last reaction foresees, and again with those of the
+forces found, where that changes a load by more than `LOAD_TOLERANCE`.
 """
 
 import math
@@ -14,14 +14,21 @@ from numba import njit
 from soil_env._compiled.elementary import asin_root, sin_cos
 from soil_env._compiled.flags import FINITE, record
 from soil_env.parameters import MOST_AXLES, RoverScenario
+from soil_env.simulation.world.wheel import WHEEL
 
 LOAD_TOLERANCE = 0.02  # [of the mean load of an axle] change of a load that asks for a new solution
 LEAST_LOAD = 0.02  # [of the mean load of an axle] that an axle bears: none is taken to lift off
 STEEPEST = 0.9  # [-] largest sine of the pitch
 
-#: A rover as a whole. The names that `WHEEL` has too mean the same, so that its laws of halts, of progress, of odometry
-#: and of the reward hold for rovers.
-BODY = record(
+#: What an axle has beside its wheel.
+AXLE = record(
+    "height",  # [m] of the undisturbed ground under the wheel
+    "floor",  # [m] depth below it of the rut that the wheels ahead have left there
+)
+#: A rover: its body, then its wheels and axles from the front on. The names that `WHEEL` has too
+#: mean the same, so that its laws of halts, of progress, of odometry and of the reward hold for
+#: rovers.
+ROVER = record(
     "x",  # [m] distance along the course of the rear axle: how far the whole rover has come
     "best_x",  # [m] furthest x so far
     "speed",  # V [m/s]
@@ -43,15 +50,12 @@ BODY = record(
     stream=("u8",),
     converged=("i8",),
     steps=("i8",),
-)
-#: What an axle has beside its wheel.
-AXLE = record(
-    "height",  # [m] of the undisturbed ground under the wheel
-    "floor",  # [m] depth below it of the rut that the wheels ahead have left there
+    wheels=(WHEEL, MOST_AXLES),
+    axles=(AXLE, MOST_AXLES),
 )
 #: A `Vehicle` as compiled code takes it. Arms count from the centre of mass forward.
 SUSPENSION = record(
-    "base",  # [m] from the front axle to the rear one
+    "wheelbase",  # [m] from the front axle to the rear one
     "height",  # [m] of the centre of mass above the axles
     "pivot_arm",  # [m] of the bogie's pivot
     "pivot_height",  # [m] above the axles
@@ -69,7 +73,7 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
     axles = scenario.axles
     places = np.array(v.axles)
     s = np.zeros(1, SUSPENSION)
-    s["base"] = v.base
+    s["wheelbase"] = v.base
     s["height"] = v.centre_height
     s["pivot_arm"] = v.centre - v.pivot
     s["pivot_height"] = v.pivot_height
@@ -83,7 +87,9 @@ def suspension_of(scenario: RoverScenario) -> np.ndarray:
 
 @njit(**FINITE)
 def _share_out(together, moment, arm, other_arm, least):
-    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least `least`."""
+    """Loads [N] at two arms [m] that bear `together` and balance a moment [N m], each at least
+    `least`.
+    """
     one = (-moment - other_arm * together) / (arm - other_arm)
     one = min(max(one, least), together - least)
     return one, together - one
@@ -91,13 +97,16 @@ def _share_out(together, moment, arm, other_arm, least):
 
 @njit(**FINITE)
 def _moment(force, height):
-    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above its axle."""
+    """Moment [N m], front up, of the pull and the torque of a wheel about a point so high [m] above
+    its axle.
+    """
     return force.torque + height * force.drawbar_pull
 
 
 @njit(**FINITE)
 def bear(forces, weight, s):
-    """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of `forces` [axles].
+    """Loads [N] of the axles, front to rear, in equilibrium with the torques and drawbar pulls of
+    `forces` [axles].
 
     `weight` [N] is normal to the body. With two axles the third load is 0.
     """
@@ -133,7 +142,7 @@ def take_pitch(rover, s):
     """Pitch of the body of a rover, from where its wheels stand."""
     front = _height_of(rover, 0)
     rear = _height_of(rover, s.axles - 1)
-    length = s.base
+    length = s.wheelbase
     b = s.bogie
     if b >= 0:
         on_rear = (s.arms[b] - s.pivot_arm) / (s.arms[b] - s.arms[b + 1])
@@ -146,11 +155,11 @@ def take_pitch(rover, s):
             length = s.arms[0] - s.pivot_arm
     sine = min(max((front - rear) / length, -STEEPEST), STEEPEST)
     angle = asin_root(sine * sine)
-    rover.body.pitch = -angle if sine < 0.0 else angle
+    rover.pitch = -angle if sine < 0.0 else angle
 
 
 @njit(**FINITE)
-def weight_of(body, gravity):
+def weight_of(rover, gravity):
     """Weight [N] of one side of a rover, normal to its body."""
-    sine = sin_cos(body.pitch)[0]
-    return gravity * body.mass * math.sqrt(1.0 - sine * sine)
+    sine = sin_cos(rover.pitch)[0]
+    return gravity * rover.mass * math.sqrt(1.0 - sine * sine)

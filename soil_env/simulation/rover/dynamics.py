@@ -6,7 +6,7 @@ All wheels of a rover run over the same course, each leaving its rut to those be
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.rover.body import take_pitch
 from soil_env.simulation.rover.newton import equation_of, foresee, reaction_of, solve_speeds
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, floor_at, pass_on
@@ -14,6 +14,7 @@ from soil_env.simulation.world.dynamics import (
     FINEST,
     GAMMA,
     OVER,
+    ground_ahead,
     held_change,
     move,
     stage_of,
@@ -21,7 +22,6 @@ from soil_env.simulation.world.dynamics import (
     steps_for,
 )
 from soil_env.simulation.world.newton import Motion
-from soil_env.simulation.world.terrain import Course
 from soil_env.simulation.world.wheel import (
     Ground,
     World,
@@ -41,7 +41,7 @@ def _stage_of(number, h, wheel, foot, rig):
     return stage_of(number, h, wheel.speed, rim, foot.speed_before, foot.rim_before)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _keep_stand(foot, at):
     """Write a `Stand` into a `FOOT`; its load follows from the suspension."""
     put_soil(foot, at.ground.soil)
@@ -58,23 +58,25 @@ def _keep_stand(foot, at):
     foot.torque = at.beside.torque
 
 
-@njit(**FINITE)
-def _take_stage(rover, number, h, forced, world):
-    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is `forced` on."""
+@njit(**INLINE)
+def _take_stage(rover, patches, ruts, number, h, forced, world):
+    """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
+    `forced` on.
+    """
     rig = world.rig
-    scratch = world.stages
+    scratch = world.stage
     axles = world.suspension.axles
-    course = rover.course
     for a in range(axles):
         wheel = rover.wheels[a]
         foot = scratch.feet[a]
         stage = _stage_of(number, h, wheel, foot, rig)
         foot.rim_start = stage.rim
-        under = Course(course.head, course.patches, rover.ruts[a], None, None, None)
-        at = stand(wheel, stage, under, float(a), World(rig, world.acting, scratch.nodes[a]))
+        own = World(rig, world.acting, scratch.nodes[a])
+        ahead = ground_ahead(wheel, stage, patches, ruts[a], float(a), rig.border)
+        at = stand(wheel, stage, ahead, own)
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
-    at_end = equation_of(stage.speed, stage.implicit, rover.body.mass, rig)
+    at_end = equation_of(stage.speed, stage.implicit, rover.mass, rig)
     speed, converged = solve_speeds(rover, at_end, world)
     if not (converged or forced):
         return False
@@ -84,117 +86,122 @@ def _take_stage(rover, number, h, forced, world):
         axle = rover.axles[a]
         stage = _stage_of(number, h, wheel, foot, rig)
         end = Motion(speed, scratch.found[a].rim, reaction_of(scratch.found[a]), converged)
-        ground = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.grade)
+        under = Ground(soil_of(foot), foot.sinkage, foot.lift, foot.grade)
         before = wheel.x
-        move(wheel, end, stage, ground, foot, rig)
+        move(wheel, end, stage, under, foot, rig)
         axle.height += (wheel.x - before) * sin_cos(foot.grade)[0]
-        axle.floor = floor_at(rover.ruts[a], wheel.x)
+        axle.floor = floor_at(ruts, a, wheel.x)
     take_pitch(rover, world.suspension)
     for a in range(axles):
         wheel = rover.wheels[a]
         cell = wheel.cell
-        leave_ruts(wheel, rover.ruts[a], soil_of(scratch.feet[a]), COMPACTION_OF_RUT)
-        pass_on(rover.ruts, a, cell, wheel.cell)
+        foot = scratch.feet[a]
+        leave_ruts(wheel, ruts[a], (foot.dig_gain, foot.dig_recovery), COMPACTION_OF_RUT)
+        pass_on(ruts, a, cell, wheel.cell)
     return True
 
 
-@njit(**FINITE)
-def _take_step(rover, h, forced, world):
-    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's method fails."""
+@njit(**INLINE)
+def _take_step(rover, patches, ruts, h, forced, world):
+    """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
+    method fails.
+    """
     for a in range(world.suspension.axles):
-        foot = world.stages.feet[a]
+        foot = world.stage.feet[a]
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
-        if not _take_stage(rover, number, h, forced, world):
+        if not _take_stage(rover, patches, ruts, number, h, forced, world):
             return number * (GAMMA * h)
     return h
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _change_ahead(rover, world):
     """Foreseen change of the speeds [of the top rim speed] in a step of the usual length."""
     rig = world.rig
     for a in range(world.suspension.axles):
-        world.stages.feet[a].rim_start = rig.radius * rover.wheels[a].wheel_speed
+        world.stage.feet[a].rim_start = rig.radius * rover.wheels[a].wheel_speed
     usual = rig.period / rig.substeps
-    dv = foresee(rover, equation_of(rover.wheels[0].speed, usual, rover.body.mass, rig), world)
+    dv = foresee(rover, equation_of(rover.wheels[0].speed, usual, rover.mass, rig), world)
     change = abs(dv)
     for a in range(world.suspension.axles):
-        du = world.stages.found[a].change
-        change = max(change, held_change(du, rover.wheels[a], world.stages.feet[a], rig))
+        du = world.stage.found[a].change
+        change = max(change, held_change(du, rover.wheels[a], world.stage.feet[a], rig))
     return change / (rig.radius * rig.no_load_speed)
 
 
-@njit(**FINITE)
-def _drive_period(rover, world):
+@njit(**INLINE)
+def _drive_period(rover, patches, ruts, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
-    steps = steps_for(_change_ahead(rover, world), rover.body.halt_left)
+    steps = steps_for(_change_ahead(rover, world), rover.halt_left)
     longest = rig.period / (rig.substeps * steps)
     left = rig.period
     h = longest
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = _take_step(rover, h, h <= longest / FINEST, world)
+        driven = _take_step(rover, patches, ruts, h, h <= longest / FINEST, world)
         left -= driven
         if driven == h:
             h = longest
         else:
-            h = 0.5 * h if failed else longest  # after the first failure the rest is tried once more
+            # after the first failure the rest is tried once more
+            h = 0.5 * h if failed else longest
             failed = True
 
 
 @njit(**FINITE)
-def control_period(rover, actions, world):
+def control_period(rover, actions, patches, ruts, world):
     """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
+
+    `patches`: those of its course; `ruts` [axles, cells]: `ROVER_RUT`.
 
     In a halt the drives ignore them and hold the wheels with their speed loops.
     """
-    halted = rover.body.halt_left > 0.0
+    halted = rover.halt_left > 0.0
     for a in range(world.suspension.axles):
         wheel = rover.wheels[a]
-        foot = world.stages.feet[a]
+        foot = world.stage.feet[a]
         drive = commanded(wheel, actions[a], halted, world.rig)
         foot.command = drive.command
         foot.by_speed = drive.by_speed
         foot.start = wheel.x
         begin_period(wheel)
-    _drive_period(rover, world)
+    _drive_period(rover, patches, ruts, world)
     _sum_up(rover, world)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _sum_up(rover, world):
     """The end of a control period of a rover as a whole."""
-    body = rover.body
     axles = world.suspension.axles
     fastest = 0.0
     slip = 0.0
     deepest = 0.0
     pull = 0.0
     work = 0.0
-    body.converged = 1
+    rover.converged = 1
     for a in range(axles):
         wheel = rover.wheels[a]
         measure_slip(wheel, world.rig)
-        wheel.travel = wheel.x - world.stages.feet[a].start
+        wheel.travel = wheel.x - world.stage.feet[a].start
         if abs(wheel.wheel_speed) > abs(fastest):
             fastest = wheel.wheel_speed
         slip += wheel.slip
         deepest = max(deepest, wheel.sinkage + rover.axles[a].floor)
         pull += wheel.drawbar_pull
         work += max(wheel.motor_work, 0.0)
-        body.converged = min(body.converged, wheel.converged)
+        rover.converged = min(rover.converged, wheel.converged)
     rear = rover.wheels[axles - 1]
-    start = body.x
-    body.x = rear.x
-    body.best_x = max(body.best_x, rear.x)
-    body.speed = rear.speed
-    body.wheel_speed = fastest
-    body.slip = slip / axles
-    body.sinkage = deepest
-    body.drawbar_pull = pull
-    body.motor_work = work
-    end_period(body, start, body, world.rig)
+    start = rover.x
+    rover.x = rear.x
+    rover.best_x = max(rover.best_x, rear.x)
+    rover.speed = rear.speed
+    rover.wheel_speed = fastest
+    rover.slip = slip / axles
+    rover.sinkage = deepest
+    rover.drawbar_pull = pull
+    rover.motor_work = work
+    end_period(rover, start, rover, world.rig)

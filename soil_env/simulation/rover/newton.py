@@ -1,16 +1,17 @@
-"""Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an axle.
+"""Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an
+axle.
 
-The equation of each axle has its own rim speed and V only, so a step of Newton's method is the elimination of all rim
-speeds, at a cost that is linear in the axles. Stages and reaction are those of `simulation.world`.
+The equation of each axle has its own rim speed and V only, so a step of Newton's method is the
+elimination of all rim speeds, at a cost that is linear in the axles. Stages and reaction are those
+of `simulation.world`.
 """
 
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, HUGE, record
+from soil_env._compiled.flags import FINITE, HUGE, INLINE, record
 from soil_env.parameters import MOST_AXLES, SoilState
 from soil_env.simulation.rover.body import LOAD_TOLERANCE, bear, weight_of
 from soil_env.simulation.world.newton import (
@@ -24,7 +25,6 @@ from soil_env.simulation.world.newton import (
     last_force,
     near_enough,
 )
-from soil_env.simulation.world.terrain import Course
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import (
@@ -39,8 +39,8 @@ from soil_env.terramechanics.reaction import (
 TURNS = 4  # solutions of a stage at most, each with the loads of the one before; the last is kept
 
 _NOT_SHEARED = [name for name in SoilState._fields if name not in Footing._fields]
-#: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has the fields of a
-#: `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
+#: What the wheel of an axle is to do in a control period and what it stands on in a stage. It has
+#: the fields of a `Drive`, a `Footing`, a `Beside` and the `SoilState` of a `Ground`.
 FOOT = record(
     "start",  # [m] where the control period began
     "speed_before",  # [m/s] V at the beginning of the step
@@ -61,37 +61,18 @@ TURNING = record(
     "residual",  # [m/s] of its equation
     "motor_slope",  # d T_motor/dw [N m s]
     "change",  # [m/s] of u in a step of Newton's method
+    "change_v",  # [-] of u with V in such a step
     *Reaction._fields,
 )
 
 
-class Stages(NamedTuple):
-    """Scratch of a thread for a stage of a rover, one row an axle."""
-
-    nodes: np.ndarray  # [axles] `ARC_NODES`
-    feet: np.ndarray  # [axles] `FOOT`
-    found: np.ndarray  # [axles] `TURNING`: the best so far
-    trial: np.ndarray  # [axles] `TURNING`
-
-
-def new_stages() -> Stages:
-    """Scratch for one thread."""
-    return Stages(
-        np.zeros(MOST_AXLES, ARC_NODES),
-        np.zeros(MOST_AXLES, FOOT),
-        np.zeros(MOST_AXLES, TURNING),
-        np.zeros(MOST_AXLES, TURNING),
-    )
-
-
-class Rover(NamedTuple):
-    """One rover."""
-
-    body: Any  # `BODY`
-    wheels: np.ndarray  # [axles] `WHEEL`
-    axles: np.ndarray  # [axles] `AXLE`
-    ruts: np.ndarray  # [axles, cells] `ROVER_RUT`
-    course: Course
+#: Scratch of a thread for a stage of a rover, one row an axle.
+STAGE = record(
+    nodes=(ARC_NODES, MOST_AXLES),
+    feet=(FOOT, MOST_AXLES),
+    found=(TURNING, MOST_AXLES),  # the best so far
+    trial=(TURNING, MOST_AXLES),
+)
 
 
 class RoverWorld(NamedTuple):
@@ -100,7 +81,7 @@ class RoverWorld(NamedTuple):
     rig: Any  # `RIG` of each wheel
     acting: Acting
     suspension: Any  # `SUSPENSION`
-    stages: Stages
+    stage: Any  # `STAGE`
 
 
 class Equation(NamedTuple):
@@ -157,26 +138,29 @@ def _apart(x):
 
 @njit(**FINITE)
 def newton_step(residual, at, world):
-    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle; `residual` of travel."""
-    found = world.stages.found
+    """Step of Newton's method from the speeds of `found`: dV [m/s], and `change` of each axle;
+    `residual` of travel.
+    """
+    found = world.stage.found
     r = world.rig.radius
     slope = 1.0
     for a in range(world.suspension.axles):
         f = found[a]
-        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
-        slope -= at.by_pull * (f.pull_v - f.pull_u * at.by_torque * f.torque_v / pivot)
-        residual += at.by_pull * (f.pull_u * f.residual / pivot)
+        per_pivot = 1.0 / _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
+        f.change = -f.residual * per_pivot
+        f.change_v = -at.by_torque * f.torque_v * per_pivot
+        slope -= at.by_pull * (f.pull_v + f.pull_u * f.change_v)
+        residual -= at.by_pull * f.pull_u * f.change
     dv = -residual / _apart(slope)
     for a in range(world.suspension.axles):
-        f = found[a]
-        pivot = _apart(1.0 + at.by_torque * (f.torque_u - f.motor_slope / r))
-        f.change = -(f.residual + at.by_torque * f.torque_v * dv) / pivot
+        found[a].change += found[a].change_v * dv
     return dv
 
 
 @njit(**FINITE)
 def foresee(rover, at, world):
-    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and the changes of u.
+    """dV [m/s] in a stage by the reactions of the last one to first order; `found` has these and
+    the changes of u.
 
     The stage begins at `Equation` and `rim_start` of each axle.
     """
@@ -184,8 +168,8 @@ def foresee(rover, at, world):
     residual = rover.wheels[0].speed - at.speed
     for a in range(world.suspension.axles):
         wheel = rover.wheels[a]
-        foot = world.stages.feet[a]
-        found = world.stages.found[a]
+        foot = world.stage.feet[a]
+        found = world.stage.found[a]
         keep_reaction(found, last_force(wheel))
         torque, slope, _ = motor_torque(foot.command, foot.by_speed, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
@@ -196,17 +180,17 @@ def foresee(rover, at, world):
     return newton_step(residual, at, world)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _begin(rover, at, weight, world):
-    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a `SHORT` way off.
+    """First V to try [m/s], with the rim speeds in `trial`: the foreseen ones where they are a
+    `SHORT` way off.
 
     The loads are those of the forces foreseen there.
     """
-    rig = world.rig
     s = world.suspension
-    feet = world.stages.feet
-    found = world.stages.found
-    trial = world.stages.trial
+    feet = world.stage.feet
+    found = world.stage.found
+    trial = world.stage.trial
     dv = foresee(rover, at, world)
     short = True
     for a in range(s.axles):
@@ -226,17 +210,19 @@ def _begin(rover, at, weight, world):
     return speed + dv if short else speed
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _evaluate(v, at, world):
-    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which gets the rest."""
+    """(residual of travel, largest residual) [m/s] at V = `v` and the rim speeds in `trial`, which
+    gets the rest.
+    """
     rig = world.rig
     pull = 0.0
     largest = 0.0
     for a in range(world.suspension.axles):
-        foot = world.stages.feet[a]
-        trial = world.stages.trial[a]
+        foot = world.stage.feet[a]
+        trial = world.stage.trial[a]
         u = trial.rim
-        force = reaction(world.stages.nodes[a], foot, v, u, rig, foot, world.acting)
+        force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
         torque, slope, _ = motor_torque(foot.command, foot.by_speed, u / rig.radius, rig)
         keep_reaction(trial, force)
         trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
@@ -247,24 +233,26 @@ def _evaluate(v, at, world):
     return residual, max(largest, abs(residual))
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _largest_change(v, at, world):
     """Largest change of a speed since the beginning of the stage [m/s]."""
     change = abs(v - at.speed)
     for a in range(world.suspension.axles):
-        change = max(change, abs(world.stages.found[a].rim - world.stages.feet[a].rim_start))
+        change = max(change, abs(world.stage.found[a].rim - world.stage.feet[a].rim_start))
     return change
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _iterate(v, at, world):
-    """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds in `trial`.
+    """(V, True if converged) by Newton's method at the present loads, from `v` and the rim speeds
+    in `trial`.
 
-    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has the rest.
+    As in `world.newton`, a step that does not reduce the largest residual is shortened. `found` has
+    the rest.
     """
     axles = world.suspension.axles
-    found = world.stages.found
-    trial = world.stages.trial
+    found = world.stage.found
+    trial = world.stage.trial
     try_v = v
     dv = 0.0
     norm = HUGE
@@ -294,13 +282,15 @@ def _iterate(v, at, world):
     return v, False
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _bear_anew(weight, world):
-    """True if the forces found change a load; the loads are then theirs, and the speeds found are tried next."""
+    """True if the forces found change a load; the loads are then theirs, and the speeds found are
+    tried next.
+    """
     s = world.suspension
-    feet = world.stages.feet
-    found = world.stages.found
-    trial = world.stages.trial
+    feet = world.stage.feet
+    found = world.stage.found
+    trial = world.stage.trial
     loads = bear(found, weight, s)
     changed = False
     for a in range(s.axles):
@@ -315,8 +305,10 @@ def _bear_anew(weight, world):
 
 @njit(**FINITE)
 def solve_speeds(rover, at, world):
-    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the reactions."""
-    weight = weight_of(rover.body, world.rig.gravity)
+    """(V [m/s], True if converged) at the end of a stage; `found` has the rim speeds and the
+    reactions.
+    """
+    weight = weight_of(rover, world.rig.gravity)
     v = _begin(rover, at, weight, world)
     converged = False
     for turn in range(TURNS):

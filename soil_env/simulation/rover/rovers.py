@@ -1,23 +1,24 @@
-"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at rest, `step_rovers` drives.
+"""Compiled functions of many rovers: `lay_rovers` draws courses and places rovers at rest,
+`step_rovers` drives.
 
 Nothing is identified here.
 """
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
-from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE
+from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
-from soil_env.parameters import RoverScenario
-from soil_env.parameters.readings import AHEAD, COMPLETE, RESTART, STEP, TRY, Record
-from soil_env.simulation.rover.body import AXLE, BODY, suspension_of, take_pitch
+from soil_env.parameters import MOST_AXLES, RoverScenario
+from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
+from soil_env.simulation.rover.body import ROVER, suspension_of, take_pitch
 from soil_env.simulation.rover.dynamics import control_period
-from soil_env.simulation.rover.newton import Rover, RoverWorld, Stages, new_stages
+from soil_env.simulation.rover.newton import STAGE, RoverWorld
 from soil_env.simulation.rover.ruts import clear_ruts, new_ruts
 from soil_env.simulation.rover.task import (
     ENTRIES_OF_AXLE,
@@ -37,7 +38,7 @@ from soil_env.simulation.task.rules import (
     task_of,
     total_of,
 )
-from soil_env.simulation.wheels import clear_reward, new_record, start_passable
+from soil_env.simulation.wheels import new_record, start_passable
 from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
 from soil_env.simulation.world.sensors import (
@@ -50,31 +51,33 @@ from soil_env.simulation.world.sensors import (
     start_odometry,
 )
 from soil_env.simulation.world.terrain import Courses, course_of, new_courses
-from soil_env.simulation.world.wheel import WHEEL, World, acting_in, rig_of, settle_at
+from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
 
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 
 
+#: Scratch of a thread: the last readings of the wheels of a rover.
+SENSED = record(readings=(READING, MOST_AXLES))
+
+
 class RoverScratch(NamedTuple):
     """Work arrays of a thread."""
 
-    stages: Stages
+    stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
-    reading: np.ndarray  # [1] `READING`
-    wheel: np.ndarray  # [1] `WHEEL`, blank
-    body: np.ndarray  # [1] `BODY`, blank
+    sensed: np.ndarray  # [1] `SENSED`
+    rover: np.ndarray  # [1] `ROVER`, blank
 
 
 def new_rover_scratch() -> RoverScratch:
     """Work arrays of one thread."""
     return RoverScratch(
-        new_stages(),
+        np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
-        np.zeros(1, READING),
-        np.zeros(1, WHEEL),
-        np.zeros(1, BODY),
+        np.zeros(1, SENSED),
+        np.zeros(1, ROVER),
     )
 
 
@@ -84,9 +87,7 @@ class RoverWorlds(NamedTuple):
     In the record wheel `a` of rover j has the row j x axles + a.
     """
 
-    body: np.ndarray  # [rovers] `BODY`
-    wheels: np.ndarray  # [rovers, axles] `WHEEL`
-    axles: np.ndarray  # [rovers, axles] `AXLE`
+    state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `ROVER_RUT`
     courses: Courses  # a course a rover; what is left in its cells is in `ruts`
     record: Record
@@ -139,9 +140,7 @@ def new_rover_worlds(
     courses = new_courses(rovers, _with_front(scenario))
     kept_rovers = rovers if recorded else 0
     return RoverWorlds(
-        np.zeros(rovers, BODY),
-        np.zeros((rovers, axles), WHEEL),
-        np.zeros((rovers, axles), AXLE),
+        np.zeros(rovers, ROVER),
         new_ruts(rovers, axles, courses.cells.shape[1]),
         courses,
         new_record(kept_rovers, kept_rovers * axles, scenario),
@@ -159,166 +158,172 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
     return replace(scenario, course=longer)
 
 
-@njit(**INLINE)
-def _rover_of(worlds, j):
-    """Rover j."""
-    return Rover(
-        worlds.body[j],
-        worlds.wheels[j],
-        worlds.axles[j],
-        worlds.ruts[j],
-        course_of(worlds.courses, j),
-    )
-
-
 @njit(**EXACT)
-def _settle(rover, mass, numbers, scratch):
+def _settle(rover, mass, course, ruts, numbers, scratch):
     """Put a rover, with a mean `mass` [kg] on its wheels, at rest at the start of its course."""
     rig = numbers.rig[0]
     s = numbers.suspension[0]
-    world = World(rig, numbers.acting, scratch.stages.nodes[0])
-    body = rover.body
-    body.mass = mass * s.axles
+    world = World(rig, numbers.acting, scratch.stage[0].nodes[0])
+    rover.mass = mass * s.axles
     for a in range(s.axles):
         wheel = rover.wheels[a]
-        rover.wheels[a] = scratch.wheel[0]
-        wheel.stream = word(body)
-        ahead = s.base - s.places[a]
-        settle_at(wheel, ahead, body.mass * s.shares[a], rover.course, world)
+        wheel.stream = word(rover)
+        ahead = s.wheelbase - s.places[a]
+        settle_at(wheel, ahead, rover.mass * s.shares[a], course, world)
         rover.axles[a].height = ahead * math.sin(wheel.grade)
-        rover.axles[a].floor = 0.0
-        clear_ruts(rover.ruts[a])
-    body.next_halt = between(body, rig.halt_low, rig.halt_high)
-    body.converged = 1
+        clear_ruts(ruts[a])
+    rover.next_halt = between(rover, rig.halt_low, rig.halt_high)
+    rover.converged = 1
 
 
 @kept
 def lay_rovers(worlds, numbers, orders, scratch, first, end):
-    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those not found.
+    """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those
+    not found.
 
-    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the mean mass on a wheel,
-    or -1 if no passable course was found.
+    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the
+    mean mass on a wheel, or -1 if no passable course was found.
     """
-    nodes = scratch.stages.nodes[0]
+    nodes = scratch.stage[0].nodes[0]
     course_numbers = CourseNumbers(numbers.drawn, numbers.rig[0], numbers.acting)
     s = numbers.suspension[0]
-    ahead = s.base + numbers.drawn.spec.ahead  # [m] before the rear axle
+    ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] before the rear axle
     failed = 0
     for j in range(first, end):
         order = orders[j]
-        rover = _rover_of(worlds, j)
-        body = rover.body
+        if order == STEP or order == IDLE:
+            continue
+        rover = worlds.state[j]
+        course = course_of(worlds.courses, j)
         if order == RESTART:
-            mass = start_passable(rover.course, body, course_numbers, nodes)
+            mass = start_passable(course, rover, course_numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
-                extend_course(rover.course, mass, ahead, course_numbers, nodes)
-                stream = body.stream
-                worlds.body[j] = scratch.body[0]
-                body.stream = stream
-                _settle(rover, mass, numbers, scratch)
+                extend_course(course, mass, ahead, course_numbers, nodes)
+                stream = rover.stream
+                worlds.state[j] = scratch.rover[0]
+                rover.stream = stream
+                _settle(rover, mass, course, worlds.ruts[j], numbers, scratch)
         elif order == TRY:
-            worlds.reward[j] = start_course(rover.course, body, course_numbers, nodes)
-        elif order == COMPLETE or order == AHEAD:
-            x = HUGE if order == COMPLETE else body.x + ahead
-            extend_course(rover.course, body.mass / s.axles, x, course_numbers, nodes)
+            worlds.reward[j] = start_course(course, rover, course_numbers, nodes)
+        else:
+            x = HUGE if order == COMPLETE else rover.x + ahead
+            extend_course(course, rover.mass / s.axles, x, course_numbers, nodes)
     return failed
 
 
+class Sensors(NamedTuple):
+    """The sensors of a rover."""
+
+    sd: Any  # `READING` of the noise
+    errors: SensorErrors | None
+    radius: float  # [m] of the wheels
+    axles: int
+    normals: Any  # `NORMALS`, scratch
+
+
 @njit(**FINITE)
-def _sense_body(body, sd):
+def _sense_body(rover, sd):
     """`BodyReading` of a rover."""
-    of_speed, of_pitch = normal_pair(body)
-    of_acceleration, _ = normal_pair(body)
+    of_speed, of_pitch = normal_pair(rover)
+    of_acceleration, _ = normal_pair(rover)
     return BodyReading(
-        body.speed + sd.speed * of_speed,
-        body.pitch + sd.pitch * of_pitch,
-        body.drawbar_pull / body.mass + sd.acceleration * of_acceleration,
+        rover.speed + sd.speed * of_speed,
+        rover.pitch + sd.pitch * of_pitch,
+        rover.drawbar_pull / rover.mass + sd.acceleration * of_acceleration,
     )
 
 
 @njit(**FINITE)
-def _observe(worlds, numbers, j, period, of_body, scratch):
-    """Sense the wheels of rover j after a control period, keep the record, and fill the observation."""
-    body = worlds.body[j]
-    record = worlds.record
-    out = worlds.observation[j]
-    task = numbers.task[0]
-    rig = numbers.rig[0]
-    axles = numbers.suspension[0].axles
-    recorded = record.periods.size > 0
-    for a in range(axles):
-        wheel = worlds.wheels[j, a]
-        reading = record.readings[j * axles + a, period] if recorded else scratch.reading[0]
-        sense(wheel, reading, scratch.normals[0], numbers.sd[0], numbers.errors, rig.radius)
-        reading.speed = of_body.speed  # there is one sensor of these, on the body
+def _sense_wheels(rover, of_body, sensors, readings):
+    """Fill `readings` [axles] of the wheels of a rover; of speed, pitch and acceleration the body
+    has one sensor each.
+    """
+    for a in range(sensors.axles):
+        reading = readings[a]
+        sense(rover.wheels[a], reading, sensors.normals, sensors.sd, sensors.errors, sensors.radius)
+        reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
-        write_axle(out[ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE :], wheel, reading, task)
-    if recorded:
-        record.periods[j] = period + 1
-        record.halted[j, period] = body.halt_left > 0.0
-        record.places[j, period] = body.odometer
-    write_body(out, body, of_body, task)
-    if task.variant == TRUE_SOIL:
-        soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
-        write_true_soils(soils, worlds.wheels[j], course_of(worlds.courses, j), rig.border)
-    clip(out, numbers.low, numbers.high)
 
 
-@njit(**FINITE)
-def _restart(worlds, numbers, j, scratch):
-    """Observe rover j at the start of its course."""
-    rover = _rover_of(worlds, j)
-    take_pitch(rover, numbers.suspension[0])
-    worlds.cause[j] = RUNNING
-    clear_reward(worlds, j)
-    start_odometry(rover.body, numbers.task[0].odometry_scale)
-    _observe(worlds, numbers, j, 0, _sense_body(rover.body, numbers.sd[0]), scratch)
-
-
-@njit(**FINITE)
-def _step(worlds, numbers, j, actions, scratch):
-    """The control periods of `actions` [axles] of rover j, until its episode ends: drive, sense, judge, reward."""
-    rover = _rover_of(worlds, j)
-    body = rover.body
-    task = numbers.task[0]
-    terms = worlds.terms[j]
-    world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stages)
-    clear_reward(worlds, j)
-    period = 0
-    while True:
-        control_period(rover, actions, world)
-        reading = _sense_body(body, numbers.sd[0])
-        roll_odometer(body, reading.speed, task.period)
-        _observe(worlds, numbers, j, period, reading, scratch)
-        cause = judge(body, task)
-        add_reward(body, cause, task, terms)
-        period += 1
-        if period == task.held or cause != RUNNING:
-            break
-    worlds.cause[j] = cause
-    worlds.reward[j] = total_of(terms)
+@njit(**INLINE)
+def _keep(sensed, j, period, rover, axles, readings):
+    """Keep the sensor record of a control period of rover j."""
+    for a in range(axles):
+        sensed.readings[j * axles + a, period] = readings[a]
+    sensed.periods[j] = period + 1
+    sensed.halted[j, period] = rover.halt_left > 0.0
+    sensed.places[j, period] = rover.odometer
 
 
 @kept
 def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
-    """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions` [rovers, axles].
+    """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
+    [rovers, axles].
 
-    Their courses are laid (`lay_rovers`).
+    A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are
+    laid (`lay_rovers`).
     """
+    # records are taken out of their arrays once, since numba counts references to arrays, not to
+    # records
+    rig = numbers.rig[0]
+    suspension = numbers.suspension[0]
+    axles = suspension.axles
+    task = numbers.task[0]
+    sd = numbers.sd[0]
+    world = RoverWorld(rig, numbers.acting, suspension, scratch.stage[0])
+    sensors = Sensors(sd, numbers.errors, rig.radius, axles, scratch.normals[0])
+    readings = scratch.sensed[0].readings
+    recorded = worlds.record.periods.size > 0
     for j in range(first, end):
-        order = orders[j]
-        if order == STEP:
-            _step(worlds, numbers, j, actions[j], scratch)
-        elif order == RESTART:
-            _restart(worlds, numbers, j, scratch)
+        starts = orders[j] == RESTART
+        if not starts and orders[j] != STEP:
+            continue
+        rover = worlds.state[j]
+        course = course_of(worlds.courses, j)
+        ruts = worlds.ruts[j]
+        commands = actions[j]
+        terms = worlds.terms[j]
+        terms[:] = 0.0
+        cause = RUNNING
+        period = 0
+        while True:
+            if starts:
+                take_pitch(rover, suspension)
+                start_odometry(rover, task.odometry_scale)
+            else:
+                control_period(rover, commands, course.patches, ruts, world)
+            of_body = _sense_body(rover, sd)
+            if not starts:
+                roll_odometer(rover, of_body.speed, task.period)
+            _sense_wheels(rover, of_body, sensors, readings)
+            if recorded:
+                _keep(worlds.record, j, period, rover, axles, readings)
+            period += 1
+            if starts:
+                break
+            cause = judge(rover, task)
+            add_reward(rover, cause, task, terms)
+            if period == task.held or cause != RUNNING:
+                break
+        worlds.cause[j] = cause
+        worlds.reward[j] = total_of(terms)
+        out = worlds.observation[j]
+        write_body(out, rover, of_body, task)
+        for a in range(axles):
+            write_axle(out, a, rover.wheels[a], readings[a], task)
+        if task.variant == TRUE_SOIL:
+            soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
+            write_true_soils(soils, rover, axles, course, rig.border)
+        clip(out, numbers.low, numbers.high)
 
 
 @kept
 def observe_true_soils(worlds, numbers, out):
     """Fill `out` [rovers, axles x 7] with the true soils under the axles."""
     border = numbers.rig[0].border
+    axles = numbers.suspension[0].axles
     for j in range(len(out)):
-        write_true_soils(out[j], worlds.wheels[j], course_of(worlds.courses, j), border)
+        write_true_soils(out[j], worlds.state[j], axles, course_of(worlds.courses, j), border)

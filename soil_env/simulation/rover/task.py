@@ -1,7 +1,9 @@
-"""Observation of a rover: readings of the body and of each axle, and what is known of the soil under each.
+"""Observation of a rover: readings of the body and of each axle, and what is known of the soil
+under each.
 
-Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a whole, whose state has
-the same names (`body.BODY`). A wheel that is stuck is no end as long as the rover gets on.
+Reward, causes of an end, halts and odometry are those of `simulation.task` for the rover as a
+whole, whose state has the same names (`body.ROVER`). A wheel that is stuck is no end as long as the
+rover gets on.
 """
 
 from dataclasses import replace
@@ -37,7 +39,9 @@ def axle_names(axles: int) -> tuple[str, ...]:
 
 
 def rover_layout(variant: str, axles: int) -> tuple[ObservedNumber, ...]:
-    """The observation of a variant, number by number; the first entries are those of `blind` in every variant."""
+    """The observation of a variant, number by number; the first entries are those of `blind` in
+    every variant.
+    """
     wheel = {e.name: e for e in layout(variant)}
     known = [e for e in layout(variant) if e.name not in {b.name for b in layout("blind")}]
     entries = [wheel[name] for name in _OF_BODY]
@@ -57,28 +61,29 @@ class BodyReading(NamedTuple):
 
 
 @njit(**FINITE)
-def write_body(out, body, reading, task):
+def write_body(out, rover, reading, task):
     """Fill the first entries of `out` with the readings of a rover as a whole."""
     out[0] = reading.speed / task.top_speed
     out[1] = reading.pitch
     out[2] = reading.acceleration / task.gravity
-    out[3] = body.odometer / task.length
-    out[4] = 1.0 if body.halt_left > 0.0 else 0.0
+    out[3] = rover.odometer / task.length
+    out[4] = 1.0 if rover.halt_left > 0.0 else 0.0
 
 
 @njit(**FINITE)
-def write_axle(out, wheel, reading, task):
-    """Fill `out` [9] with the readings of the wheel of an axle."""
+def write_axle(out, a, wheel, reading, task):
+    """Fill the entries of axle a, counted from the front, with the readings of its wheel."""
+    i = ENTRIES_OF_BODY + a * ENTRIES_OF_AXLE
     moment = task.weight * task.radius
-    out[0] = reading.slip
-    out[1] = reading.sinkage / task.radius
-    out[2] = reading.drawbar_pull / task.weight
-    out[3] = reading.load / task.weight
-    out[4] = reading.torque / moment
-    out[5] = reading.rim_speed / task.top_speed
-    out[6] = reading.motor_torque / moment
-    out[7] = wheel.last_action
-    out[8] = wheel.rim_command
+    out[i] = reading.slip
+    out[i + 1] = reading.sinkage / task.radius
+    out[i + 2] = reading.drawbar_pull / task.weight
+    out[i + 3] = reading.load / task.weight
+    out[i + 4] = reading.torque / moment
+    out[i + 5] = reading.rim_speed / task.top_speed
+    out[i + 6] = reading.motor_torque / moment
+    out[i + 7] = wheel.last_action
+    out[i + 8] = wheel.rim_command
 
 
 def first_soil(axles: int) -> int:
@@ -87,8 +92,9 @@ def first_soil(axles: int) -> int:
 
 
 @njit(**EXACT)
-def write_true_soils(out, wheels, course, border):
-    """Fill `out` [axles x 7] with the true soil under each of the `wheels` of a rover."""
-    for a in range(wheels.size):
-        soil, _ = ground_at(course.patches, wheels[a].x, wheels[a].patch, border)
+def write_true_soils(out, rover, axles, course, border):
+    """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
+    for a in range(axles):
+        wheel = rover.wheels[a]
+        soil, _ = ground_at(course.patches, wheel.x, wheel.patch, border)
         write_soil(out[a * ENTRIES_OF_SOIL :], soil)

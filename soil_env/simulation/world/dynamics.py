@@ -5,6 +5,7 @@ others take one; one whose iteration fails goes on by steps halved down to `FINE
 """
 
 import math
+from typing import NamedTuple
 
 from numba import njit
 
@@ -23,6 +24,7 @@ from soil_env.simulation.world.wheel import (
     Ahead,
     Ground,
     Path,
+    begin_period,
     commanded,
     end_period,
     leave_ruts,
@@ -31,7 +33,13 @@ from soil_env.simulation.world.wheel import (
 )
 from soil_env.terramechanics.ground import stiffened
 from soil_env.terramechanics.motor import motor_torque
-from soil_env.terramechanics.reaction import Standing, ground_under, lay_footing
+from soil_env.terramechanics.reaction import (
+    Beside,
+    Footing,
+    Standing,
+    ground_under,
+    lay_footing,
+)
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
 LEAD = math.sqrt(
@@ -45,6 +53,15 @@ REFINED_EIGHT_TIMES = 1.2
 DRIVING = 1e-9  # [s] of a halt left, up to which a wheel drives
 OVER = 1e-9  # [of a step] time left that counts as none
 LARGEST_LOWERING = 0.1  # [of the sinkage] change of it that is foreseen in a stage, at most
+
+
+class Stand(NamedTuple):
+    """A wheel on the ground in a stage of a step."""
+
+    ground: Ground
+    footing: Footing
+    beside: Beside
+    along: float  # [N] weight along the grade
 
 
 @njit(**FINITE)
@@ -86,12 +103,12 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @njit(**FINITE)
-def ground_ahead(wheel, stage, patches, cells, border):
-    """Ground `Ahead` of a wheel in a stage; notes its patch."""
+def ground_ahead(wheel, stage, patches, cells, before, border):
+    """Ground `Ahead` of a wheel in a stage, over which `before` wheels of its rover have passed; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = patch_at(patches, x, wheel.patch)
     soil, grade = ground_at(patches, x, wheel.patch, border)
-    passes = 2.0 if cells[wheel.cell].depth > 0.0 else 1.0
+    passes = before + (2.0 if cells[wheel.cell].depth > 0.0 else 1.0)
     return Ahead(stiffened(soil, rut_factor_at(cells, x)), grade, passes)
 
 
@@ -154,11 +171,8 @@ def move(wheel, end, stage, ground, drive, rig):
 
 
 @njit(**FINITE)
-def take_stage(wheel, stage, ahead, drive, forced, world):
-    """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
-
-    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is `forced` on.
-    """
+def stand(wheel, stage, ahead, world):
+    """`Stand` of a wheel in a stage on the ground `Ahead`."""
     rig = world.rig
     sine, cosine = sin_cos(ahead.grade)
     weight = rig.gravity * wheel.mass
@@ -167,11 +181,22 @@ def take_stage(wheel, stage, ahead, drive, forced, world):
     standing = Standing(sinkage, wheel.speed, rim, weight, sine, ahead.passes)
     soil, arc, beside = ground_under(standing, ahead.soil, rig, world.acting)
     footing = lay_footing(world.nodes, arc, soil, weight * cosine)
-    end = solve_speeds(wheel, stage, footing, weight * sine, drive, world, beside)
-    digging = (soil.dig_gain, soil.dig_recovery)
+    ground = Ground(soil, sinkage, beside.lift, ahead.grade)
+    return Stand(ground, footing, beside, weight * sine)
+
+
+@njit(**FINITE)
+def take_stage(wheel, stage, ahead, drive, forced, world):
+    """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
+
+    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is `forced` on.
+    """
+    at = stand(wheel, stage, ahead, world)
+    end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
+    digging = (at.ground.soil.dig_gain, at.ground.soil.dig_recovery)
     if not (end.converged or forced):
         return False, digging
-    move(wheel, end, stage, Ground(soil, sinkage, beside.lift, ahead.grade), drive, rig)
+    move(wheel, end, stage, at.ground, drive, world.rig)
     return True, digging
 
 
@@ -179,10 +204,7 @@ def take_stage(wheel, stage, ahead, drive, forced, world):
 def drive_period(wheel, drive, patches, cells, world):
     """Drive a wheel for a control period, by steps of two stages that are halved while Newton's method fails."""
     rig = world.rig
-    wheel.motor_work = 0.0
-    wheel.soil_work = 0.0
-    wheel.numerical_work = 0.0
-    wheel.converged = 1
+    begin_period(wheel)
     steps = steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
     longest = rig.period / (rig.substeps * steps)
     left = rig.period
@@ -197,7 +219,7 @@ def drive_period(wheel, drive, patches, cells, world):
         for number in range(2):
             rim = rig.radius * wheel.wheel_speed
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
-            ahead = ground_ahead(wheel, stage, patches, cells, rig.border)
+            ahead = ground_ahead(wheel, stage, patches, cells, 0.0, rig.border)
             done, digging = take_stage(wheel, stage, ahead, drive, forced, world)
             if not done:
                 break
@@ -232,7 +254,13 @@ def control_period(wheel, action, course, world):
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """
     x_start = wheel.x
-    drive_period(wheel, commanded(wheel, action, world.rig), course.patches, course.cells, world)
+    drive_period(
+        wheel,
+        commanded(wheel, action, wheel.halt_left > 0.0, world.rig),
+        course.patches,
+        course.cells,
+        world,
+    )
     _at_fork(wheel, course, course.lines, action, world.rig)
     measure_slip(wheel, world.rig)
     end_period(wheel, x_start, wheel, world.rig)

@@ -184,16 +184,16 @@ def place_in_cells(x):
 
 @njit(**EXACT)
 def between_cells(cells, x):
-    """(cell, way from its middle to that of the next [-]) at x [m], within the cells that there are."""
-    place = min(max(place_in_cells(x), 0.0), cells.size - 1.0)
-    i = min(int(place), cells.size - 2)
+    """(cell, way from its middle to that of the next [-]) at x [m], with so many `cells`."""
+    place = min(max(place_in_cells(x), 0.0), cells - 1.0)
+    i = min(int(place), cells - 2)
     return i, place - i
 
 
 @njit(**EXACT)
 def rut_factor_at(cells, x):
     """Factor on the sinkage coefficient at x [m], linear between the middles of the cells."""
-    i, way = between_cells(cells, x)
+    i, way = between_cells(cells.size, x)
     here = cells[i].factor
     return here + way * (cells[i + 1].factor - here)
 

@@ -1,4 +1,6 @@
-"""A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to wheels behind."""
+"""A rover's body and its coupled wheels: equilibrium, steady state, energy, step size, ruts left to
+wheels behind.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,14 +8,28 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soil_env.envs.rovers import RoverSimulation
+from soil_env._compiled.random_streams import seed_stream
 from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
+from soil_env.parameters.readings import COMPLETE, RESTART, STEP
 from soil_env.simulation.rover.body import LEAST_LOAD
+from soil_env.simulation.rover.rovers import (
+    RoverNumbers,
+    RoverScratch,
+    RoverWorlds,
+    lay_rovers,
+    new_rover_scratch,
+    new_rover_worlds,
+    rover_numbers,
+    step_rovers,
+)
 from soil_env.simulation.rover.ruts import COMPACTION_OF_RUT, new_ruts, pass_on
 from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND
 from soil_env.terramechanics.steady import steady_state
-from tests.simulation.courses import EVEN
-from tests.simulation.wheels import started
+
+#: `spread` of a scenario whose soils do not scatter.
+EVEN = dict.fromkeys(
+    ("friction", "cohesion", "shear_modulus", "stiffness", "exponent", "dig_gain"), 0.0
+)
 
 
 def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **changes) -> RoverScenario:
@@ -31,6 +47,39 @@ def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **change
     return load_rover(rover, given | {"control": control} | changes)
 
 
+class Simulation(NamedTuple):
+    """One rover on a whole course."""
+
+    scenario: RoverScenario
+    numbers: RoverNumbers
+    worlds: RoverWorlds
+    scratch: RoverScratch
+
+    def follow(self, order, actions) -> None:
+        """Lay the course and step for one order."""
+        orders = np.array([order])
+        if order == RESTART:
+            for laid in (order, COMPLETE):
+                lay_rovers(self.worlds, self.numbers, np.array([laid]), self.scratch, 0, 1)
+        step_rovers(self.worlds, self.numbers, actions, orders, self.scratch, 0, 1)
+
+    def step(self, command) -> None:
+        """One control period with a command for all axles or for each."""
+        actions = np.empty((1, self.scenario.axles))
+        actions[:] = command
+        self.follow(STEP, actions)
+
+
+def started(scenario, seed=0) -> Simulation:
+    """A rover at the start of its course."""
+    numbers = rover_numbers(scenario, "blind")
+    worlds = new_rover_worlds(1, scenario, numbers, False)
+    worlds.state["stream"] = seed_stream(np.random.default_rng(seed))
+    simulation = Simulation(scenario, numbers, worlds, new_rover_scratch())
+    simulation.follow(RESTART, np.zeros((1, scenario.axles)))
+    return simulation
+
+
 class Axles(NamedTuple):
     """Arrays [axles] of one rover, from the front on, and its body."""
 
@@ -38,24 +87,28 @@ class Axles(NamedTuple):
     body: dict[str, float]
 
 
-def now(simulation: RoverSimulation, j: int = 0) -> Axles:
-    """The present state of rover j."""
-    rovers = simulation.worlds.rovers
-    rows = simulation.wheels[j]
-    wheel = {name: rovers.wheels[name][rows].copy() for name in rovers.wheels.NAMES}
-    wheel |= {name: rovers.axles[name][rows].copy() for name in rovers.axles.NAMES}
-    return Axles(wheel, rovers.body[j] | rovers.body_counts[j])
+def now(simulation: Simulation) -> Axles:
+    """The present state of the rover."""
+    state = simulation.worlds.state[0]
+    on = slice(simulation.scenario.axles)
+    wheel = {}
+    for part in (state.wheels, state.axles):
+        wheel |= {name: part[name][on].copy() for name in part.dtype.names}
+    return Axles(wheel, {name: state[name] for name in state.dtype.names})
 
 
-def driven(simulation: RoverSimulation, command, periods: int) -> Axles:
-    """The state after so many control periods (of actions of one) with a command for all axles or for each."""
+def driven(simulation: Simulation, command, periods: int) -> Axles:
+    """The state after so many control periods (of actions of one) with a command for all axles or
+    for each.
+    """
     for _ in range(periods):
-        simulation.step(0, np.broadcast_to(command, simulation.scenario.axles))
+        simulation.step(command)
     return now(simulation)
 
 
 def left_over(simulation, a):
-    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing balances, over the
+    """(sum of loads, moment about the centre of mass, moment about the bogie's pivot) that nothing
+    balances, over the
     weight and over weight times base."""
     v = simulation.scenario.vehicle
     w = a.wheel
@@ -102,14 +155,16 @@ def test_forces_and_moments_are_in_equilibrium(climbing):
 
 
 def test_each_wheel_is_in_the_steady_state_of_its_slip_and_load(climbing):
-    """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on what it has left."""
+    """The solver of steady states, which knows nothing of time, as the judge; behind a wheel on
+    what it has left.
+    """
     simulation, a = climbing
     scenario = simulation.scenario
     w = a.wheel
     soil = scenario.library["dry_sand"].state(scenario.wheel.width)
-    for i, k in enumerate(simulation.wheels[0]):
+    for i in range(scenario.axles):
         cell = int(w["x"][i] / CELL) + CELLS_BEHIND
-        left = soil.sinkage_coefficient * float(simulation.worlds.ruts.rut_factors[k, cell])
+        left = soil.sinkage_coefficient * float(simulation.worlds.ruts[0, i, cell].factor)
         here = soil._replace(sinkage_coefficient=left)
         steady = steady_state(
             w["slip"][i], w["load"][i], here, scenario.wheel.radius, scenario.wheel.width
@@ -148,11 +203,12 @@ def test_no_axle_lifts_off():
 
 
 def test_energy_is_accounted_for():
-    """Work of the motors less that on soil, of height, of speed, and of the integrator, over every period."""
-    simulation = started(
-        load_rover("mars_rover", {"control": {"action": "wheel_speed"}}), seeds=[3]
-    )
-    world = simulation.numbers.world
+    """Work of the motors less that on soil, of height, of speed, and of the integrator, over every
+    period.
+    """
+    scenario = load_rover("mars_rover", {"control": {"action": "wheel_speed"}})
+    simulation = started(scenario, seed=3)
+    inertia = scenario.wheel.inertia
     w0 = now(simulation)
     rng = np.random.default_rng(0)
     for t in range(150):
@@ -162,8 +218,8 @@ def test_energy_is_accounted_for():
         a = w1.wheel
         b = w0.wheel
         kinetic = 0.5 * (a["mass"] * (a["speed"] ** 2 - b["speed"] ** 2)).sum()
-        kinetic += 0.5 * world.inertia * (a["wheel_speed"] ** 2 - b["wheel_speed"] ** 2).sum()
-        rise = (a["mass"] * simulation.scenario.gravity * (a["height"] - b["height"])).sum()
+        kinetic += 0.5 * inertia * (a["wheel_speed"] ** 2 - b["wheel_speed"] ** 2).sum()
+        rise = (a["mass"] * scenario.gravity * (a["height"] - b["height"])).sum()
         missing = (a["motor_work"] - a["soil_work"] - a["numerical_work"]).sum() - kinetic - rise
         assert abs(missing) < 1e-3 * max(np.abs(a["motor_work"]).sum(), 1.0)
         assert np.ptp(a["speed"]) == 0.0
@@ -171,13 +227,12 @@ def test_energy_is_accounted_for():
 
 
 def course(seed, refine, rover):
-    """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by `refine`."""
-    simulation = started(load_rover(rover, {"control": {"action": "wheel_speed"}}), seeds=[seed])
-    simulation.worlds.rovers.body.next_halt = 1e9
-    world = simulation.numbers.world
-    simulation.numbers = simulation.numbers._replace(
-        world=world._replace(substeps=world.substeps * refine)
-    )
+    """x, speed, sinkages and loads over 30 s of a random course without halts, its steps divided by
+    `refine`.
+    """
+    simulation = started(load_rover(rover, {"control": {"action": "wheel_speed"}}), seed)
+    simulation.worlds.state["next_halt"] = 1e9
+    simulation.numbers.rig["substeps"] *= refine
     rows = []
     for t in range(300):
         a = driven(simulation, 0.4 + 0.1 * math.sin(0.05 * t), 1)
@@ -206,13 +261,15 @@ def test_halving_the_step_changes_little(rover):
 
 
 def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
-    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two periods."""
+    """Loads by the forces of the stage before left 11 N of 530 N on the rear wheels for two
+    periods.
+    """
     lowest = []
     for substep in (0.1, 0.0125):
         control = {"action": "wheel_speed", "substep": substep}
         simulation = started(
             load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}),
-            seeds=[3],
+            seed=3,
         )
         states = [driven(simulation, 0.5, 1) for _ in range(300)]
         assert sum(a.body["halt_left"] > 0.0 for a in states) > 5
@@ -250,14 +307,14 @@ def test_a_wheel_that_digs_loosens_the_ground_for_those_behind():
 
 
 def test_what_is_left_is_passed_on_to_all_wheels_behind():
-    ruts = new_ruts(24, 6)
-    ruts.rut[0, 2:4] = (0.02, 0.03)
-    ruts.rut_factors[0, 2:4] = (2.0, 1.5)
-    pass_on(ruts, 0, 2, 2, 4)
-    ruts.rut[8, 2] = 0.01
-    ruts.rut_factors[8, 2] = 3.0
-    pass_on(ruts, 8, 1, 2, 3)
-    assert ruts.floor[8, 1:5] == pytest.approx([0.0, 0.02, 0.03, 0.0])
-    assert ruts.floor[16, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
-    assert ruts.rut_factors[16, 1:5] == pytest.approx([1.0, 3.0, 1.5, 1.0])
-    assert not ruts.floor[0].any()
+    ruts = new_ruts(1, 3, 6)[0]
+    ruts["depth"][0, 2:4] = (0.02, 0.03)
+    ruts["factor"][0, 2:4] = (2.0, 1.5)
+    pass_on(ruts, 0, 2, 4)
+    ruts["depth"][1, 2] = 0.01
+    ruts["factor"][1, 2] = 3.0
+    pass_on(ruts, 1, 2, 3)
+    assert ruts["floor"][1, 1:5] == pytest.approx([0.0, 0.02, 0.03, 0.0])
+    assert ruts["floor"][2, 1:5] == pytest.approx([0.0, 0.03, 0.03, 0.0])
+    assert ruts["factor"][2, 1:5] == pytest.approx([1.0, 3.0, 1.5, 1.0])
+    assert not ruts["floor"][0].any()
