@@ -46,7 +46,7 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     start_odometry,
 )
-from soil_env.simulation.world.terrain import Courses, course_of, new_courses
+from soil_env.simulation.world.terrain import Course, Courses, course_of, new_courses, row_of
 from soil_env.simulation.world.wheel import WHEEL, World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.model import WheelSoilModel
@@ -224,7 +224,7 @@ def _sense(wheel, note, course, setting, camera):
         return sight
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _observe(wheel, note, course, setting, camera, sight, out):
     """Fill the observation `out` [D] of a wheel but for what is identified."""
     task = setting.task
@@ -280,20 +280,29 @@ def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
     """
     setting = setting_of(numbers, scratch)
     camera = first_of(numbers.camera)
-    recorded = worlds.notes.shape[0] > 0
+    # taken out of their tuples once: see `Setting`
+    state = worlds.state
+    heads, patches, cells, forks, lines, library = worlds.courses
+    all_notes = worlds.notes
+    observation = worlds.observation
+    bounds = numbers.bounds
+    one_note = scratch.note
+    recorded = all_notes.shape[0] > 0
     for k in range(first, end):
         order = orders[k]
         if order != STEP and order != RESTART:
             continue
-        wheel = worlds.state[k]
-        course = course_of(worlds.courses, k)
-        notes = worlds.notes[k] if recorded else scratch.note
-        out = worlds.observation[k]
+        wheel = state[k]
+        course = Course(
+            heads[k], patches[k], cells[k], row_of(forks, k), row_of(lines, k), row_of(library, k)
+        )
+        notes = all_notes[k] if recorded else one_note
+        out = observation[k]
         if order == STEP:
             _step(wheel, actions[k], course, setting, camera, notes, out)
         else:
             _restart(wheel, notes[0], course, setting, camera, out)
-        clip(out, numbers.bounds)
+        clip(out, bounds)
 
 
 @kept

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import (
@@ -102,7 +102,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def ground_ahead(wheel, stage, patches, cells, before, border):
     """Ground `Ahead` of a wheel in a stage, over which `before` wheels of its rover have passed; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
@@ -247,7 +247,7 @@ def _at_fork(wheel, course, lines, action, rig):
         plan_halt(wheel, course, rig)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def control_period(wheel, action, course, world):
     """One control period of a wheel under an action in [-1, 1] (`commanded`).
 

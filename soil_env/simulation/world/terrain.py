@@ -112,9 +112,9 @@ def course_of(courses, k):
         courses.heads[k],
         courses.patches[k],
         courses.cells[k],
-        _row(courses.forks, k),
-        _row(courses.lines, k),
-        _row(courses.library, k),
+        row_of(courses.forks, k),
+        row_of(courses.lines, k),
+        row_of(courses.library, k),
     )
 
 
@@ -124,7 +124,8 @@ def _course(head, patches, cells, forks, lines, library):
 
 
 @njit(**EXACT)
-def _row(array, k):
+def row_of(array, k):
+    """Row k of an array; None for None."""
     if array is None:
         return None
     else:
