@@ -15,7 +15,11 @@ EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}
 #: As `EXACT`, of functions that never meet NaN or infinity: a minimum is then one instruction and not a branch.
 FINITE: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "nnan", "ninf"}}
 #: Loops that sum: LLVM may change the order of a sum, without which it vectorises none.
-SUMS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}, "forceinline": True}
+SUMS: dict[str, Any] = {
+    "error_model": "numpy",
+    "fastmath": {"contract", "nsz", "reassoc"},
+    "forceinline": True,
+}
 #: Put into the caller, whose other options then hold.
 INLINE: dict[str, Any] = EXACT | {"inline": "always"}
 

@@ -92,7 +92,7 @@ class Vehicles:
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""
         self._x = self._heads["x"]
-        self._ready = self._world.courses.heads["ready"]
+        self._ready = self._world.courses["ready"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}

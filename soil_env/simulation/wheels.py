@@ -46,7 +46,7 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     start_odometry,
 )
-from soil_env.simulation.world.terrain import Course, Courses, course_of, new_courses, row_of
+from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import WHEEL, World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.contact import ARC_NODES
 from soil_env.terramechanics.model import WheelSoilModel
@@ -80,7 +80,7 @@ class WheelWorlds(NamedTuple):
     """Arrays that the compiled step reads and writes, one row a wheel."""
 
     state: np.ndarray  # [wheels] `WHEEL`
-    courses: Courses
+    courses: np.ndarray  # [wheels] `course_dtype`
     notes: np.ndarray  # [wheels, held] `NOTE` of the last step; no rows if nothing is recorded
     observation: np.ndarray  # [wheels, D] float32
 
@@ -191,7 +191,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
         if order == STEP or order == IDLE:
             continue
         wheel = worlds.state[k]
-        course = course_of(worlds.courses, k)
+        course = worlds.courses[k]
         if order == RESTART:
             mass = start_passable(course, wheel, numbers, nodes)
             if mass < 0.0:
@@ -262,7 +262,7 @@ def _step(wheel, action, course, setting, camera, notes, out):
     wheel.periods = 0
     wheel.cause = RUNNING
     while wheel.periods < task.held and wheel.cause == RUNNING:
-        control_period(wheel, action, course, world)
+        control_period(wheel, action, course, camera, world)
         note = notes[min(wheel.periods, notes.size - 1)]
         sight = _sense(wheel, note, course, setting, camera)
         wheel.cause = judge(wheel, task)
@@ -282,7 +282,7 @@ def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
     camera = first_of(numbers.camera)
     # taken out of their tuples once: see `Setting`
     state = worlds.state
-    heads, patches, cells, forks, lines, library = worlds.courses
+    courses = worlds.courses
     all_notes = worlds.notes
     observation = worlds.observation
     bounds = numbers.bounds
@@ -293,9 +293,7 @@ def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
         if order != STEP and order != RESTART:
             continue
         wheel = state[k]
-        course = Course(
-            heads[k], patches[k], cells[k], row_of(forks, k), row_of(lines, k), row_of(library, k)
-        )
+        course = courses[k]
         notes = all_notes[k] if recorded else one_note
         out = observation[k]
         if order == STEP:
@@ -311,4 +309,4 @@ def write_true_soils(worlds, numbers, out):
     border = numbers.rig[0].border
     camera = first_of(numbers.camera)
     for k in range(len(out)):
-        write_truth(out[k], worlds.state[k], course_of(worlds.courses, k), border, camera)
+        write_truth(out[k], worlds.state[k], worlds.courses[k], border, camera)

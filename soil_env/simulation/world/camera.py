@@ -66,7 +66,7 @@ def look(wheel, course, camera):
     """`Sight` of a new image, with a number of the wheel's stream."""
     patches = course.patches
     forks = course.forks
-    last = course.head.patches - 1
+    last = course.drawn - 1
     x = wheel.x + camera.border_noise * normal_pair(wheel)[0]
     p = wheel.patch
     while p < last and x >= patches[p + 1].start + forks[p + 1].border_error:
@@ -89,7 +89,7 @@ def label_here(course, sight):
 def patch_ahead(course, sight, camera):
     """The patch whose lines are in sight, or -1."""
     ahead = sight.patch + 1
-    return ahead if ahead < course.head.patches and sight.left <= camera.sight else -1
+    return ahead if ahead < course.drawn and sight.left <= camera.sight else -1
 
 
 @njit(**EXACT)

@@ -85,8 +85,10 @@ def course_distribution(
         spread.exponent,
     )
     spec.factor = spread.factor()
-    plain = None if course.classes else True
-    return CourseDistribution(spec, _presets(scenario, model), plain)
+    presets = _presets(scenario, model)
+    return CourseDistribution(
+        spec, presets, None if course.classes else True, True if course.classes else None
+    )
 
 
 def _presets(scenario: Scenario, model: WheelSoilModel | None) -> np.ndarray:
@@ -121,17 +123,16 @@ def start_course(course, owner, numbers, nodes):
 
     Only as much is drawn as a wheel at its start needs; `extend_course` draws the rest.
     """
-    head = course.head
-    for p in range(head.patches):
+    for p in range(course.drawn):
         course.patches[p].start = HUGE
         course.patches[p].end = HUGE
-    head.patches = 0
-    head.stream = word(owner)
+    course.drawn = 0
+    course.stream = word(owner)
     spec = numbers.drawn.spec
     for _ in range(REDRAWS):
-        mass = spec.body_mass + within(head, spec.payload)
+        mass = spec.body_mass + within(course, spec.payload)
         load = mass * numbers.rig.gravity
-        if not draw_classes(course, course.library, load, numbers, nodes):
+        if not draw_classes(course, numbers.drawn.lines, load, numbers, nodes):
             continue
         if _try_patch(course, load, numbers, nodes):
             extend_course(course, mass, spec.ahead, numbers, nodes)
@@ -147,14 +148,14 @@ def extend_course(course, mass, x, numbers, nodes):
     """
     load = mass * numbers.rig.gravity
     found = True
-    while course.head.ready < x:
+    while course.ready < x:
         tries = 0
         while tries < REDRAWS and not _try_patch(course, load, numbers, nodes):
             tries += 1
         if tries == REDRAWS:
             found = False
-            repeat_patch(course, course.lines)
-            length = within(course.head, numbers.drawn.spec.patch_length)
+            repeat_patch(course, numbers.drawn.lines)
+            length = within(course, numbers.drawn.spec.patch_length)
             _add_patch(course, length, numbers.drawn.spec)
     return found
 
@@ -167,8 +168,8 @@ def _try_patch(course, load, numbers, nodes):
     if it falls short. So the grade of a patch is final when the next one is drawn.
     """
     drawn = numbers.drawn
-    length = within(course.head, drawn.spec.patch_length)
-    found = draw_lines(course, course.lines, load, numbers, nodes)
+    length = within(course, drawn.spec.patch_length)
+    found = draw_lines(course, drawn.lines, load, numbers, nodes)
     if not found:
         found = _draw_ground(course, drawn.plain, load, numbers, nodes)
     if found:
@@ -182,14 +183,14 @@ def _draw_ground(course, plain, load, numbers, nodes):
     if plain is None:
         return False
     else:
-        p = course.head.patches
+        p = course.drawn
         spec = numbers.drawn.spec
-        margin = within(course.head, spec.margin)
+        margin = within(course, spec.margin)
         if p == 0:
             margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
         patch = course.patches[p]
         for _ in range(REDRAWS):
-            soil = draw_soil(course.head, numbers.drawn)
+            soil = draw_soil(course, numbers.drawn)
             tangent, pull = steepest(load, soil, margin, numbers, nodes)
             if pull > IMPASSABLE:
                 put_soil(patch, soil)
@@ -238,15 +239,14 @@ def _joined(course, p, load, numbers, nodes):
 @njit(**EXACT)
 def _add_patch(course, length, spec):
     """Count the patch just written: its place, its cells, and how far the ground is final now."""
-    head = course.head
-    p = head.patches
+    p = course.drawn
     start = 0.0 if p == 0 else course.patches[p - 1].end
     end = start + length
     whole = end >= spec.length or p + 1 == course.patches.size
     course.patches[p].start = start
     course.patches[p].end = end
-    head.patches = p + 1
-    head.ready = HUGE if whole else start - 0.5 * spec.border
+    course.drawn = p + 1
+    course.ready = HUGE if whole else start - 0.5 * spec.border
     cells = course.cells
     first = 0 if p == 0 else cell_at(cells, start) + 1
     # `rut_factor_at` reads one cell further

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE, INLINE
+from soil_env._compiled.flags import FINITE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import (
@@ -102,7 +102,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
     return Stage(h - g, h - 2.0 * g, g, g, ahead_v, ahead_u)
 
 
-@njit(**INLINE)
+@njit(**FINITE)
 def ground_ahead(wheel, stage, patches, cells, before, border):
     """Ground `Ahead` of a wheel in a stage, over which `before` wheels of its rover have passed; notes its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
@@ -236,9 +236,9 @@ def drive_period(wheel, drive, patches, cells, world):
 
 
 @njit(**FINITE)
-def _at_fork(wheel, course, lines, action, rig):
+def _at_fork(wheel, course, camera, action, rig):
     """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
-    if lines is None:
+    if camera is None:
         return
     else:
         fork = choosing(wheel, course, rig)
@@ -247,9 +247,9 @@ def _at_fork(wheel, course, lines, action, rig):
         plan_halt(wheel, course, rig)
 
 
-@njit(**INLINE)
-def control_period(wheel, action, course, world):
-    """One control period of a wheel under an action in [-1, 1] (`commanded`).
+@njit(**FINITE)
+def control_period(wheel, action, course, camera, world):
+    """One control period of a wheel under an action in [-1, 1] (`commanded`); `camera`: None without lines.
 
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """
@@ -261,6 +261,6 @@ def control_period(wheel, action, course, world):
         course.cells,
         world,
     )
-    _at_fork(wheel, course, course.lines, action, world.rig)
+    _at_fork(wheel, course, camera, action, world.rig)
     measure_slip(wheel, world.rig)
     end_period(wheel, x_start, wheel, world.rig)

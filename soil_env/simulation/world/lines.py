@@ -28,19 +28,22 @@ REDRAWS = 30  # attempts at the soil of a class
 
 
 @njit(**EXACT)
-def draw_classes(course, library, load, numbers, nodes):
-    """Draw the soils of the classes of a course; False if none leaves the highest margin."""
-    if library is None:
+def draw_classes(course, lines, load, numbers, nodes):
+    """Draw the soils of the classes of a course; False if none leaves the highest margin.
+
+    `lines`: None without classes, here and below.
+    """
+    if lines is None:
         return True
     else:
         spec = numbers.drawn.spec
         for c in range(spec.classes):
             tries = 0
             while tries < REDRAWS:
-                soil = draw_soil(course.head, numbers.drawn)
+                soil = draw_soil(course, numbers.drawn)
                 _, pull = steepest(load, soil, spec.margin[1], numbers, nodes)
                 if pull > IMPASSABLE:
-                    put_soil(library[c], soil)
+                    put_soil(course.library[c], soil)
                     break
                 tries += 1
             if tries == REDRAWS:
@@ -59,7 +62,7 @@ def _another(owner, classes, one):
 def _introduced(course, p, classes):
     """Class of a patch p < classes: one that no patch before it is of, by chance."""
     left = classes - p
-    pick = int(uniform(course.head) * left)
+    pick = int(uniform(course) * left)
     for c in range(classes):
         new = True
         for q in range(p):
@@ -79,7 +82,7 @@ def _draw_line(course, line, margin, load, numbers, nodes):
     """
     spec = numbers.drawn.spec
     mean = soil_of(course.library[line.terrain])
-    soil = scattered(mean, spec.class_scatter, course.head, spec)
+    soil = scattered(mean, spec.class_scatter, course, spec)
     tangent, pull = steepest(load, soil, max(margin, 0.0), numbers, nodes)
     if pull <= IMPASSABLE:
         return False
@@ -104,33 +107,32 @@ def draw_lines(course, lines, load, numbers, nodes):
     if lines is None:
         return False
     else:
-        head = course.head
-        p = head.patches
+        p = course.drawn
         spec = numbers.drawn.spec
         two = spec.lines > 1 and p >= spec.classes
-        margin = within(head, spec.margin)
-        other = within(head, spec.margin)
+        margin = within(course, spec.margin)
+        other = within(course, spec.margin)
         if p == 0:
             margin = max(margin, 0.5 * (spec.margin[0] + spec.margin[1]))  # somewhere to get going
         course.forks[p].lines = 2 if two else 1
-        straight = lines[p, 0]
-        beside = lines[p, 1]
+        straight = course.lines[p, 0]
+        beside = course.lines[p, 1]
         if p < spec.classes:
             straight.terrain = _introduced(course, p, spec.classes)
         else:
-            straight.terrain = int(uniform(head) * spec.classes)
+            straight.terrain = int(uniform(course) * spec.classes)
         if two:
-            beside.terrain = _another(head, spec.classes, straight.terrain)
-            if uniform(head) < spec.dead_ends:
-                deficit = -within(head, spec.deficit)
-                if uniform(head) < 0.5:
+            beside.terrain = _another(course, spec.classes, straight.terrain)
+            if uniform(course) < spec.dead_ends:
+                deficit = -within(course, spec.deficit)
+                if uniform(course) < 0.5:
                     margin = deficit
                 else:
                     other = deficit
         if not _draw_line(course, straight, margin, load, numbers, nodes):
             return False
         if not two:
-            lines[p, 1] = straight
+            course.lines[p, 1] = straight
         elif not _draw_line(course, beside, other, load, numbers, nodes):
             return False
         if p > 0 and not _joined(course, p, load, numbers, nodes):
@@ -143,13 +145,13 @@ def draw_lines(course, lines, load, numbers, nodes):
 @njit(**EXACT)
 def repeat_patch(course, lines):
     """Patch after the last one as that one, or as its passable line: for want of another."""
-    p = course.head.patches
+    p = course.drawn
     if lines is None:
         course.patches[p] = course.patches[p - 1]
     else:
-        line = 0 if passable(lines[p - 1, 0]) else 1
+        line = 0 if passable(course.lines[p - 1, 0]) else 1
         for i in range(2):
-            lines[p, i] = lines[p - 1, line]
+            course.lines[p, i] = course.lines[p - 1, line]
         fork = course.forks[p]
         fork.lines = 1
         fork.halt = 0.0
@@ -160,24 +162,23 @@ def repeat_patch(course, lines):
 @njit(**INLINE)
 def _draw_looks(course, p, spec):
     """Draw the errors of the camera in patch p, and how far before it the wheel is halted."""
-    head = course.head
     fork = course.forks[p]
     straight = course.lines[p, 0]
     beside = course.lines[p, 1]
     for i in range(2):
         line = course.lines[p, i]
         line.label = line.terrain
-        if uniform(head) < spec.label_error and spec.classes > 1:
-            line.label = _another(head, spec.classes, line.terrain)
-    a, b = normal_pair(head)
+        if uniform(course) < spec.label_error and spec.classes > 1:
+            line.label = _another(course, spec.classes, line.terrain)
+    a, b = normal_pair(course)
     straight.grade_error = spec.grade_noise * a
     beside.grade_error = spec.grade_noise * b
-    a, b = normal_pair(head)
+    a, b = normal_pair(course)
     fork.border_error = spec.border_noise * a
     if fork.lines == 1:
         beside.label = straight.label
         beside.grade_error = straight.grade_error
-    fork.halt = -within(head, spec.halt_before)
+    fork.halt = -within(course, spec.halt_before)
 
 
 @njit(**EXACT)
@@ -245,7 +246,7 @@ def take_line(course, p, line):
 def next_fork(wheel, course, border):
     """The patch with two lines that a wheel comes to next and has not touched yet, or -1."""
     ahead = wheel.patch + 1
-    if ahead >= course.head.patches or course.forks[ahead].lines < 2:
+    if ahead >= course.drawn or course.forks[ahead].lines < 2:
         return -1
     return ahead if wheel.best_x < course.patches[ahead].start - 0.5 * border else -1
 

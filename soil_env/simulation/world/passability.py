@@ -63,7 +63,8 @@ class CourseDistribution(NamedTuple):
 
     spec: Any  # `DISTRIBUTION`
     presets: np.ndarray  # [soils] `PRESET`
-    plain: bool | None  # None with terrain classes: what they have no use for is not compiled
+    plain: bool | None  # True, or None with terrain classes: what is not used is not compiled
+    lines: bool | None  # True with terrain classes, or None
 
 
 class CourseNumbers(NamedTuple):

@@ -1,14 +1,14 @@
 """The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
-from soil_env._compiled.flags import EXACT, HUGE, INLINE, record
+from soil_env._compiled.flags import EXACT, HUGE, record
 from soil_env.parameters import Scenario, SoilState
 from soil_env.terramechanics.ground import blend, put_soil, soil_of
 
@@ -39,12 +39,6 @@ RUT = record(
     factor=("f4",),  # [-] on the sinkage coefficient, left by earlier passes
     depth=("f4",),  # [m] of the rut below the undisturbed surface, 0 before the first pass
 )
-#: A course as a whole. Only its first `patches` patches are drawn, and the cells below them cleared.
-COURSE = record(
-    "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
-    patches=("i8",),
-    stream=("u8",),  # from which the patches to come are drawn
-)
 #: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line 1 beside it.
 LINE = record(
     "grade",  # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
@@ -63,73 +57,52 @@ FORK = record(
 )
 
 
-class Courses(NamedTuple):
-    """The ground of many wheels, one row a wheel; the last three are None without terrain classes."""
-
-    heads: np.ndarray  # [wheels] `COURSE`
-    patches: np.ndarray  # [wheels, patches] `PATCH`
-    cells: np.ndarray  # [wheels, cells] `RUT`
-    forks: np.ndarray | None  # [wheels, patches] `FORK`
-    lines: np.ndarray | None  # [wheels, patches, 2] `LINE`
-    library: np.ndarray | None  # [wheels, classes] `SOIL` of the classes
+LEAST_PATCHES = 32  # that a course has room for
+LEAST_CELLS = 256  # that a course has room for
 
 
-class Course(NamedTuple):
-    """One course of `Courses`, as compiled code takes it."""
+def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
+    """Dtype of a course with room for so many patches and cells, and of terrain classes where there are any.
 
-    head: Any
-    patches: np.ndarray
-    cells: np.ndarray
-    forks: np.ndarray | None
-    lines: np.ndarray | None
-    library: np.ndarray | None
-
-
-def new_courses(wheels: int, scenario: Scenario) -> Courses:
-    """Empty courses for `wheels` wheels."""
-    spec = scenario.course
-    count = math.ceil(spec.length / spec.patch_length[0]) + 2
-    cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
-    heads = np.zeros(wheels, COURSE)
-    heads["ready"] = HUGE
-    patches = np.zeros((wheels, count), PATCH)
-    patches["start"] = HUGE
-    patches["end"] = HUGE
-    ruts = np.zeros((wheels, cells), RUT)
-    ruts["factor"] = 1.0
-    if not spec.classes:
-        return Courses(heads, patches, ruts, None, None, None)
-    forks = np.zeros((wheels, count), FORK)
-    forks["lines"] = 1
-    lines = np.zeros((wheels, count, 2), LINE)
-    return Courses(heads, patches, ruts, forks, lines, np.zeros((wheels, spec.classes), SOIL))
-
-
-@njit(**INLINE)
-def course_of(courses, k):
-    """Course k."""
-    return _course(
-        courses.heads[k],
-        courses.patches[k],
-        courses.cells[k],
-        row_of(courses.forks, k),
-        row_of(courses.lines, k),
-        row_of(courses.library, k),
+    Only the first `drawn` patches are drawn, and the cells below them cleared. Room is a power of two, since compiled
+    code is compiled anew for each dtype.
+    """
+    patches = _room(patches, LEAST_PATCHES)
+    lines: dict[str, Any] = {}
+    if classes:
+        lines = {
+            "forks": (FORK, patches),
+            "lines": (LINE, (patches, 2)),
+            "library": (SOIL, classes),  # soils of the classes
+        }
+    return record(
+        "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
+        drawn=("i8",),
+        stream=("u8",),  # from which the patches to come are drawn
+        patches=(PATCH, patches),
+        cells=(RUT, _room(cells, LEAST_CELLS)),
+        **lines,
     )
 
 
-@njit(**INLINE)
-def _course(head, patches, cells, forks, lines, library):
-    return Course(head, patches, cells, forks, lines, library)
+def _room(count: int, least: int) -> int:
+    """Return the least power of two that is at least `count` and `least`."""
+    return 1 << (max(count, least) - 1).bit_length()
 
 
-@njit(**EXACT)
-def row_of(array, k):
-    """Row k of an array; None for None."""
-    if array is None:
-        return None
-    else:
-        return array[k]
+def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
+    """Empty courses, `course_dtype` [wheels]."""
+    spec = scenario.course
+    patches = math.ceil(spec.length / spec.patch_length[0]) + 2
+    cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
+    courses = np.zeros(wheels, course_dtype(patches, cells, spec.classes))
+    courses["ready"] = HUGE
+    courses["patches"]["start"] = HUGE
+    courses["patches"]["end"] = HUGE
+    courses["cells"]["factor"] = 1.0
+    if spec.classes:
+        courses["forks"]["lines"] = 1
+    return courses
 
 
 @njit(**EXACT)
@@ -243,14 +216,14 @@ def _sample(patches, x, border, places):
         place.grade = grade
 
 
-def places_on(courses: Courses, k: int, x: np.ndarray, border: float) -> np.ndarray:
+def places_on(courses: np.ndarray, k: int, x: np.ndarray, border: float) -> np.ndarray:
     """Undisturbed ground of course k at places x [n] in m, `PLACE` [n]; `border` [m] as in `ground_at`."""
     places = np.zeros(len(x), PLACE)
-    _sample(courses.patches[k], np.ascontiguousarray(x, dtype=float), float(border), places)
+    _sample(courses["patches"][k], np.ascontiguousarray(x, dtype=float), float(border), places)
     return places
 
 
-def soil_at(courses: Courses, k: int, x: float, border: float) -> SoilState:
+def soil_at(courses: np.ndarray, k: int, x: float, border: float) -> SoilState:
     """Undisturbed soil of course k at x [m]."""
     place = places_on(courses, k, np.array([x]), border)[0]
     return SoilState(*(float(place[name]) for name in SoilState._fields))
