@@ -56,15 +56,17 @@ class RoverInfos:
         if self.kind == "short":
             return (
                 info
-                | {"x": w.rovers.body["x"].copy()}
+                | {"x": w.state["x"].copy()}
                 | {f"reward_{n}": v for n, v in terms.items()}
             )
         info["reward_terms"] = terms
-        info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
+        info["state"] = {name: w.state[name].copy() for name in _OF_BODY}
         known = self._estimates()
-        for axle, rows in zip(self._axles, self._simulation.wheels.T, strict=True):
-            info[axle] = {"state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL}}
+        for a, axle in enumerate(self._axles):
+            wheels = w.state["wheels"][:, a]
+            info[axle] = {"state": {name: wheels[name].copy() for name in _OF_WHEEL}}
             if known:
+                rows = self._simulation.wheels[:, a]
                 info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
         return info if self.kind != "numeric" else flat(info)
 

@@ -59,9 +59,10 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
         known = worlds.known
         rows = simulation.wheels[j].tolist()
         names = axle_names(len(rows))
-        ruts = worlds.axles["floor"][j]
+        rover = worlds.state[j]
         wheels = [
-            by_name(w) | {"rut": float(rut)} for w, rut in zip(worlds.wheels[j], ruts, strict=True)
+            by_name(rover.wheels[a]) | {"rut": float(rover.axles[a].floor)}
+            for a in range(len(rows))
         ]
     else:
         known = worlds.ids
@@ -155,11 +156,11 @@ def draw_side_view(
     worlds = simulation.worlds
     width = width_of(simulation)
     if is_rover:
-        body = by_name(worlds.body[j])
+        body = by_name(worlds.state[j])
         left = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
-        left = worlds.courses.cells["depth"][j]
+        left = worlds.courses["cells"]["depth"][j]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))
