@@ -6,7 +6,7 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
-from soil_env.parameters.readings import Image, Record, Results, SensorReading, Shown
+from soil_env.parameters.readings import Image, Record, SensorReading, Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     RoverWorlds,
@@ -24,20 +24,11 @@ from soil_env.terramechanics.model import WheelSoilModel
 _OF_ESTIMATOR = ("ids", "known")  # `identification.online.rover_on_board.RoverEstimator`
 #: Arrays of many rovers, one row a rover: those of `RoverWorlds`, results of the last step, and
 #: those of the estimator, None without one, one row a wheel.
-Worlds = namedtuple("Worlds", (*RoverWorlds._fields, "terms", "reward", "cause", *_OF_ESTIMATOR))
-
-
-def record_of(worlds: RoverWorlds) -> Record:
-    """Readings and notes of rovers as plain numbers, on the same memory; no images."""
-    numbers = worlds.readings.view(np.float64)
-    held = worlds.notes.shape[1]
-    return Record(
-        worlds.state["periods"],
-        numbers.reshape(-1, held, len(SensorReading._fields)),
-        worlds.notes["halted"],
-        worlds.notes["place"],
-        np.zeros((0, held, len(Image._fields))),
-    )
+Worlds = namedtuple(
+    "Worlds",
+    (*RoverWorlds._fields, "terms", "reward", "cause", *_OF_ESTIMATOR),
+    defaults=(None,) * len(_OF_ESTIMATOR),
+)
 
 
 class RoverSimulation(Vehicles):
@@ -46,6 +37,7 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
+    _arrays = Worlds
     _vehicle = "rover"
 
     def __init__(
@@ -67,20 +59,28 @@ class RoverSimulation(Vehicles):
         worlds = new_rover_worlds(rovers, scenario, self.numbers, identifies)
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
-        state = worlds.state
-        self._begin((lay_rovers, step_rovers), worlds, state, courses, new_rover_scratch)
+        self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, new_rover_scratch)
         on_board = None
         if identifies:
             from soil_env.identification.online.rover_on_board import rovers_on_board
 
             shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
             on_board = rovers_on_board(self.wheels.size, scenario, shown)
-        known = (None,) * len(_OF_ESTIMATOR) if on_board is None else on_board.memory
-        results = Results(worlds.observation, state["terms"], state["reward"], state["cause"])
-        self.worlds = Worlds._make((*worlds, *results[1:], *known))
-        self._board(on_board, record_of(worlds), results)
+        self._board(on_board)
         trial = new_rover_worlds(1, scenario, self.numbers, False)
         self._check_passable(trial, trial.state)
+
+    def _read(self) -> Record:
+        notes = self._world.notes
+        held = notes.shape[1]
+        readings = self._world.readings.view(np.float64)
+        return Record(
+            self._heads["periods"],
+            readings.reshape(-1, held, len(SensorReading._fields)),
+            notes["halted"],
+            notes["place"],
+            np.zeros((0, held, len(Image._fields))),
+        )
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""
