@@ -54,11 +54,7 @@ class RoverInfos:
         terms = {name: w.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": STUCK[w.cause]}
         if self.kind == "short":
-            return (
-                info
-                | {"x": w.state["x"].copy()}
-                | {f"reward_{n}": v for n, v in terms.items()}
-            )
+            return info | {"x": w.state["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
         info["reward_terms"] = terms
         info["state"] = {name: w.state[name].copy() for name in _OF_BODY}
         known = self._estimates()

@@ -55,7 +55,7 @@ class Vehicles:
 
     numbers: Any  # constants of the compiled step
     worlds: Any  # all arrays, overwritten by each step
-    _arrays: Any  # type of `worlds`: those of the world, terms, reward, cause, those of the estimator
+    _arrays: Any  # type of `worlds`: arrays of the world, of results, of the estimator
     _actions: np.ndarray  # a row a vehicle, a column a motor
     _vehicle = "wheel"
 

@@ -30,9 +30,7 @@ class Profile(NamedTuple):
         return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
 
 
-def profile_of(
-    courses: np.ndarray, k: int, border: float, before: float, beyond: float
-) -> Profile:
+def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond: float) -> Profile:
     """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along
     the slope.
     """

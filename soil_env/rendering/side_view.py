@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
-from soil_env.parameters import Vehicle
+from soil_env.parameters import RoverScenario, Vehicle
 from soil_env.rendering import canvas, wheels as drawing
 from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
 from soil_env.rendering.ground import (
@@ -55,7 +54,7 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     nothing is identified.
     """
     worlds = simulation.worlds
-    if isinstance(simulation, RoverSimulation):
+    if isinstance(simulation.scenario, RoverScenario):
         known = worlds.known
         rows = simulation.wheels[j].tolist()
         names = axle_names(len(rows))
@@ -81,7 +80,7 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
 
 def by_name(record: np.record) -> dict[str, Any]:
     """Fields of a record by name."""
-    return dict(zip(record.dtype.names, record.item(), strict=True))
+    return dict(zip(record.dtype.names or (), record.item(), strict=True))
 
 
 def radius_of(simulation: Any) -> float:
@@ -152,7 +151,7 @@ def draw_side_view(
     """Vehicle j in a camera that moves with it, its readings above and the table of its
     `shown_wheels` below.
     """
-    is_rover = isinstance(simulation, RoverSimulation)
+    is_rover = isinstance(simulation.scenario, RoverScenario)
     worlds = simulation.worlds
     width = width_of(simulation)
     if is_rover:

@@ -252,9 +252,7 @@ def _sense(rover, readings, note, period, setting):
         roll_odometer(rover, of_body.speed, task.period)
     for a in range(setting.world.suspension.axles):
         reading = readings[a, period]
-        sense(
-            rover.wheels[a], reading, setting.normals, setting.sd, setting.errors, task.radius
-        )
+        sense(rover.wheels[a], reading, setting.normals, setting.sd, setting.errors, task.radius)
         reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
@@ -319,9 +317,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     Their courses are laid (`lay_rovers`).
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
-    setting = Setting(
-        world, numbers.task[0], numbers.sd[0], numbers.errors, scratch.normals[0]
-    )
+    setting = Setting(world, numbers.task[0], numbers.sd[0], numbers.errors, scratch.normals[0])
     recorded = worlds.notes.shape[0] > 0
     for j in range(first, end):
         order = orders[j]
