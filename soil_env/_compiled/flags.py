@@ -14,7 +14,7 @@ import numpy as np
 EXACT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz"}}
 #: As `EXACT`, of functions that never meet NaN or infinity: a minimum is then one instruction and not a branch.
 FINITE: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "nnan", "ninf"}}
-#: Loops that sum: LLVM may change the order of a sum, without which it vectorises none.
+#: Loops that sum: LLVM may change the order of a sum, without which it vectorises none. They are put into their callers.
 SUMS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz", "reassoc"},

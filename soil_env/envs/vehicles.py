@@ -217,9 +217,13 @@ class Vehicles:
 
     def _drive(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
-        self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
+        self._move(orders, scratch, first, end)
         if self._on_board is not None:
             self._on_board.follow(self._record, self._results, orders, first, end)
+
+    def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
+        """Follow the orders in the world."""
+        self._step(self._world, self.numbers, self._actions, orders, scratch, first, end)
 
 
 def check_laid(failed: int) -> None:

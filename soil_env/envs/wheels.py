@@ -1,6 +1,7 @@
 """Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
 
 from collections import namedtuple
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from soil_env.simulation.wheels import (
     NOTE,
     WheelNumbers,
     WheelWorlds,
+    constants_of,
     lay_wheels,
     new_scratch,
     new_wheel_worlds,
@@ -53,11 +55,15 @@ class Simulation(Vehicles):
         super().__init__(wheels, scenario, threads)
         identifies = warnings or asks_for_estimates(scenario, variant)
         self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
-        self._actions = np.zeros(wheels)
-        worlds = new_wheel_worlds(wheels, scenario, self.numbers, identifies)
+        notes = (wheels, scenario.control.held) if identifies else (-(-wheels // self._share), 1)
+        worlds = new_wheel_worlds(wheels, scenario, self.numbers, notes)
+        self._actions = worlds.actions
+        self._constants, self._options = constants_of(self.numbers, identifies)
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
         self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, new_scratch)
+        for share, scratch in enumerate(self._scratch):
+            scratch["share"] = share
         on_board = None
         if identifies:
             from soil_env.identification.online.on_board import wheels_on_board  # takes a while
@@ -66,7 +72,7 @@ class Simulation(Vehicles):
             shown = Shown(variant == "identified", first, *self.numbers.bounds)
             on_board = wheels_on_board(wheels, scenario, shown, warnings)
         self._board(on_board)
-        trial = new_wheel_worlds(1, scenario, self.numbers, False)
+        trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
         self._check_passable(trial, trial.state)
 
     def _read(self) -> Record:
@@ -81,6 +87,10 @@ class Simulation(Vehicles):
             numbers[..., readings + 2 :],
         )
 
+    def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
+        self._world.orders[first:end] = orders[first:end]
+        self._step(self._world, self._constants, self._options, scratch, first, end)
+
     def wheel(self, k: int) -> dict[str, float]:
         """State of wheel k by name, as it is now."""
         state = self.worlds.state
@@ -90,6 +100,6 @@ class Simulation(Vehicles):
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
-        write_true_soils(self._world, self.numbers, out)
+        write_true_soils(self._world, self._constants, self._options, out)
         low = [e.low for e in entries]
         return np.clip(out, low, [e.high for e in entries], dtype=np.float32)

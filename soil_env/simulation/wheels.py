@@ -25,12 +25,13 @@ from soil_env.simulation.task.observation import (
 )
 from soil_env.simulation.task.rules import (
     RUNNING,
+    TASK,
     add_reward,
     judge,
     task_of,
     total_of,
 )
-from soil_env.simulation.world.camera import IMAGE, Sight, camera_of, look, take_image
+from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, look, take_image
 from soil_env.simulation.world.courses import (
     draw_course,
     extend_course,
@@ -47,10 +48,12 @@ from soil_env.simulation.world.sensors import (
     start_odometry,
 )
 from soil_env.simulation.world.terrain import new_courses
-from soil_env.simulation.world.wheel import WHEEL, World, acting_in, rig_of, settle_at
-from soil_env.terramechanics.contact import ARC_NODES
+from soil_env.simulation.world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
+from soil_env.terramechanics.contact import ARC_NODES, ShearLaw
+from soil_env.terramechanics.effects import Effects
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
+from soil_env.terramechanics.residual import ResidualLaw
 
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
@@ -63,17 +66,13 @@ NOTE = record(*READING.names, "halted", "place", *IMAGE.names)
 NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel without a camera
 
 
-class Scratch(NamedTuple):
-    """Work arrays of a thread."""
-
-    nodes: np.ndarray  # [1] `ARC_NODES`
-    normals: np.ndarray  # [1] `NORMALS`
-    note: np.ndarray  # [1] `NOTE`
+#: Work space of a thread, and the number of its share of the wheels.
+SCRATCH = record(share=("i8",), nodes=(ARC_NODES, 1), normals=(NORMALS, 1))
 
 
-def new_scratch() -> Scratch:
-    """Work arrays of one thread."""
-    return Scratch(np.zeros(1, ARC_NODES), np.zeros(1, NORMALS), np.zeros(1, NOTE))
+def new_scratch() -> np.ndarray:
+    """Work space of one thread, `SCRATCH` [1]."""
+    return np.zeros(1, SCRATCH)
 
 
 class WheelWorlds(NamedTuple):
@@ -81,8 +80,10 @@ class WheelWorlds(NamedTuple):
 
     state: np.ndarray  # [wheels] `WHEEL`
     courses: np.ndarray  # [wheels] `course_dtype`
-    notes: np.ndarray  # [wheels, held] `NOTE` of the last step; no rows if nothing is recorded
+    notes: np.ndarray  # [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them
     observation: np.ndarray  # [wheels, D] float32
+    actions: np.ndarray  # [wheels] in [-1, 1]
+    orders: np.ndarray  # [wheels] int8, STEP, RESTART or IDLE
 
 
 class WheelNumbers(NamedTuple):
@@ -113,15 +114,56 @@ def wheel_numbers(
     )
 
 
+MOST_ENTRIES = 128  # of an observation
+#: `WheelNumbers` as compiled code takes them, with the bounds of the observation in the first columns.
+CONSTANTS = record(
+    rig=(RIG, 1),
+    task=(TASK, 1),
+    sd=(READING, 1),
+    camera=(CAMERA, 1),
+    bounds=("f4", (2, MOST_ENTRIES)),
+    recorded=("?",),  # True if each step is noted for what runs on board
+)
+
+
+class Options(NamedTuple):
+    """What is on in a world; what is None compiles to no code."""
+
+    effects: Effects | None
+    law: ShearLaw | None
+    residual: ResidualLaw | None
+    errors: SensorErrors | None
+    camera: bool | None
+
+
+def constants_of(numbers: WheelNumbers, recorded: bool) -> tuple[np.ndarray, Options]:
+    """Pack `WheelNumbers` into `CONSTANTS` [1] and `Options`."""
+    constants = np.zeros(1, CONSTANTS)
+    constants["rig"] = numbers.rig
+    constants["task"] = numbers.task
+    constants["sd"] = numbers.sd
+    constants["recorded"] = recorded
+    if numbers.camera is not None:
+        constants["camera"] = numbers.camera
+    entries = numbers.bounds.shape[1]
+    if entries > MOST_ENTRIES:
+        raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
+    constants["bounds"][0, :, :entries] = numbers.bounds
+    camera = None if numbers.camera is None else True
+    return constants, Options(*numbers.acting, numbers.errors, camera)
+
+
 def new_wheel_worlds(
-    wheels: int, scenario: Scenario, numbers: WheelNumbers, recorded: bool
+    wheels: int, scenario: Scenario, numbers: WheelNumbers, notes: tuple[int, int]
 ) -> WheelWorlds:
-    """Worlds for so many wheels, to be restarted; `recorded`: keep the notes of each step."""
+    """Worlds for so many wheels, to be restarted, with `notes` of that shape."""
     return WheelWorlds(
         np.zeros(wheels, WHEEL),
         new_courses(wheels, scenario),
-        np.zeros((wheels if recorded else 0, scenario.control.held), NOTE),
+        np.zeros(notes, NOTE),
         np.zeros((wheels, numbers.bounds.shape[1]), dtype=np.float32),
+        np.zeros(wheels),
+        np.full(wheels, IDLE),
     )
 
 
@@ -140,27 +182,13 @@ class Setting(NamedTuple):
     normals: Any  # `NORMALS`
 
 
-@njit(**INLINE)
-def setting_of(numbers, scratch):
-    """Records of `WheelNumbers` and `Scratch`."""
-    return Setting(
-        numbers.rig[0],
-        numbers.acting,
-        numbers.task[0],
-        numbers.sd[0],
-        numbers.errors,
-        scratch.nodes[0],
-        scratch.normals[0],
-    )
-
-
 @njit(**EXACT)
-def first_of(array):
-    """The first record of an array; None for None."""
-    if array is None:
+def camera_in(constants, on):
+    """`CAMERA` of a world that has one, else None."""
+    if on is None:
         return None
     else:
-        return array[0]
+        return constants.camera[0]
 
 
 @njit
@@ -183,7 +211,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
     `CourseNumbers`.
     """
     rig = numbers.rig
-    nodes = scratch.nodes[0]
+    nodes = scratch[0].nodes[0]
     world = World(rig, numbers.acting, nodes)
     failed = 0
     for k in range(first, end):
@@ -273,40 +301,50 @@ def _step(wheel, action, course, setting, camera, notes, out):
 
 
 @kept
-def step_wheels(worlds, numbers, actions, orders, scratch, first, end):
-    """Follow the `orders` [wheels] STEP and RESTART for the wheels `first` to `end` - 1; `actions` [wheels] in [-1, 1].
+def step_wheels(worlds, constants, options, scratch, first, end):
+    """Follow the orders STEP and RESTART for the wheels `first` to `end` - 1, with their actions in [-1, 1].
 
     Their courses are laid (`lay_wheels`).
     """
-    setting = setting_of(numbers, scratch)
-    camera = first_of(numbers.camera)
-    # taken out of their tuples once: see `Setting`
+    numbers = constants[0]
+    work = scratch[0]
+    setting = Setting(
+        numbers.rig[0],
+        Acting(options.effects, options.law, options.residual),
+        numbers.task[0],
+        numbers.sd[0],
+        options.errors,
+        work.nodes[0],
+        work.normals[0],
+    )
+    camera = camera_in(numbers, options.camera)
+    # taken out of their tuple once: see `Setting`
     state = worlds.state
     courses = worlds.courses
     all_notes = worlds.notes
     observation = worlds.observation
-    bounds = numbers.bounds
-    one_note = scratch.note
-    recorded = all_notes.shape[0] > 0
+    actions = worlds.actions
+    orders = worlds.orders
     for k in range(first, end):
         order = orders[k]
         if order != STEP and order != RESTART:
             continue
         wheel = state[k]
         course = courses[k]
-        notes = all_notes[k] if recorded else one_note
+        notes = all_notes[k if numbers.recorded else work.share]
         out = observation[k]
         if order == STEP:
             _step(wheel, actions[k], course, setting, camera, notes, out)
         else:
             _restart(wheel, notes[0], course, setting, camera, out)
-        clip(out, bounds)
+        clip(out, numbers.bounds)
 
 
 @kept
-def write_true_soils(worlds, numbers, out):
+def write_true_soils(worlds, constants, options, out):
     """Fill `out` [wheels, D] with the entries of `layout.truth`."""
+    numbers = constants[0]
+    camera = camera_in(numbers, options.camera)
     border = numbers.rig[0].border
-    camera = first_of(numbers.camera)
     for k in range(len(out)):
         write_truth(out[k], worlds.state[k], worlds.courses[k], border, camera)

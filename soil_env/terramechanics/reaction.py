@@ -12,7 +12,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import smoothed_sign
-from soil_env._compiled.flags import EXACT
+from soil_env._compiled.flags import EXACT, INLINE
 from soil_env.slip import signed_slip, slip_ratio
 from soil_env.terramechanics.contact import (
     ShearLaw,
@@ -120,14 +120,14 @@ def acting_on(effects: Effects | None, residual: ResidualLaw | None) -> Acting:
     return Acting(effects, law, residual)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def lay_footing(nodes, arc, soil, load):
     """Lay an `Arc` in `soil` into the scratch `nodes`; its `Footing` under a `load` [N]."""
     p_cos, p_sin = lay_nodes(nodes, arc, soil.sinkage_exponent)
     return Footing(arc.theta1, p_cos, p_sin, soil.tan_phi, soil.cohesion, soil.shear_modulus, load)
 
 
-@njit(**EXACT)
+@njit(**INLINE)
 def soil_reaction(nodes, footing, speed, rim_speed, wheel, law):
     """`Reaction` of the contact alone: Eqs. (1)-(3), with Eq. (1) solved for S so that the load
     stays what it is.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from numba import njit
 
 from soil_env._compiled.elementary import sin_cos
-from soil_env._compiled.flags import FINITE
+from soil_env._compiled.flags import FINITE, INLINE
 from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import (
@@ -64,7 +64,7 @@ class Stand(NamedTuple):
     along: float  # [N] weight along the grade
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def steps_for(change, halt_left):
     """Steps that a wheel takes where others take one, for a change of speeds ahead [of the top rim speed]."""
     if halt_left >= DRIVING or change <= REFINED_TWICE:  # a halt has its speed loop
@@ -74,7 +74,7 @@ def steps_for(change, halt_left):
     return 4 if change <= REFINED_EIGHT_TIMES else 8
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def held_change(du, wheel, drive, rig):
     """Size of a foreseen change `du` [m/s] of the rim speed: a speed loop stops at its command."""
     if not drive.by_speed:
@@ -91,7 +91,7 @@ def change_ahead(wheel, drive, rig):
     return max(abs(dv), held_change(du, wheel, drive, rig)) / (rig.radius * rig.no_load_speed)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def stage_of(number, h, speed, rim, speed_before, rim_before):
     """`Stage` 0 or 1 of a step of h seconds, from the present speeds and those before the stage before [m/s]."""
     g = GAMMA * h
@@ -112,14 +112,14 @@ def ground_ahead(wheel, stage, patches, cells, before, border):
     return Ahead(stiffened(soil, rut_factor_at(cells, x)), grade, passes)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def foreseen_sinkage(wheel, duration):
     """Sinkage [m] at the end of a stage if it goes on as in the stage before."""
     most = LARGEST_LOWERING * wheel.sinkage
     return wheel.sinkage + min(max(duration * wheel.sinking, -most), most)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def account(wheel, end, stage, drive, rig):
     """Work [J] of the motor, of the soil and of the integrator in a stage, from the present speeds to its `end`.
 
@@ -147,7 +147,7 @@ def account(wheel, end, stage, drive, rig):
     wheel.available_torque = available
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def move(wheel, end, stage, ground, drive, rig):
     """Take a wheel to the `end` of a stage (`Motion`): sinkage and place, work, speeds and forces."""
     rim = rig.radius * wheel.wheel_speed
@@ -170,7 +170,7 @@ def move(wheel, end, stage, ground, drive, rig):
         wheel.converged = 0
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def stand(wheel, stage, ahead, world):
     """`Stand` of a wheel in a stage on the ground `Ahead`."""
     rig = world.rig
@@ -185,7 +185,7 @@ def stand(wheel, stage, ahead, world):
     return Stand(ground, footing, beside, weight * sine)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def take_stage(wheel, stage, ahead, drive, forced, world):
     """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
 
@@ -247,7 +247,7 @@ def _at_fork(wheel, course, camera, action, rig):
         plan_halt(wheel, course, rig)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def control_period(wheel, action, course, camera, world):
     """One control period of a wheel under an action in [-1, 1] (`commanded`); `camera`: None without lines.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from soil_env._compiled.flags import FINITE, HUGE
+from soil_env._compiled.flags import FINITE, HUGE, INLINE
 from soil_env.terramechanics.motor import motor_torque
 from soil_env.terramechanics.reaction import NO_REACTION, REST_SPEED, Reaction, moved, reaction
 
@@ -61,7 +61,7 @@ def newton_step(f1, f2, cv, cu, force, net_u):
     return -(a22 * f1 - a12 * f2) / determinant, -(a11 * f2 - a21 * f1) / determinant
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def last_force(wheel):
     """`Reaction` of the last stage of a wheel; what a foreseen change of speed does not need is 0."""
     return Reaction(
@@ -94,13 +94,13 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     return newton_step(f1, f2, cv, cu, force, force.torque_u - slope / rig.radius)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def near_enough(residual, change):
     """True if a residual [m/s] that no shorter step reduces is let pass; `change` of speed in the stage [m/s]."""
     return residual < NEARLY and residual < TOLERANCE + OF_CHANGE * change
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def solve_speeds(wheel, stage, footing, along, drive, world, beside):
     """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual is shortened.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from soil_env._compiled.elementary import exp, power
-from soil_env._compiled.flags import EXACT, FINITE, record, uncompiled
+from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
@@ -197,7 +197,7 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     return acting_on(acting_effects(model.numbers), law)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def commanded(wheel, action, halted, rig):
     """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is a rim acceleration.
 
@@ -213,7 +213,7 @@ def commanded(wheel, action, halted, rig):
     return Drive(command, halted or rig.speed_command)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def begin_period(wheel):
     """Set what a control period sums up to its start."""
     wheel.motor_work = 0.0
@@ -222,7 +222,7 @@ def begin_period(wheel):
     wheel.converged = 1
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def sink(wheel, ground, mobilised, path, rig):
     """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the coefficient `mobilised`.
 
@@ -251,7 +251,7 @@ def sink(wheel, ground, mobilised, path, rig):
     wheel.bearing_sinkage = bearing
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def relax_sinkage(sinkage, bearing, onto, path, soil, length):
     """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path` (`effects.excavation_rate`).
 
@@ -292,7 +292,7 @@ def leave_ruts(wheel, cells, digging, compaction):
     wheel.cell_x = wheel.x
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def end_period(wheel, x_start, owner, rig):
     """The end of a control period of a wheel, or of a rover as a whole, that began at `x_start` [m]: travel and halts.
 
@@ -307,7 +307,7 @@ def end_period(wheel, x_start, owner, rig):
         wheel.next_halt = wheel.x + between(owner, rig.halt_low, rig.halt_high)
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def measure_slip(wheel, rig):
     """Set the slip of a wheel from its speeds."""
     wheel.slip = slip_ratio(wheel.wheel_speed * rig.radius, wheel.speed, REST_SPEED)
