@@ -87,6 +87,8 @@ def actions_of(actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64
         ) from None
     if a.shape != shape:
         raise ValueError(f"{what}: expected shape {shape}, got {a.shape}")
+    if a.size == 1 and -1.0 <= a.item() <= 1.0:
+        return a
     finite = np.isfinite(a)
     if not finite.all():
         # The first that is wrong.
@@ -191,14 +193,13 @@ class CourseEnv(gymnasium.Env[NDArray[Any], ArrayLike]):
         self.simulation.step(0, commands if commands.size > 1 else commands.item())
         self.infos.follow(_NONE)
         worlds = self.simulation.worlds
-        cause = Cause(worlds.cause[0])
-        self._over = cause != Cause.RUNNING
+        self._over = worlds.cause.item(0) != _RUNNING
         if self.render_mode is not None:
             self._view().record(self.simulation, 0)
             if self.render_mode == "human":
                 self.render()
         seen = self.scaling(worlds.observation[0])
-        return seen, float(worlds.reward[0]), self._over, False, self.infos.one(0)
+        return seen, worlds.reward.item(0), self._over, False, self.infos.one(0)
 
     def physical(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Observations [..., D] of this env in the units of the tables."""

@@ -1,7 +1,6 @@
 """Info of the environments of a wheel, in the same words for one wheel and for many."""
 
 from collections.abc import Mapping
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,8 @@ from soil_env.simulation.world.wheel import WHEEL
 INFOS = ("full", "state", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
+_STUCK = STUCK.tolist()
+_CAUSES = tuple(cause.name for cause in Cause)
 _TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 STATUS = {status.value: status.name for status in Status}
 _STATE = (
@@ -33,7 +34,9 @@ _STATE = (
     "motor_torque",
     "grade",
 )
-_PLACES = [WHEEL.names.index(name) for name in _STATE]
+_TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the numbers of a wheel
+_TERMS_END = _TERMS_AT + len(REWARD_TERMS)
+assert WHEEL.names[: len(_STATE)] == _STATE
 _WARNING = (
     "best_slip",
     "drawbar_margin",
@@ -135,22 +138,22 @@ class Infos:
 
     def one(self, k: int) -> dict[str, Any]:
         """Info of wheel k."""
-        worlds = self._simulation.worlds
-        cause = Cause(worlds.cause.item(k))
         if self.kind == "none":
             return {}
+        worlds = self._simulation.worlds
+        cause = worlds.cause.item(k)
         if self.kind == "short":
             return {
                 "cause": worlds.cause[k],
-                "immobilised": np.int64(cause in IMMOBILISED),
+                "immobilised": np.int64(_STUCK[cause]),
                 "x": worlds.state["x"][k],
                 **dict(zip(_TERMS, worlds.terms[k].copy(), strict=True)),
             }
-        state = worlds.state[k].item()
+        numbers = worlds.state[k : k + 1].view(np.float64)
         info = {
-            "cause": cause.name,
-            "immobilised": cause in IMMOBILISED,
-            "reward_terms": dict(zip(REWARD_TERMS, worlds.terms[k].tolist(), strict=True)),
+            "cause": _CAUSES[cause],
+            "immobilised": _STUCK[cause],
+            "reward_terms": dict(zip(REWARD_TERMS, numbers[_TERMS_AT:_TERMS_END].tolist())),
         }
         if asks(self.kind):
             ids = worlds.ids
@@ -164,7 +167,7 @@ class Infos:
             foreseen = self._foreseen(worlds, only)[0].tolist()
             info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
             info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
-        info["state"] = dict(zip(_STATE, itemgetter(*_PLACES)(state)))
+        info["state"] = dict(zip(_STATE, numbers[: len(_STATE)].tolist()))
         return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:

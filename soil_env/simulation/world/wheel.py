@@ -39,31 +39,31 @@ LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
 STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
 LEAST_WAY = 1e-6  # [m] way through a cell that digging is compared with, at least
 
-#: A wheel. Numbers that follow from the others in the same step are kept for sensors and info.
+#: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept for sensors and info.
 WHEEL = record(
     "x",  # [m] distance along the course
-    "best_x",  # [m] furthest x so far: ground beyond it is fresh
-    "lowest_x",  # [m] least x so far: ground before it is fresh
     "speed",  # V [m/s]
     "wheel_speed",  # w [rad/s]
+    "slip",  # [-]
     "sinkage",  # z [m] below the undisturbed surface
+    "load",  # W [N]
+    "drawbar_pull",  # DP [N]
+    "torque",  # T [N m], soil on wheel
+    "motor_torque",  # [N m]
+    "grade",  # [rad] at the wheel
+    "best_x",  # [m] furthest x so far: ground beyond it is fresh
+    "lowest_x",  # [m] least x so far: ground before it is fresh
     "sinking",  # dz/dt [m/s] in the last stage
     "rut_depth",  # [m] of the ground under the wheel where it has been before
     "cell_x",  # [m] where the wheel came into the present cell
     "slid",  # [m] that the rim has slid over the ground in the present cell
     "mass",  # [kg]
-    "motor_torque",  # [N m]
     "available_torque",  # [N m] of the motor at this wheel speed, in the direction asked for
-    "load",  # W [N]
-    "drawbar_pull",  # DP [N]
-    "torque",  # T [N m], soil on wheel
-    "slip",  # [-]
     "pull_by_speed",  # dDP/dV [N s/m] at the end of the last stage
     "pull_by_rim",  # dDP/d(r w)
     "torque_by_speed",  # dT/dV [N s]
     "torque_by_rim",  # dT/d(r w)
     "bearing_sinkage",  # z_w [m]
-    "grade",  # [rad] at the wheel
     "motor_work",  # [J] in the last control period
     "soil_work",  # [J] that soil and drivetrain took, T w - DP V, in the last control period
     "numerical_work",  # [J] that the integrator took, in the last control period
