@@ -406,8 +406,10 @@ def test_the_deepest_wheel_is_bogged():
     limit = 0.8 * env.scenario.wheel.radius
     assert infos[-1]["cause"] == "BOGGED" and max(depth[:-1]) <= limit < depth[-1]
     assert infos[-1]["front"]["state"]["sinkage"] < 0.5 * limit
-    worlds = env.simulation.worlds
-    assert depth[-1] == max(worlds.wheels["sinkage"][0] + worlds.axles["floor"][0])
+    rover = env.simulation.worlds.state[0]
+    assert depth[-1] == max(
+        wheel.sinkage + axle.floor for wheel, axle in zip(rover.wheels, rover.axles, strict=True)
+    )
 
 
 def test_info_is_as_documented():

@@ -142,7 +142,7 @@ def test_next_step_is_the_single_env_bit_for_bit(kind, variant, changes):
             same_info(info, k, expected[4])
             done[k] = expected[2]
             ends += done[k]
-    assert many.simulation.worlds.courses.forks["taken"].any() if lines else ends >= VEHICLES
+    assert many.simulation.worlds.courses["forks"]["taken"].any() if lines else ends >= VEHICLES
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -330,4 +330,4 @@ def test_stepping_wheels_that_were_never_reset_is_refused(mode):
     except (gymnasium.error.ResetNeeded, ValueError):
         return
     assert np.all(np.isfinite(observations))
-    assert env.simulation.worlds.courses.heads["patches"][1] > 0  # or it was reset by the step
+    assert env.simulation.worlds.courses["drawn"][1] > 0  # or it was reset by the step

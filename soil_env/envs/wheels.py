@@ -7,7 +7,7 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import Record, SensorReading, Shown
+from soil_env.parameters.readings import Image, Record, SensorReading, Shown
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
     NOTE,
@@ -78,13 +78,13 @@ class Simulation(Vehicles):
     def _read(self) -> Record:
         notes = self._world.notes
         numbers = notes.view(np.float64).reshape(*notes.shape, len(NOTE.names))
-        readings = len(SensorReading._fields)
+        images = NOTE.names.index(Image._fields[0])
         return Record(
             self._heads["periods"],
-            numbers[..., :readings],
+            numbers[..., images - len(SensorReading._fields) : images],
             notes["halted"],
             notes["place"],
-            numbers[..., readings + 2 :],
+            numbers[..., images:],
         )
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:

@@ -41,7 +41,7 @@ class Image(NamedTuple):
     here: float  # label of the ground under the wheel
     seen: float  # 1 if the patch ahead is in sight
     chosen: float  # 1 if there is no choice of a line any more
-    count: float  # lines over the patch ahead
+    lines: float  # over the patch ahead
     taken: float  # line that the wheel is on the way to
     label_0: float
     label_1: float

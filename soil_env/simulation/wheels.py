@@ -58,9 +58,10 @@ from soil_env.terramechanics.residual import ResidualLaw
 ATTEMPTS = 100  # at a course in the middle of a run, where nobody can change the scenario
 
 
-#: What a wheel hands to those on board after a control period: a `READING`, whether it was in a commanded halt (0 or 1),
-#: its odometry [m], an `IMAGE`.
-NOTE = record(*READING.names, "halted", "place", *IMAGE.names)
+#: What a wheel hands to those on board after a control period: whether it was in a commanded halt
+#: (0 or 1), its odometry [m], a `READING`, an `IMAGE`. The reading is not first: numba takes a
+#: record that begins like another for one, and warns.
+NOTE = record("halted", "place", *READING.names, *IMAGE.names)
 
 
 NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel without a camera

@@ -228,13 +228,14 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     *_, (sim, _) = evaluation_drive(controller, scenario, 5, 0, 40)
     worlds = sim.worlds
     courses = worlds.courses
-    margins = courses.lines["capacity"] - np.tan(courses.lines["grade"])
+    lines = courses["lines"]
+    margins = lines["capacity"] - np.tan(lines["grade"])
     for k in range(40):
-        for p in range(courses.heads["patches"][k]):
-            passed = worlds.state["best_x"][k] > courses.patches["start"][k, p]
+        for p in range(courses["drawn"][k]):
+            passed = worlds.state["best_x"][k] > courses["patches"]["start"][k, p]
             if passed and margins[k, p].min() < 0.0:
                 forks += 1
-                right += margins[k, p, courses.forks["taken"][k, p]] > 0.0
+                right += margins[k, p, courses["forks"]["taken"][k, p]] > 0.0
     assert forks > 20 and right > 0.9 * forks
 
 

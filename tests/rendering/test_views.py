@@ -130,7 +130,7 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     places, scale = hubs(simulation)
     last = shown_wheels(simulation, 0)[-1]
     if rover is None:
-        cells = worlds.courses.cells[0]
+        cells = worlds.courses["cells"][0]
         left = [cells["depth"]]
     else:  # behind the rear wheel: its own rut in that of the front wheel
         cells = worlds.ruts[0, -1]
@@ -144,7 +144,7 @@ def test_ruts_lower_the_ground_behind_the_wheels(rover):
     behind = math.floor(x / CELL) + CELLS_BEHIND - 4
     depth = scale * sum(float(array[behind]) for array in left)
     if rover is None:
-        worlds.courses.cells["depth"] = 0.0
+        worlds.courses["cells"]["depth"] = 0.0
     else:
         worlds.ruts["depth"] = 0.0
         worlds.ruts["floor"] = 0.0

@@ -165,7 +165,7 @@ def show_estimate(estimator, numbers, record, results, k, period):
             ahead = out[first + line * OF_SOIL :]
             label = image.label_0 if line == 0 else image.label_1
             grade = image.grade_0 if line == 0 else image.grade_1
-            if image.seen > 0.0 and line < image.count:
+            if image.seen > 0.0 and line < image.lines:
                 _write_line(ahead, estimator.memory, k, int(label), grade, board.dig_gain)
             else:
                 for i in range(OF_SOIL):

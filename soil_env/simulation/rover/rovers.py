@@ -53,8 +53,8 @@ DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground
 
 #: What a rover hands to those on board after a control period, beside the readings of its wheels.
 ROVER_NOTE = record(
-    "halted",  # 1 in a commanded halt, else 0
     "place",  # [m] by odometry
+    "halted",  # 1 in a commanded halt, else 0
 )
 
 

@@ -13,6 +13,7 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, record
 from soil_env._compiled.random_streams import normal_pair
 from soil_env.parameters import Scenario
+from soil_env.parameters.readings import Image
 from soil_env.simulation.world.lines import choosing, settled
 
 #: The camera of a `Scenario` with terrain classes.
@@ -23,21 +24,8 @@ CAMERA = record(
     classes=("i8",),
     lines=("i8",),  # over a patch, at most
 )
-#: An image. Its last six numbers mean something only if `seen`.
-IMAGE = record(
-    "patch",  # as in `Sight`
-    "since",  # [m]
-    "left",  # [m]
-    "here",  # label of the ground under the wheel
-    "seen",  # 1 if the patch ahead is in sight
-    "chosen",  # 1 if there is no choice of a line any more
-    "lines",  # over the patch ahead
-    "taken",  # line that the wheel is on the way to
-    "label_0",
-    "label_1",
-    "grade_0",  # [rad]
-    "grade_1",  # [rad]
-)
+#: An `Image`.
+IMAGE = record(*Image._fields)
 
 
 class Sight(NamedTuple):

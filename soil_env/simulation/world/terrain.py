@@ -77,11 +77,11 @@ def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
         }
     return record(
         "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
+        **lines,  # first: numba takes a record that begins like another for one, and warns
         drawn=("i8",),
         stream=("u8",),  # from which the patches to come are drawn
         patches=(PATCH, patches),
         cells=(RUT, _room(cells, LEAST_CELLS)),
-        **lines,
     )
 
 
@@ -202,8 +202,8 @@ def leave_rut(cell, depth, dug, compaction):
     cell.depth = max(cell.depth, depth)
 
 
-#: Undisturbed ground at one place.
-PLACE = record(*SoilState._fields, "grade", patch=("i8",))  # grade [rad]
+#: Undisturbed ground at one place; its grade [rad] first, as in a `LINE`.
+PLACE = record("grade", *SoilState._fields, patch=("i8",))
 
 
 @kept

@@ -1,0 +1,30 @@
+"""Records of compiled code: none begins like another, which numba would take it for."""
+
+import pkgutil
+from importlib import import_module
+
+import numpy as np
+
+import soil_env
+from soil_env.simulation.world.terrain import course_dtype
+
+PARTS = ("soil_env._compiled", "soil_env.terramechanics", "soil_env.simulation")
+
+
+def records():
+    """{name: fields with their types and offsets} of all records."""
+    found = {"COURSE": course_dtype(1, 1, 0), "COURSE of classes": course_dtype(1, 1, 3)}
+    for module in pkgutil.walk_packages(soil_env.__path__, "soil_env."):
+        if module.name.startswith(PARTS):
+            for name, value in vars(import_module(module.name)).items():
+                if isinstance(value, np.dtype) and value.names:
+                    found[name] = value
+    return {name: [(n, *dtype.fields[n][:2]) for n in dtype.names] for name, dtype in found.items()}
+
+
+def test_no_record_begins_like_another():
+    known = records()
+    assert len(known) > 20
+    for name, fields in known.items():
+        for other, more in known.items():
+            assert name == other or more[: len(fields)] != fields, (name, other)
