@@ -15,7 +15,7 @@ from soil_env.identification.online.identifier import identifier_numbers
 from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
 from soil_env.parameters.readings import IDLE, STEP
 from soil_env.simulation.task import Cause
-from soil_env.simulation.world.terrain import Courses, places_on
+from soil_env.simulation.world.terrain import places_on
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 
@@ -28,12 +28,12 @@ SWING_PERIOD = 4.0  # [s]
 _READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
 
 
-def _grounds(courses: Courses, x: np.ndarray, border: float) -> np.ndarray:
+def _grounds(courses: np.ndarray, x: np.ndarray, border: float) -> np.ndarray:
     """Soil [7] at x [courses, n] m, number of the patch, distance behind its beginning [m]."""
     rows = []
     for k, at in enumerate(x):
         places = places_on(courses, k, at, border)
-        behind = at - courses.patches["start"][k, places["patch"]]
+        behind = at - courses["patches"]["start"][k, places["patch"]]
         soils = [places[name] for name in SoilState._fields]
         rows.append(np.column_stack([*soils, places["patch"], behind]))
     return np.array(rows)
@@ -205,11 +205,12 @@ def record_rover(
     log = []
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
-        ground = _grounds(w.courses, w.wheels["x"], scenario.course.border)
+        places = w.state["wheels"]["x"][:, : scenario.axles]
+        ground = _grounds(w.courses, places, scenario.course.border)
         soil = ground[..., [0, 2, 1, 7, 8]]
         soil[..., 0] = np.arctan(soil[..., 0])
         soil[..., 1] = np.log(soil[..., 1])
-        driven = going & (w.body["halt_left"] == 0.0)
+        driven = going & (w.state["halt_left"] == 0.0)
         log.append(
             {
                 "soil": soil,

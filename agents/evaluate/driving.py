@@ -282,26 +282,22 @@ class _Totals:
     def __init__(self, sim, scenario: Scenario, count: int):
         self.sim = sim
         self.worlds = sim.worlds
+        self.state = sim.worlds.state  # of the wheels, or of rovers
         self.scenario = scenario
         self.count = count
         self.energy, self.slip, self.driving, self.sinkage, self.returns, self.steps = np.zeros(
             (6, count)
         )
 
-    @property
-    def body(self):
-        """State of the wheels, or of the bodies of rovers, by name."""
-        return self.worlds.state
-
     def work(self) -> np.ndarray:
         """Work of the motors in this control period [J]."""
-        return np.maximum(self.body["motor_work"], 0.0)
+        return np.maximum(self.state["motor_work"], 0.0)
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         """Take in one control period; returns the `alive` courses that are not at a halt [count]
         bool.
         """
-        s = self.body
+        s = self.state
         driving = alive & (s["halt_left"] == 0.0)
         self.energy += np.where(alive, self.work(), 0.0)
         self.slip += np.where(driving, s["slip"], 0.0)
@@ -319,7 +315,7 @@ class _Totals:
         """The runs, at the end."""
         return Runs(
             cause=self.worlds.cause.copy(),
-            distance=self.body["best_x"].copy(),
+            distance=self.state["best_x"].copy(),
             time=self.steps * self.scenario.control.period,
             energy=self.energy,
             slip=self.slip / np.maximum(self.driving, 1.0),
@@ -337,18 +333,14 @@ class _OfRovers(_Totals):
         self.axles = scenario.axles
         self.fighting, self.force = np.zeros((2, count))
 
-    @property
-    def body(self):
-        return self.worlds.body
-
     def work(self) -> np.ndarray:
-        return 2.0 * self.body["motor_work"]  # of both sides
+        return 2.0 * self.state["motor_work"]  # of both sides
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         driving = super().add(alive)
-        wheels = self.worlds.wheels
+        wheels = self.state["wheels"][:, : self.axles]
         pull = wheels["drawbar_pull"]
-        weight = self.body["mass"] * self.scenario.gravity
+        weight = self.state["mass"] * self.scenario.gravity
         force = np.abs(wheels["torque"]).max(axis=1) / self.scenario.wheel.radius
         against = 0.5 * (np.abs(pull).sum(axis=1) - np.abs(pull.sum(axis=1)))
         self.fighting += np.where(driving, against / weight, 0.0)
@@ -376,7 +368,7 @@ class _Detailed(_Totals):
 
     def add(self, alive: np.ndarray) -> np.ndarray:
         on = super().add(alive)
-        s = self.body
+        s = self.state
         pulling = on & (s["drawbar_pull"] > 0.0) & (s["motor_work"] > 0.0)
         self.drawbar_work += np.where(
             pulling, np.maximum(s["drawbar_pull"] * s["travel"], 0.0), 0.0

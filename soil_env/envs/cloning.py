@@ -14,7 +14,6 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
-from soil_env.parameters.readings import Record
 
 
 def clone(
@@ -54,8 +53,8 @@ def _copy(a, wheels, b, places, count, into, name):
     """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds
     `into`.
     """
-    if a is None or b is None or isinstance(a, Record):
-        return  # no estimator; a record is written anew by every step
+    if a is None or b is None:
+        return  # no estimator
     if hasattr(type(a), "NAMES"):  # rows of the identifier
         each = a.count // count  # columns of a wheel
         if b.count // into != each:
@@ -68,6 +67,8 @@ def _copy(a, wheels, b, places, count, into, name):
         b.data[:, there] = a.data[:, here]
     elif isinstance(a, tuple):
         for field in a._fields:
+            if field == "notes":  # written anew by every step
+                continue
             _copy(
                 getattr(a, field), wheels, getattr(b, field), places, count, into, f"{name}.{field}"
             )

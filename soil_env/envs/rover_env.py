@@ -13,7 +13,7 @@ from soil_env.envs.rover_infos import RoverInfos
 from soil_env.envs.rovers import RoverSimulation
 from soil_env.parameters import DEFAULT_ROVER, RoverScenario, SoilState, load_rover
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.terrain import soil_at
 from soil_env.terramechanics.model import WheelSoilModel, load_model
 
 __all__ = ["SoilRoverEnv", "SoilRoverVectorEnv", "build_rover", "rover_action_space"]
@@ -196,12 +196,10 @@ class SoilRoverEnv(CourseEnv):
         """The undisturbed soil under each axle: for analysis and references, never part of a fair
         observation.
         """
-        w = self.simulation.worlds
-        wheels = w.rovers.wheels
-        counts = w.rovers.counts
+        worlds = self.simulation.worlds
+        places = worlds.state["wheels"]["x"][0, : self.scenario.axles]
         border = self.scenario.course.border
-        rows = self.simulation.wheels[0].tolist()
-        return tuple(ground_at(w.courses, 0, wheels.x[k], counts.patch[k], border)[0] for k in rows)
+        return tuple(soil_at(worlds.courses, 0, float(x), border) for x in places)
 
 
 class SoilRoverVectorEnv(CourseVectorEnv):

@@ -54,17 +54,15 @@ class RoverInfos:
         terms = {name: w.terms[:, i].copy() for i, name in enumerate(REWARD_TERMS)}
         info: dict[str, Any] = {"cause": w.cause.copy(), "immobilised": STUCK[w.cause]}
         if self.kind == "short":
-            return (
-                info
-                | {"x": w.rovers.body["x"].copy()}
-                | {f"reward_{n}": v for n, v in terms.items()}
-            )
+            return info | {"x": w.state["x"].copy()} | {f"reward_{n}": v for n, v in terms.items()}
         info["reward_terms"] = terms
-        info["state"] = {name: w.rovers.body[name].copy() for name in _OF_BODY}
+        info["state"] = {name: w.state[name].copy() for name in _OF_BODY}
         known = self._estimates()
-        for axle, rows in zip(self._axles, self._simulation.wheels.T, strict=True):
-            info[axle] = {"state": {name: w.rovers.wheels[name][rows] for name in _OF_WHEEL}}
+        for a, axle in enumerate(self._axles):
+            wheels = w.state["wheels"][:, a]
+            info[axle] = {"state": {name: wheels[name].copy() for name in _OF_WHEEL}}
             if known:
+                rows = self._simulation.wheels[:, a]
                 info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
         return info if self.kind != "numeric" else flat(info)
 

@@ -1,20 +1,20 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of the rover's environments."""
 
 from collections import namedtuple
-from typing import Any
 
 import numpy as np
 
-from soil_env._numba.lanes import COUNT
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
-from soil_env.parameters.readings import Shown
+from soil_env.parameters.readings import Image, Record, SensorReading, Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     RoverWorlds,
     lay_rovers,
+    new_rover_scratch,
     new_rover_worlds,
     observe_true_soils,
+    rover_course_numbers,
     rover_numbers,
     step_rovers,
 )
@@ -22,8 +22,13 @@ from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.terramechanics.model import WheelSoilModel
 
 _OF_ESTIMATOR = ("ids", "known")  # `identification.online.rover_on_board.RoverEstimator`
-#: Arrays of many rovers: those of `rovers.RoverWorlds`, then those of the estimator, None without one.
-Worlds = namedtuple("Worlds", (*RoverWorlds._fields, *_OF_ESTIMATOR))
+#: Arrays of many rovers, one row a rover: those of `RoverWorlds`, results of the last step, and
+#: those of the estimator, None without one, one row a wheel.
+Worlds = namedtuple(
+    "Worlds",
+    (*RoverWorlds._fields, "terms", "reward", "cause", *_OF_ESTIMATOR),
+    defaults=(None,) * len(_OF_ESTIMATOR),
+)
 
 
 class RoverSimulation(Vehicles):
@@ -32,6 +37,7 @@ class RoverSimulation(Vehicles):
     `estimates`: identify the soil, even if neither the observation nor the reward asks for it.
     """
 
+    _arrays = Worlds
     _vehicle = "rover"
 
     def __init__(
@@ -43,45 +49,44 @@ class RoverSimulation(Vehicles):
         model: WheelSoilModel | None = None,
         estimates: bool = False,
     ) -> None:
-        super().__init__(rovers, scenario, threads, COUNT)
+        super().__init__(rovers, scenario, threads)
+        axles = scenario.axles
+        identifies = estimates or asks_for_estimates(scenario, variant)
         self.numbers: RoverNumbers = rover_numbers(scenario, variant, model)
-        task = self.numbers.task
-        axles = np.arange(scenario.axles)
-        #: [rovers, axles] the row of each wheel in the arrays of wheels
-        self.wheels: np.ndarray = (
-            np.arange(rovers)[:, None] // COUNT * scenario.axles + axles
-        ) * COUNT
-        self.wheels += np.arange(rovers)[:, None] % COUNT
-        estimates = estimates or asks_for_estimates(scenario, variant)
-        world = new_rover_worlds(rovers, scenario, task, estimates)
-        wheels = world.wheel_streams.size
+        self._actions = np.zeros((rovers, axles))
+        #: [rovers, axles] the row of each wheel in the arrays of the estimator
+        self.wheels: np.ndarray = np.arange(rovers * axles).reshape(rovers, axles)
+        worlds = new_rover_worlds(rovers, scenario, self.numbers, identifies)
+        drawn = rover_course_numbers(scenario, model)
+        courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
+        self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, new_rover_scratch)
         on_board = None
-        if estimates:
+        if identifies:
             from soil_env.identification.online.rover_on_board import rovers_on_board
 
-            shown = Shown(variant == "identified", first_soil(scenario.axles), task.low, task.high)
-            on_board = rovers_on_board(wheels, scenario, shown)
-        known = (None,) * len(_OF_ESTIMATOR) if on_board is None else on_board.memory
-        self.worlds = Worlds._make((*world, *known))
-        trial = new_rover_worlds(1, scenario, task, False)
-        self._ahead = self.numbers.drawn.ahead + scenario.vehicle.base
-        self._begin(lay_rovers, step_rovers, world, trial, wheels, on_board)
+            shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
+            on_board = rovers_on_board(self.wheels.size, scenario, shown)
+        self._board(on_board)
+        trial = new_rover_worlds(1, scenario, self.numbers, False)
+        self._check_passable(trial, trial.state)
+
+    def _read(self) -> Record:
+        notes = self._world.notes
+        held = notes.shape[1]
+        readings = self._world.readings.view(np.float64)
+        return Record(
+            self._heads["periods"],
+            readings.reshape(-1, held, len(SensorReading._fields)),
+            notes["halted"],
+            notes["place"],
+            np.zeros((0, held, len(Image._fields))),
+        )
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""
         entries = rover_layout("true_soil", self.scenario.axles)
         sensed = first_soil(self.scenario.axles)
-        out = np.zeros((self.count, len(entries)), dtype=np.float32)
-        out[:, :sensed] = self.worlds.observation[:, :sensed]
-        observe_true_soils(self._world, self.numbers, out)
+        soils = np.empty((self.count, len(entries) - sensed), dtype=np.float32)
+        observe_true_soils(self._world, self.numbers, soils)
+        out = np.concatenate((self.worlds.observation[:, :sensed], soils), axis=1)
         return np.clip(out, [e.low for e in entries], [e.high for e in entries], dtype=np.float32)
-
-    def _rows_of(self, k: Any) -> np.ndarray:
-        """Rows of the wheels of rover k."""
-        return self.wheels[k]
-
-    def _counts(self) -> Any:
-        return self._world.rovers.body_counts
-
-    def _x(self) -> np.ndarray:
-        return self._world.rovers.body["x"]

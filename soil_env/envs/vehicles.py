@@ -24,7 +24,7 @@ from soil_env.parameters.readings import (
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 SHARES = 4  # of the vehicles, for each thread: those that are done early take another
-VIEWS = ("_x", "_ready")  # attributes of `Vehicles`
+VIEWS = ("_x", "_ready", "_record", "_results", "worlds")  # attributes of `Vehicles`
 LEAST = 32  # vehicles that a thread takes at a time, at least
 
 
@@ -55,6 +55,7 @@ class Vehicles:
 
     numbers: Any  # constants of the compiled step
     worlds: Any  # all arrays, overwritten by each step
+    _arrays: Any  # type of `worlds`: arrays of the world, of results, of the estimator
     _actions: np.ndarray  # a row a vehicle, a column a motor
     _vehicle = "wheel"
 
@@ -87,12 +88,22 @@ class Vehicles:
         self._heads = vehicles
         self.course_numbers, self._ahead = courses
         self._scratch = [scratch() for _ in range(0, self.count, self._share)]
-        self._view()
 
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""
-        self._x = self._heads["x"]
+        heads = self._heads
+        self._x = heads["x"]
         self._ready = self._world.courses["ready"]
+        self._record = self._read()
+        self._results = Results(
+            self._world.observation, heads["terms"], heads["reward"], heads["cause"]
+        )
+        memory = () if self._on_board is None else self._on_board.memory
+        self.worlds = self._arrays(*self._world, *self._results[1:], *memory)
+
+    def _read(self) -> Record:
+        """Return what the last step hands to those on board, on the memory of the world."""
+        raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in VIEWS}
@@ -101,11 +112,10 @@ class Vehicles:
         self.__dict__.update(state)
         self._view()
 
-    def _board(self, on_board: Any, record: Record, results: Results) -> None:
-        """Take the estimators on board, None where nothing is identified, with what they read and where they write."""
+    def _board(self, on_board: Any) -> None:
+        """Take the estimators on board, None where nothing is identified."""
         self._on_board = on_board
-        self._record = record
-        self._results = results
+        self._view()
         self.belief = None if on_board is None else on_board.numbers
         if on_board is not None:
             on_board.prepare(self._record, self._results, self._orders)

@@ -7,7 +7,7 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import Record, Results, SensorReading, Shown
+from soil_env.parameters.readings import Record, SensorReading, Shown
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
     NOTE,
@@ -25,22 +25,13 @@ from soil_env.simulation.world.courses import course_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
 OF_ESTIMATOR = ("ids", "memory", "changed", "recent")  # `identification.online.on_board.Estimator`
-#: Arrays of many wheels, one row a wheel: those of `WheelWorlds`, results of the last step, and those of the estimator,
-#: None without one.
-Worlds = namedtuple("Worlds", (*WheelWorlds._fields, "terms", "reward", "cause", *OF_ESTIMATOR))
-
-
-def record_of(notes: np.ndarray, periods: np.ndarray) -> Record:
-    """Notes `NOTE` [wheels, held] as plain numbers, on the same memory."""
-    numbers = notes.view(np.float64).reshape(*notes.shape, len(NOTE.names))
-    images = len(SensorReading._fields) + 2
-    return Record(
-        periods,
-        numbers[..., : len(SensorReading._fields)],
-        notes["halted"],
-        notes["place"],
-        numbers[..., images:],
-    )
+#: Arrays of many wheels, one row a wheel: those of `WheelWorlds`, results of the last step, and
+#: those of the estimator, None without one.
+Worlds = namedtuple(
+    "Worlds",
+    (*WheelWorlds._fields, "terms", "reward", "cause", *OF_ESTIMATOR),
+    defaults=(None,) * len(OF_ESTIMATOR),
+)
 
 
 class Simulation(Vehicles):
@@ -49,6 +40,8 @@ class Simulation(Vehicles):
     The soil is identified if the observation or the reward asks for it. `warnings`: identify in any case, and keep
     `worlds.recent` for `identification.online.immobilisation`.
     """
+
+    _arrays = Worlds
 
     def __init__(
         self,
@@ -69,8 +62,7 @@ class Simulation(Vehicles):
         self._constants, self._options = constants_of(self.numbers, identifies)
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        state = worlds.state
-        self._begin((lay_wheels, step_wheels), worlds, state, courses, new_scratch)
+        self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, new_scratch)
         for share, scratch in enumerate(self._scratch):
             scratch["share"] = share
         on_board = None
@@ -80,12 +72,21 @@ class Simulation(Vehicles):
             first = len(layout("blind"))
             shown = Shown(variant == "identified", first, *self.numbers.bounds)
             on_board = wheels_on_board(wheels, scenario, shown, warnings)
-        known = (None,) * len(OF_ESTIMATOR) if on_board is None else on_board.memory
-        results = Results(worlds.observation, state["terms"], state["reward"], state["cause"])
-        self.worlds = Worlds._make((*worlds, *results[1:], *known))
-        self._board(on_board, record_of(worlds.notes, state["periods"]), results)
+        self._board(on_board)
         trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
         self._check_passable(trial, trial.state)
+
+    def _read(self) -> Record:
+        notes = self._world.notes
+        numbers = notes.view(np.float64).reshape(*notes.shape, len(NOTE.names))
+        readings = len(SensorReading._fields)
+        return Record(
+            self._heads["periods"],
+            numbers[..., :readings],
+            notes["halted"],
+            notes["place"],
+            numbers[..., readings + 2 :],
+        )
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         if orders is not self._world.orders:

@@ -11,7 +11,7 @@ import numpy as np
 from soil_env.parameters import Scenario
 from soil_env.rendering.canvas import GRAINS, GREY, INK, RIM, WHITE, Box, Canvas, soil_colour
 from soil_env.rendering.charts import nice, ticks
-from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, Courses, places_on
+from soil_env.simulation.world.terrain import CELL, CELLS_BEHIND, places_on
 
 #: Box of the strip of the whole course: left, top, width, height
 COURSE = (32, 448, 512, 66)
@@ -30,7 +30,7 @@ class Profile(NamedTuple):
         return np.interp(x, self.x, self.across), np.interp(x, self.x, self.height)
 
 
-def profile_of(courses: Courses, k: int, border: float, before: float, beyond: float) -> Profile:
+def profile_of(courses: np.ndarray, k: int, border: float, before: float, beyond: float) -> Profile:
     """Course k from `before` [m] ahead of its start up to `beyond` [m]; distances are those along
     the slope.
     """

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env.envs.rovers import RoverSimulation
 from soil_env.identification import Status
-from soil_env.parameters import Vehicle
+from soil_env.parameters import RoverScenario, Vehicle
 from soil_env.rendering import canvas, wheels as drawing
 from soil_env.rendering.canvas import GREY, INK, Canvas, soil_colour
 from soil_env.rendering.ground import (
@@ -55,13 +54,14 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     nothing is identified.
     """
     worlds = simulation.worlds
-    if isinstance(simulation, RoverSimulation):
+    if isinstance(simulation.scenario, RoverScenario):
         known = worlds.known
         rows = simulation.wheels[j].tolist()
         names = axle_names(len(rows))
-        ruts = worlds.axles["floor"][j]
+        rover = worlds.state[j]
         wheels = [
-            by_name(w) | {"rut": float(rut)} for w, rut in zip(worlds.wheels[j], ruts, strict=True)
+            by_name(rover.wheels[a]) | {"rut": float(rover.axles[a].floor)}
+            for a in range(len(rows))
         ]
     else:
         known = worlds.ids
@@ -80,7 +80,7 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
 
 def by_name(record: np.record) -> dict[str, Any]:
     """Fields of a record by name."""
-    return dict(zip(record.dtype.names, record.item(), strict=True))
+    return dict(zip(record.dtype.names or (), record.item(), strict=True))
 
 
 def radius_of(simulation: Any) -> float:
@@ -151,15 +151,15 @@ def draw_side_view(
     """Vehicle j in a camera that moves with it, its readings above and the table of its
     `shown_wheels` below.
     """
-    is_rover = isinstance(simulation, RoverSimulation)
+    is_rover = isinstance(simulation.scenario, RoverScenario)
     worlds = simulation.worlds
     width = width_of(simulation)
     if is_rover:
-        body = by_name(worlds.body[j])
+        body = by_name(worlds.state[j])
         left = (worlds.ruts["floor"][j] + worlds.ruts["depth"][j]).max(axis=0)
     else:
         body = wheels[0] | {"pitch": wheels[0]["grade"]}
-        left = worlds.courses.cells["depth"][j]
+        left = worlds.courses["cells"]["depth"][j]
     middle = 0.5 * (wheels[0]["x"] + wheels[-1]["x"])
     place = np.add(SCENE[:2], np.multiply(AT, SCENE[2:]))
     scene = Scene(SCENE, SCENE[2] / width, place, np.array(profile.at(middle)))

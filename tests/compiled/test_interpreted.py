@@ -25,17 +25,16 @@ def driven(scenario, commands, model=None):
         simulation.step(0, command)
     worlds = simulation.worlds
     out = {"observation": worlds.observation, "reward": worlds.reward, "cause": worlds.cause}
-    for name in ("state", "body", "wheels", "ruts"):
+    for name in ("state", "courses", "ruts"):
         out |= _numbers(name, getattr(worlds, name, None))
-    for name, part in worlds.courses._asdict().items():
-        out |= _numbers(name, part)
     return out
 
 
-def _numbers(name, records):
-    if records is None:
-        return {}
-    return {f"{name} {field}": records[field] for field in records.dtype.names}
+def _numbers(name, part):
+    if part is None or part.dtype.names is None:
+        return {} if part is None else {name: part}
+    fields = [_numbers(f"{name} {field}", part[field]) for field in part.dtype.names]
+    return {key: numbers for field in fields for key, numbers in field.items()}
 
 
 def drive_wheel(name):

@@ -25,13 +25,13 @@ STREAM = record(stream=("u8",))
 @kept
 def start(courses, owners, numbers, nodes):
     """Start the first course; the mass on its wheel [kg]."""
-    return drawing.start_course(terrain.course_of(courses, 0), owners[0], numbers, nodes[0])
+    return drawing.start_course(courses[0], owners[0], numbers, nodes[0])
 
 
 @kept
 def extend(courses, mass, x, numbers, nodes):
     """Extend the first course up to x [m]; False if a patch had to be repeated."""
-    return drawing.extend_course(terrain.course_of(courses, 0), mass, x, numbers, nodes[0])
+    return drawing.extend_course(courses[0], mass, x, numbers, nodes[0])
 
 
 @kept
@@ -51,34 +51,34 @@ def stream_of(seed) -> np.ndarray:
 class Drawn(NamedTuple):
     """One course."""
 
-    courses: terrain.Courses
+    courses: np.ndarray  # `course_dtype` [1]
     mass: float  # [kg] on the wheel
     numbers: CourseNumbers
 
     @property
     def ready(self) -> float:
         """Place [m] up to which the ground is final."""
-        return float(self.courses.heads["ready"][0])
+        return float(self.courses["ready"][0])
 
     @property
     def count(self) -> int:
         """Patches drawn so far."""
-        return int(self.courses.heads["patches"][0])
+        return int(self.courses["drawn"][0])
 
     @property
     def patches(self) -> np.ndarray:
         """`PATCH` of those drawn so far."""
-        return self.courses.patches[0, : self.count]
+        return self.courses["patches"][0, : self.count]
 
     @property
     def lines(self) -> np.ndarray:
         """`LINE` of the patches drawn so far, [patches, 2]."""
-        return self.courses.lines[0, : self.count]
+        return self.courses["lines"][0, : self.count]
 
     @property
     def forks(self) -> np.ndarray:
         """`FORK` of the patches drawn so far."""
-        return self.courses.forks[0, : self.count]
+        return self.courses["forks"][0, : self.count]
 
     def extend(self, x: float = HUGE, numbers: CourseNumbers | None = None) -> bool:
         """Draw on up to x [m]; False if a patch had to be repeated."""
@@ -86,7 +86,7 @@ class Drawn(NamedTuple):
 
     def ground_at(self, x: float, border: float) -> tuple[SoilState, float]:
         """(soil, grade [rad]) at x [m]."""
-        patches = self.courses.patches[0]
+        patches = self.courses["patches"][0]
         return terrain.ground_at(patches, x, terrain.patch_at(patches, x, 0), border)
 
 

@@ -12,7 +12,6 @@ from soil_env.envs.rovers import RoverSimulation
 from soil_env.envs.wheels import Simulation
 from soil_env.parameters import RoverScenario, SoilState, load_scenario
 from soil_env.parameters.readings import IDLE, STEP
-from soil_env.simulation.world.terrain import course_of
 from soil_env.simulation.world.wheel import World, settle_at
 from soil_env.terramechanics.contact import ARC_NODES
 
@@ -84,7 +83,7 @@ def on_random_courses(seeds, mode="torque", course=None, model=None) -> Wheels:
 
 @kept
 def _settle(state, courses, mass, rig, acting, nodes):
-    settle_at(state[0], 0.0, mass, course_of(courses, 0), World(rig[0], acting, nodes[0]))
+    settle_at(state[0], 0.0, mass, courses[0], World(rig[0], acting, nodes[0]))
 
 
 def on_uniform_ground(
@@ -96,7 +95,7 @@ def on_uniform_ground(
     simulation = Simulation(1, scenario, "blind", threads=1, model=model)
     state = simulation.worlds.state
     courses = simulation.worlds.courses
-    courses.heads["ready"] = HUGE
+    courses["ready"] = HUGE
     lay_patches(courses, (0.0, 1e3), [soil], [grade])
     numbers = simulation.numbers
     mass = scenario.wheel.body_mass + payload
@@ -107,10 +106,11 @@ def on_uniform_ground(
 
 def lay_patches(courses, borders, soils, grades) -> None:
     """Lay patches between `borders` [m] as the only ones of course 0."""
-    courses.heads["patches"][0] = len(soils)
+    courses["drawn"][0] = len(soils)
+    patches = courses["patches"][0].view(np.recarray)
     for p, (soil, grade) in enumerate(zip(soils, grades, strict=True)):
-        patch = courses.patches[0, p]
+        patch = patches[p]
         patch.start = borders[p]
         patch.end = borders[p + 1]
         patch.grade = grade
-        set_soil(courses.patches[0, p : p + 1], soil)
+        set_soil(patches[p : p + 1], soil)

@@ -77,7 +77,7 @@ class Readings(NamedTuple):
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
-_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")  # type: ignore[arg-type]
+_UNITS = Readings("rad/s", "m/s", "m", "N", "N", "N m", "", "rad", "N m", "m/s2", "s")
 
 
 def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:

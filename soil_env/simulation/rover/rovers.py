@@ -15,7 +15,7 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import EXACT, FINITE, HUGE, INLINE, record
 from soil_env._compiled.random_streams import NORMALS, between, normal_pair, word
 from soil_env.parameters import MOST_AXLES, RoverScenario
-from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY, Record
+from soil_env.parameters.readings import COMPLETE, IDLE, RESTART, STEP, TRY
 from soil_env.simulation.rover.body import ROVER, suspension_of, take_pitch
 from soil_env.simulation.rover.dynamics import control_period
 from soil_env.simulation.rover.newton import STAGE, RoverWorld
@@ -30,15 +30,8 @@ from soil_env.simulation.rover.task import (
     write_true_soils,
 )
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
-from soil_env.simulation.task.rules import (
-    REWARD_TERMS,
-    RUNNING,
-    add_reward,
-    judge,
-    task_of,
-    total_of,
-)
-from soil_env.simulation.wheels import new_record, start_passable
+from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of, total_of
+from soil_env.simulation.wheels import start_passable
 from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
 from soil_env.simulation.world.sensors import (
@@ -50,7 +43,7 @@ from soil_env.simulation.world.sensors import (
     sensor_errors,
     start_odometry,
 )
-from soil_env.simulation.world.terrain import Courses, course_of, new_courses
+from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
@@ -58,8 +51,11 @@ from soil_env.terramechanics.reaction import Acting
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 
 
-#: Scratch of a thread: the last readings of the wheels of a rover.
-SENSED = record(readings=(READING, MOST_AXLES))
+#: What a rover hands to those on board after a control period, beside the readings of its wheels.
+ROVER_NOTE = record(
+    "halted",  # 1 in a commanded halt, else 0
+    "place",  # [m] by odometry
+)
 
 
 class RoverScratch(NamedTuple):
@@ -67,8 +63,8 @@ class RoverScratch(NamedTuple):
 
     stage: np.ndarray  # [1] `STAGE`
     normals: np.ndarray  # [1] `NORMALS`
-    sensed: np.ndarray  # [1] `SENSED`
-    rover: np.ndarray  # [1] `ROVER`, blank
+    readings: np.ndarray  # [axles, 1] `READING`
+    note: np.ndarray  # [1] `ROVER_NOTE`
 
 
 def new_rover_scratch() -> RoverScratch:
@@ -76,37 +72,30 @@ def new_rover_scratch() -> RoverScratch:
     return RoverScratch(
         np.zeros(1, STAGE),
         np.zeros(1, NORMALS),
-        np.zeros(1, SENSED),
-        np.zeros(1, ROVER),
+        np.zeros((MOST_AXLES, 1), READING),
+        np.zeros(1, ROVER_NOTE),
     )
 
 
 class RoverWorlds(NamedTuple):
-    """Arrays that the compiled step reads and writes, one row a rover; axles from the front on.
-
-    In the record wheel `a` of rover j has the row j x axles + a.
-    """
+    """Arrays that the compiled step reads and writes, one row a rover; axles from the front on."""
 
     state: np.ndarray  # [rovers] `ROVER`
     ruts: np.ndarray  # [rovers, axles, cells] `ROVER_RUT`
-    courses: Courses  # a course a rover; what is left in its cells is in `ruts`
-    record: Record
+    courses: np.ndarray  # [rovers] `course_dtype`; what is left in its cells is in `ruts`
+    readings: np.ndarray  # [rovers, axles, held] `READING` of the last step
+    notes: np.ndarray  # [rovers, held] `ROVER_NOTE` of it; both without rows if nothing is recorded
     observation: np.ndarray  # [rovers, D] float32
-    terms: np.ndarray  # [rovers, 4] reward terms
-    reward: np.ndarray  # [rovers]
-    cause: np.ndarray  # [rovers] `Cause`
 
 
 class RoverNumbers(NamedTuple):
-    """Constants of a scenario that the compiled functions need."""
+    """Constants of a scenario that the compiled step needs."""
 
     rig: np.ndarray  # [1] `RIG`
     acting: Acting
     suspension: np.ndarray  # [1] `SUSPENSION`
-    drawn: CourseDistribution
     task: np.ndarray  # [1] `TASK`
-    low: np.ndarray  # [D] float32 bounds of the observation
-    high: np.ndarray
+    bounds: np.ndarray  # [2, D] float32 of the observation
     sd: np.ndarray  # [1] `READING` of the noise
     errors: SensorErrors | None
 
@@ -116,19 +105,35 @@ def rover_numbers(
 ) -> RoverNumbers:
     """Pack a scenario; `model` gives the effects that are on in this world."""
     entries = rover_layout(variant, scenario.axles)
-    drawn = course_distribution(_with_front(scenario), model)
-    # the deepest wheel of a rover bears more than the mean and runs in a rut
-    drawn.spec.bogged_sinkage *= DEEPEST_ALONE
     return RoverNumbers(
         rig_of(scenario, model),
         acting_in(model),
         suspension_of(scenario),
-        drawn,
         task_of(scenario, variant),
-        np.array([e.low for e in entries], dtype=np.float32),
-        np.array([e.high for e in entries], dtype=np.float32),
+        np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
         sensor_deviations(scenario),
         sensor_errors(model),
+    )
+
+
+class RoverCourseNumbers(NamedTuple):
+    """Distribution of the courses, and the rover that has to pass them."""
+
+    drawn: CourseDistribution
+    rig: Any  # `RIG`
+    acting: Acting
+    suspension: Any  # `SUSPENSION`
+
+
+def rover_course_numbers(
+    scenario: RoverScenario, model: WheelSoilModel | None = None
+) -> RoverCourseNumbers:
+    """Pack the numbers of `lay_rovers`; `model` gives the effects that are on in this world."""
+    drawn = course_distribution(_with_front(scenario), model)
+    # the deepest wheel of a rover bears more than the mean and runs in a rut
+    drawn.spec.bogged_sinkage *= DEEPEST_ALONE
+    return RoverCourseNumbers(
+        drawn, rig_of(scenario, model)[0], acting_in(model), suspension_of(scenario)[0]
     )
 
 
@@ -137,17 +142,16 @@ def new_rover_worlds(
 ) -> RoverWorlds:
     """Worlds for so many rovers, to be restarted; `recorded`: keep the sensor record of each step."""
     axles = scenario.axles
+    held = scenario.control.held
     courses = new_courses(rovers, _with_front(scenario))
     kept_rovers = rovers if recorded else 0
     return RoverWorlds(
         np.zeros(rovers, ROVER),
-        new_ruts(rovers, axles, courses.cells.shape[1]),
+        new_ruts(rovers, axles, courses["cells"].shape[1]),
         courses,
-        new_record(kept_rovers, kept_rovers * axles, scenario),
-        np.zeros((rovers, numbers.low.size), dtype=np.float32),
-        np.zeros((rovers, len(REWARD_TERMS))),
-        np.zeros(rovers),
-        np.zeros(rovers, dtype=np.int64),
+        np.zeros((kept_rovers, axles, held), READING),
+        np.zeros((kept_rovers, held), ROVER_NOTE),
+        np.zeros((rovers, numbers.bounds.shape[1]), dtype=np.float32),
     )
 
 
@@ -159,11 +163,14 @@ def _with_front(scenario: RoverScenario) -> RoverScenario:
 
 
 @njit(**EXACT)
-def _settle(rover, mass, course, ruts, numbers, scratch):
-    """Put a rover, with a mean `mass` [kg] on its wheels, at rest at the start of its course."""
-    rig = numbers.rig[0]
-    s = numbers.suspension[0]
-    world = World(rig, numbers.acting, scratch.stage[0].nodes[0])
+def _settle(rover, mass, course, ruts, numbers, nodes):
+    """Put a rover, whose record is blank but for its stream, at rest at the start of its course.
+
+    `mass` [kg] is the mean on its wheels.
+    """
+    rig = numbers.rig
+    s = numbers.suspension
+    world = World(rig, numbers.acting, nodes)
     rover.mass = mass * s.axles
     for a in range(s.axles):
         wheel = rover.wheels[a]
@@ -181,12 +188,13 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those
     not found.
 
-    RESTART starts a new course and puts the rover at rest at its start. After TRY, `reward` is the
-    mean mass on a wheel, or -1 if no passable course was found.
+    RESTART starts a new course and puts the rover at rest at its start. After TRY, the rover's
+    `reward` is the mean mass on a wheel, or -1 if no passable course was found. `numbers`:
+    `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]
-    course_numbers = CourseNumbers(numbers.drawn, numbers.rig[0], numbers.acting)
-    s = numbers.suspension[0]
+    course_numbers = CourseNumbers(numbers.drawn, numbers.rig, numbers.acting)
+    s = numbers.suspension
     ahead = s.wheelbase + numbers.drawn.spec.ahead  # [m] before the rear axle
     failed = 0
     for j in range(first, end):
@@ -194,36 +202,33 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
         if order == STEP or order == IDLE:
             continue
         rover = worlds.state[j]
-        course = course_of(worlds.courses, j)
+        course = worlds.courses[j]
         if order == RESTART:
             mass = start_passable(course, rover, course_numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
                 extend_course(course, mass, ahead, course_numbers, nodes)
-                stream = rover.stream
-                worlds.state[j] = scratch.rover[0]
-                rover.stream = stream
-                _settle(rover, mass, course, worlds.ruts[j], numbers, scratch)
+                _settle(rover, mass, course, worlds.ruts[j], numbers, nodes)
         elif order == TRY:
-            worlds.reward[j] = start_course(course, rover, course_numbers, nodes)
+            rover.reward = start_course(course, rover, course_numbers, nodes)
         else:
             x = HUGE if order == COMPLETE else rover.x + ahead
             extend_course(course, rover.mass / s.axles, x, course_numbers, nodes)
     return failed
 
 
-class Sensors(NamedTuple):
-    """The sensors of a rover."""
+class Setting(NamedTuple):
+    """Constants and scratch of a thread as records, see `simulation.wheels.Setting`."""
 
-    sd: Any  # `READING` of the noise
+    world: RoverWorld
+    task: Any  # `TASK`
+    sd: Any  # `READING`
     errors: SensorErrors | None
-    radius: float  # [m] of the wheels
-    axles: int
-    normals: Any  # `NORMALS`, scratch
+    normals: Any  # `NORMALS`
 
 
-@njit(**FINITE)
+@njit(**INLINE)
 def _sense_body(rover, sd):
     """`BodyReading` of a rover."""
     of_speed, of_pitch = normal_pair(rover)
@@ -236,26 +241,72 @@ def _sense_body(rover, sd):
 
 
 @njit(**FINITE)
-def _sense_wheels(rover, of_body, sensors, readings):
-    """Fill `readings` [axles] of the wheels of a rover; of speed, pitch and acceleration the body
-    has one sensor each.
+def _sense(rover, readings, note, period, setting):
+    """Fill `readings` [axles, held] of a control period and its `ROVER_NOTE`.
+
+    Of speed, pitch and acceleration the body has one sensor each; their `BodyReading`.
     """
-    for a in range(sensors.axles):
-        reading = readings[a]
-        sense(rover.wheels[a], reading, sensors.normals, sensors.sd, sensors.errors, sensors.radius)
+    task = setting.task
+    of_body = _sense_body(rover, setting.sd)
+    if rover.steps > 0:  # not at the start of a course
+        roll_odometer(rover, of_body.speed, task.period)
+    for a in range(setting.world.suspension.axles):
+        reading = readings[a, period]
+        sense(rover.wheels[a], reading, setting.normals, setting.sd, setting.errors, task.radius)
         reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
+    note.halted = 1.0 if rover.halt_left > 0.0 else 0.0
+    note.place = rover.odometer
+    return of_body
+
+
+@njit(**FINITE)
+def _restart(rover, readings, notes, setting):
+    """`BodyReading` of a rover at the start of its course."""
+    take_pitch(rover, setting.world.suspension)
+    start_odometry(rover, setting.task.odometry_scale)
+    rover.cause = RUNNING
+    rover.periods = 1
+    return _sense(rover, readings, notes[0], 0, setting)
+
+
+@njit(**FINITE)
+def _step(rover, commands, patches, ruts, readings, notes, setting):
+    """The control periods of an action of a rover, until its episode ends; its last `BodyReading`.
+
+    `readings` [axles, held], `notes` [held], or one of each to overwrite.
+    """
+    task = setting.task
+    terms = rover.terms
+    for i in range(4):
+        terms[i] = 0.0
+    of_body = BodyReading(0.0, 0.0, 0.0)
+    rover.periods = 0
+    rover.cause = RUNNING
+    while rover.periods < task.held and rover.cause == RUNNING:
+        control_period(rover, commands, patches, ruts, setting.world)
+        period = min(rover.periods, notes.size - 1)
+        of_body = _sense(rover, readings, notes[period], period, setting)
+        rover.cause = judge(rover, task)
+        add_reward(rover, rover.cause, task, terms)
+        rover.periods += 1
+    rover.reward = total_of(terms)
+    return of_body
 
 
 @njit(**INLINE)
-def _keep(sensed, j, period, rover, axles, readings):
-    """Keep the sensor record of a control period of rover j."""
+def _observe(rover, of_body, readings, course, setting, out):
+    """Fill the observation `out` [D] of a rover but for what is identified."""
+    task = setting.task
+    axles = setting.world.suspension.axles
+    last = min(rover.periods, readings.shape[1]) - 1
+    write_body(out, rover, of_body, task)
     for a in range(axles):
-        sensed.readings[j * axles + a, period] = readings[a]
-    sensed.periods[j] = period + 1
-    sensed.halted[j, period] = rover.halt_left > 0.0
-    sensed.places[j, period] = rover.odometer
+        write_axle(out, a, rover.wheels[a], readings[a, last], task)
+    if task.variant == TRUE_SOIL:
+        soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
+        write_true_soils(soils, rover, axles, course, setting.world.rig.border)
 
 
 @kept
@@ -263,61 +314,28 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     """Follow the `orders` [rovers] STEP and RESTART for the rovers `first` to `end` - 1; `actions`
     [rovers, axles].
 
-    A step has as many control periods as an action lasts, or fewer if the episode ends. Courses are
-    laid (`lay_rovers`).
+    Their courses are laid (`lay_rovers`).
     """
-    # records are taken out of their arrays once, since numba counts references to arrays, not to
-    # records
-    rig = numbers.rig[0]
-    suspension = numbers.suspension[0]
-    axles = suspension.axles
-    task = numbers.task[0]
-    sd = numbers.sd[0]
-    world = RoverWorld(rig, numbers.acting, suspension, scratch.stage[0])
-    sensors = Sensors(sd, numbers.errors, rig.radius, axles, scratch.normals[0])
-    readings = scratch.sensed[0].readings
-    recorded = worlds.record.periods.size > 0
+    world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
+    setting = Setting(world, numbers.task[0], numbers.sd[0], numbers.errors, scratch.normals[0])
+    recorded = worlds.notes.shape[0] > 0
     for j in range(first, end):
-        starts = orders[j] == RESTART
-        if not starts and orders[j] != STEP:
+        order = orders[j]
+        if order != STEP and order != RESTART:
             continue
         rover = worlds.state[j]
-        course = course_of(worlds.courses, j)
-        ruts = worlds.ruts[j]
-        commands = actions[j]
-        terms = worlds.terms[j]
-        terms[:] = 0.0
-        cause = RUNNING
-        period = 0
-        while True:
-            if starts:
-                take_pitch(rover, suspension)
-                start_odometry(rover, task.odometry_scale)
-            else:
-                control_period(rover, commands, course.patches, ruts, world)
-            of_body = _sense_body(rover, sd)
-            if not starts:
-                roll_odometer(rover, of_body.speed, task.period)
-            _sense_wheels(rover, of_body, sensors, readings)
-            if recorded:
-                _keep(worlds.record, j, period, rover, axles, readings)
-            period += 1
-            if starts:
-                break
-            cause = judge(rover, task)
-            add_reward(rover, cause, task, terms)
-            if period == task.held or cause != RUNNING:
-                break
-        worlds.cause[j] = cause
-        worlds.reward[j] = total_of(terms)
+        course = worlds.courses[j]
+        readings = worlds.readings[j] if recorded else scratch.readings
+        notes = worlds.notes[j] if recorded else scratch.note
+        if order == STEP:
+            of_body = _step(
+                rover, actions[j], course.patches, worlds.ruts[j], readings, notes, setting
+            )
+        else:
+            of_body = _restart(rover, readings, notes, setting)
         out = worlds.observation[j]
-        write_body(out, rover, of_body, task)
-        for a in range(axles):
-            write_axle(out, a, rover.wheels[a], readings[a], task)
-        if task.variant == TRUE_SOIL:
-            soils = out[ENTRIES_OF_BODY + axles * ENTRIES_OF_AXLE :]
-            write_true_soils(soils, rover, axles, course, rig.border)
-        clip(out, numbers.low, numbers.high)
+        _observe(rover, of_body, readings, course, setting, out)
+        clip(out, numbers.bounds)
 
 
 @kept
@@ -326,4 +344,4 @@ def observe_true_soils(worlds, numbers, out):
     border = numbers.rig[0].border
     axles = numbers.suspension[0].axles
     for j in range(len(out)):
-        write_true_soils(out[j], worlds.state[j], axles, course_of(worlds.courses, j), border)
+        write_true_soils(out[j], worlds.state[j], axles, worlds.courses[j], border)

@@ -13,12 +13,14 @@ from soil_env.parameters import RoverScenario, load_rover, rover_names, to_dict
 from soil_env.parameters.readings import COMPLETE, RESTART, STEP
 from soil_env.simulation.rover.body import LEAST_LOAD
 from soil_env.simulation.rover.rovers import (
+    RoverCourseNumbers,
     RoverNumbers,
     RoverScratch,
     RoverWorlds,
     lay_rovers,
     new_rover_scratch,
     new_rover_worlds,
+    rover_course_numbers,
     rover_numbers,
     step_rovers,
 )
@@ -52,6 +54,7 @@ class Simulation(NamedTuple):
 
     scenario: RoverScenario
     numbers: RoverNumbers
+    courses: RoverCourseNumbers
     worlds: RoverWorlds
     scratch: RoverScratch
 
@@ -60,7 +63,7 @@ class Simulation(NamedTuple):
         orders = np.array([order])
         if order == RESTART:
             for laid in (order, COMPLETE):
-                lay_rovers(self.worlds, self.numbers, np.array([laid]), self.scratch, 0, 1)
+                lay_rovers(self.worlds, self.courses, np.array([laid]), self.scratch, 0, 1)
         step_rovers(self.worlds, self.numbers, actions, orders, self.scratch, 0, 1)
 
     def step(self, command) -> None:
@@ -75,7 +78,8 @@ def started(scenario, seed=0) -> Simulation:
     numbers = rover_numbers(scenario, "blind")
     worlds = new_rover_worlds(1, scenario, numbers, False)
     worlds.state["stream"] = seed_stream(np.random.default_rng(seed))
-    simulation = Simulation(scenario, numbers, worlds, new_rover_scratch())
+    courses = rover_course_numbers(scenario)
+    simulation = Simulation(scenario, numbers, courses, worlds, new_rover_scratch())
     simulation.follow(RESTART, np.zeros((1, scenario.axles)))
     return simulation
 

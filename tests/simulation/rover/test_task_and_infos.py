@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.parameters import rover_names
 from soil_env.envs.rover_env import SoilRoverEnv
+from soil_env.parameters import SoilState, rover_names
 from soil_env.simulation.rover.task import axle_names
 
 
@@ -90,7 +90,8 @@ def test_true_soil_is_that_under_each_axle(rover):
             if soil != rows[0][2][-1]:
                 met.setdefault(axle, k)
     courses = env.simulation.worlds.courses
-    assert rows[0][2][-1] == pytest.approx(tuple(courses.soils[0, 0]))
+    first = courses["patches"][0, 0]
+    assert rows[0][2][-1] == pytest.approx(tuple(first[name] for name in SoilState._fields))
     order = [met.get(axle, len(rows)) for axle in names]
     assert order == sorted(order) and order[0] < order[-1]
 
@@ -100,7 +101,7 @@ def test_energy_and_progress_are_of_the_rover_as_a_whole():
     s = env.scenario
     length = env.scenario.course.length
     before = 0.0
-    mass = env.simulation.worlds.rovers.body.mass[0]
+    mass = env.simulation.worlds.state["mass"][0]
     payload = mass - 0.5 * s.vehicle.mass
     assert 0.0 <= payload <= 3.0 * s.course.payload[1]
     for _, info, _ in rows[1:]:
