@@ -1,131 +1,160 @@
-"""Speed of the environments in one run, wheels and rovers side by side.
+"""Speed of the environments, alone or beside another checkout, in one run.
 
     python -m benchmarks.throughput                  minutes; writes docs/results/throughput.*
+    python -m benchmarks.throughput --against DIR    the same in turns with the checkout DIR
     python -m benchmarks.throughput --smoke --out X  every part in seconds, numbers without meaning
 
-Torque commands are random, one a control period, held for eight; resets included. Everything is
-measured in turns; each figure is a median over rounds with the lowest and the highest. Run it on an
-idle machine.
+Random commands are held for eight steps; resets are included. Each figure is a median over rounds
+with the lowest and the highest; beside another checkout, of the ratios of the rounds. DIR needs a
+virtual environment in DIR/.venv. Run it on an idle machine.
+
+`first start` is the wall time of a process that imports, makes, resets and steps one environment,
+with compiled code on the disk ("kept") or without.
 """
 
-import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
-import gymnasium
-import numpy as np
 
 from benchmarks.common import machine, machine_text, ready, spread, study_options, write
+from benchmarks.stepping import ENVIRONMENTS
 from soil_env._io.document import Table
 from soil_env._io.files import write_json
-from soil_env.cli.running import leave, run
-from soil_env.envs.wheel_env import SoilWheelEnv, SoilWheelVectorEnv
-from soil_env.envs.rover_env import SoilRoverEnv, SoilRoverVectorEnv
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import PATH, leave, run
 
 NAME = "throughput"
-HELD = 8  # steps that a random command is held
-BLIND = {"observation": "blind", "belief": {"method": "none"}}
+ROOT = Path(__file__).resolve().parent.parent
+WORKER = ROOT / "benchmarks" / "stepping.py"
+#: Programs whose first start is measured.
+FIRST = {
+    "blind": 'import gymnasium; env = gymnasium.make("soil_env:SoilWheel-v0", observation="blind", '
+    'belief={"method": "none"}); env.reset(seed=1); env.step([0.3])',
+    "identified": 'import gymnasium; env = gymnasium.make("soil_env:SoilWheel-v0"); '
+    "env.reset(seed=1); env.step([0.3])",
+}
 
 
-class Runner(NamedTuple):
-    """Environments under random actions: one call of `step` moves `size` of them."""
+class Checkout:
+    """Worker in the interpreter of a checkout."""
 
-    size: int
-    step: Callable[[], object]
+    def __init__(self, root: Path) -> None:
+        own = root == ROOT
+        python = Path(sys.executable) if own else root / ".venv" / "bin" / "python"
+        if not python.exists():
+            raise ParameterError(f"--against {root}: expected a checkout with {python}")
+        self.python = str(python)
+        self.environment = os.environ | {"PYTHONPATH": str(root)}
+        self.root = root
+
+    def start(self, size: int, threads: int, seconds: float) -> None:
+        """Start the worker and wait until all of it is compiled."""
+        numbers = (str(size), str(threads), str(seconds))
+        self.worker = subprocess.Popen(
+            [self.python, str(WORKER), *numbers, *ENVIRONMENTS],
+            cwd=self.root,
+            env=self.environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        if self._answer() != "ready":
+            raise RuntimeError(f"the worker in {self.root} has ended")
+
+    def _answer(self) -> str:
+        assert self.worker.stdout is not None
+        return self.worker.stdout.readline().strip()
+
+    def rates(self) -> list[float]:
+        """Steps a second of each environment."""
+        assert self.worker.stdin is not None
+        self.worker.stdin.write("\n")
+        self.worker.stdin.flush()
+        found: list[float] = json.loads(self._answer())
+        return found
+
+    def first(self, program: str, cache: str) -> float:
+        """Wall time [s] of a program with compiled code in the folder `cache`."""
+        start = time.perf_counter()
+        environment = self.environment | {"NUMBA_CACHE_DIR": cache}
+        command = [self.python, "-c", program]
+        subprocess.run(
+            command, cwd=self.root, env=environment, check=True, stderr=subprocess.DEVNULL
+        )
+        return time.perf_counter() - start
+
+    def firsts(self) -> dict[str, float]:
+        """First starts, from an empty folder and again."""
+        found = {}
+        for name, program in FIRST.items():
+            with tempfile.TemporaryDirectory() as cache:
+                found[name] = self.first(program, cache)
+                found[f"{name}, kept"] = self.first(program, cache)
+        return found
 
 
-def vector(env: Any) -> Runner:
-    """Run a vector environment."""
-    env.reset(seed=0)
-    draws = (
-        np.random.default_rng(0).uniform(0.0, 0.8, (16, *env.action_space.shape)).astype(np.float32)
-    )
-    held = itertools.cycle(np.repeat(draws, HELD, axis=0))
-    return Runner(env.num_envs, lambda: env.step(next(held)))
-
-
-def single(env: gymnasium.Env) -> Runner:
-    """Run one environment, reset where an episode ends."""
-    env.reset(seed=0)
-    draws = (
-        np.random.default_rng(0)
-        .uniform(0.0, 0.8, (512, *env.action_space.shape))
-        .astype(np.float32)
-    )
-    held = itertools.cycle(np.repeat(draws, HELD, axis=0))
-
-    def step() -> None:
-        _, _, terminated, truncated, _ = env.step(next(held))
-        if terminated or truncated:
-            env.reset()
-
-    return Runner(1, step)
-
-
-def runners(size: int, threads: int) -> dict[str, Runner]:
-    """Return all environments by name."""
-    torque: dict[str, Any] = {"action": "torque", "threads": threads}
-    return {
-        "wheels, mixed": vector(SoilWheelVectorEnv(size, "mixed", **torque)),
-        "wheels, mixed, blind, no identifier": vector(
-            SoilWheelVectorEnv(size, "mixed", **torque, **BLIND)
-        ),
-        "wheels, default scenario": vector(SoilWheelVectorEnv(size, **torque)),
-        "rovers, two axles": vector(SoilRoverVectorEnv(size, "lunar_micro_rover", **torque)),
-        "rovers, three axles": vector(SoilRoverVectorEnv(size, "mars_rover", **torque)),
-        "one wheel, mixed": single(SoilWheelEnv("mixed", action="torque")),
-        "one rover, two axles": single(
-            SoilRoverEnv("lunar_micro_rover", action="torque", info="none")
-        ),
-    }
-
-
-def rates(runners: dict[str, Runner], seconds: float, rounds: int) -> dict[str, list[float]]:
-    """Steps a second of each runner in each round, measured in turns after one turn of warming
-    up.
-    """
-    found: dict[str, list[float]] = {name: [] for name in runners}
-    for turn in range(rounds + 1):
-        for name, runner in runners.items():
-            steps = 0
-            start = time.perf_counter()
-            while time.perf_counter() - start < seconds:
-                for _ in range(max(1, 256 // runner.size)):
-                    runner.step()
-                    steps += runner.size
-            if turn:
-                found[name].append(steps / (time.perf_counter() - start))
-    return found
+def compared(rounds: list[dict[str, list[float]]], names: list[str]) -> dict[str, Any]:
+    """Spread of the rates, and of the ratios if two checkouts were measured."""
+    sides = list(rounds[0])
+    out: dict[str, Any] = {}
+    for i, name in enumerate(names):
+        out[name] = {side: spread([r[side][i] for r in rounds]) for side in sides}
+        if len(sides) == 2:
+            out[name]["ratio"] = spread([r[sides[0]][i] / r[sides[1]][i] for r in rounds])
+    return out
 
 
 @click.command(NAME)
+@click.option("--against", type=PATH, metavar="DIR", help="Other checkout, measured in turns.")
 @study_options(NAME)
-def command(smoke: bool, out: Path) -> None:
+def command(smoke: bool, out: Path, against: Path | None) -> None:
     """Measure steps per second in one run."""
     file = ready(out, NAME)
     about = machine()
-    seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 7, 1024)
-    found = rates(runners(size, min(2, about["cores"])), seconds, rounds)
-    speeds = {name: spread(values) for name, values in found.items()}
-    write_json(file, {"machine": about, "size": size, "rates": speeds})
+    seconds, rounds, size = (0.02, 2, 32) if smoke else (1.0, 9, 1024)
+    sides = {"here": Checkout(ROOT)}
+    if against is not None:
+        sides["against"] = Checkout(against.resolve())
+    firsts = {} if smoke else {name: side.firsts() for name, side in sides.items()}
+    for side in sides.values():
+        side.start(size, min(2, about["cores"]), seconds)
+    found = [{name: side.rates() for name, side in sides.items()} for _ in range(rounds + 1)][1:]
+    names = list(ENVIRONMENTS)
+    results = compared(found, names)
+    content = {"machine": about, "size": size, "rates": results, "first_starts": firsts}
+    write_json(file, content)
     text = (
         f"{size} environments in a vector environment, by `python -m benchmarks.{NAME}` on "
         f"{machine_text(about)}."
     )
-    rows = [
-        (name, *(f"{1e-3 * v[k]:,.0f}" for k in ("median", "low", "high")))
-        for name, v in speeds.items()
-    ]
-    write(
-        out,
-        NAME,
-        "Speed",
-        text,
-        {"Speed": Table(("environment", "1000 steps/s", "lowest", "highest"), rows)},
-    )
+    tables = {"Speed": _speeds(results)}
+    if firsts:
+        heads = ("first start", *(f"{name} [s]" for name in sides))
+        rows = [
+            (name, *(f"{firsts[side][name]:.1f}" for side in sides)) for name in firsts["here"]
+        ]
+        tables["First start"] = Table(heads, rows)
+    write(out, NAME, "Speed", text, tables)
+
+
+def _speeds(results: dict[str, Any]) -> Table:
+    two = "ratio" in next(iter(results.values()))
+    heads = ("environment", "1000 steps/s", "lowest", "highest")
+    heads += ("ratio to the other", "lowest ratio", "highest ratio") if two else ()
+    rows = []
+    for name, result in results.items():
+        row = [name, *(f"{1e-3 * result['here'][k]:,.0f}" for k in ("median", "low", "high"))]
+        if two:
+            row += [f"{result['ratio'][k]:.2f}" for k in ("median", "low", "high")]
+        rows.append(tuple(row))
+    return Table(heads, rows)
 
 
 if __name__ == "__main__":

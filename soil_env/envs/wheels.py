@@ -58,6 +58,7 @@ class Simulation(Vehicles):
         notes = (wheels, scenario.control.held) if identifies else (-(-wheels // self._share), 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, notes)
         self._actions = worlds.actions
+        self._orders = worlds.orders
         self._constants, self._options = constants_of(self.numbers, identifies)
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
@@ -88,7 +89,8 @@ class Simulation(Vehicles):
         )
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        self._world.orders[first:end] = orders[first:end]
+        if orders is not self._world.orders:
+            self._world.orders[first:end] = orders[first:end]
         self._step(self._world, self._constants, self._options, scratch, first, end)
 
     def wheel(self, k: int) -> dict[str, float]:
