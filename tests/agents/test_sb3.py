@@ -7,8 +7,8 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from agents.sb3 import SoilRoverVecEnv, SoilWheelVecEnv
-from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.envs.rover_env import SoilRoverVectorEnv
+from soil_env.envs.wheel_env import SoilWheelVectorEnv
 from soil_env.simulation.task import Cause
 
 KINDS = [(SoilWheelVecEnv, SoilWheelVectorEnv), (SoilRoverVecEnv, SoilRoverVectorEnv)]

@@ -101,13 +101,13 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
         sim.step_all(command, what)
         what[sim.worlds.cause != 0] = 2
     kept = sim.worlds.memory
-    lines = sim.worlds.courses.lines
+    library = sim.worlds.courses["library"]
     wheel = scenario.wheel
     rows = []
     for k in range(wheels):
         for c in np.flatnonzero(kept.patches[k]):
             load = sim.worlds.state["mass"][k] * scenario.gravity
-            soil = SoilState(*lines.library[k, c])
+            soil = SoilState(*library[k, c])
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             rows.append(
                 (

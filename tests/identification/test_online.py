@@ -15,9 +15,8 @@ from soil_env.identification.online.filter_estimate import publish
 from soil_env.identification.online.identifier import FARTHEST
 from soil_env.identification.online.lanes.compiling import compiled_root
 from soil_env.online import OnlineIdentifier
-from soil_env.parameters import Belief, SoilSpread, load_scenario, soils, wheels
-from soil_env.simulation.world.dynamics import STEP, advance
-from soil_env.simulation.world.sensors import sense
+from soil_env.parameters import Belief, SoilSpread, SoilState, load_scenario, soils, wheels
+from soil_env.parameters.readings import STEP
 from tests.identification.observing import numbers_of, observe, started
 from tests.simulation import wheels as bench
 from tests.simulation.courses import EVEN
@@ -79,7 +78,12 @@ def simulate(
     }
     scenario = replace(load_scenario("mixed", base | (changes or {})), belief=belief)
     sim = started(scenario, *range(wheels))
-    return sim, unknowns(sim.worlds.courses.soils[:, 0])
+    return sim, unknowns(soils_of(sim.worlds.courses)[:, 0])
+
+
+def soils_of(courses):
+    """`SoilState` of each patch of courses [courses, patches, 7]."""
+    return np.stack([courses["patches"][name] for name in SoilState._fields], axis=-1)
 
 
 def test_only_readings_enter():
@@ -88,22 +92,23 @@ def test_only_readings_enter():
     """
     sim, _ = simulate()
     w = sim.worlds
-    n = sim.numbers
     other = identifier.new_identifiers(1)
     identifier.forget(other, 0, sim.belief.identifier)
-    what = np.full(1, STEP, dtype=np.int8)
+    on_board = sim._on_board
+    sim._on_board = None  # the world alone
     for k in range(80):
-        commands = np.array([0.4 + 0.35 * math.sin(0.7 * k)])
-        advance(w.state, w.counts, 0, 1, what, commands, w.courses, w.streams, n.world)
-        readings = sense(w.state, 0, w.streams, n.task.sensors)
-        observe(other, 0, readings, sim.belief.identifier)
-        kept = w.courses.soils.copy(), w.state.copy()
-        w.courses.soils[:] *= 1.7  # with n and c
-        for name in w.state.NAMES:
-            w.state[name] *= 1.3
-        observe(w.ids, 0, readings, sim.belief.identifier)
-        w.courses.soils[:] = kept[0]
-        w.state.data[:] = kept[1].data
+        sim.step(0, 0.4 + 0.35 * math.sin(0.7 * k))
+        for reading in sim._record.readings[0, : w.state["periods"][0]]:
+            observe(other, 0, reading, sim.belief.identifier)
+        kept = w.courses.copy(), w.state.copy()
+        for name in SoilState._fields:
+            w.courses["patches"][name] *= 1.7
+        for name in w.state.dtype.names:
+            if w.state[name].dtype == float:
+                w.state[name] *= 1.3
+        on_board.follow(sim._record, sim._results, np.full(1, STEP), 0, 1)
+        w.courses[:] = kept[0]
+        w.state[:] = kept[1]
     assert w.ids.banks.point.points[0] > 5.0
     np.testing.assert_array_equal(numbers_of(w.ids), numbers_of(other))
 
@@ -137,15 +142,17 @@ def test_a_border_between_soils_is_noticed(sinkage_alone):
     """
     sim, _ = simulate({"course": UNIFORM | {"patch_length": [4.0, 4.0], "grade_deg": [-1.0, 0.0]}})
     w = sim.worlds
-    soil = sim.worlds.courses.soils
-    soil[0, 1] = (
-        soil[0, 0] * [1, 1, 1, 0.5, 1, 1, 1] if sinkage_alone else soils()["dry_sand"].state(0.15)
-    )
-    w.courses.grades[:] = 0.0
-    truth = unknowns(soil[0, :2])[:, :2]
+    patches = w.courses["patches"]
+    beyond = soils()["dry_sand"].state(0.15)
+    if sinkage_alone:
+        first = SoilState._make(soils_of(w.courses)[0, 0])
+        beyond = first._replace(sinkage_coefficient=0.5 * first.sinkage_coefficient)
+    bench.set_soil(patches[:, 1], beyond)
+    patches["grade"] = 0.0
+    truth = unknowns(soils_of(w.courses)[0, :2])[:, :2]
     k = 0
     for patch, place in enumerate((3.6, 5.3)):
-        while w.state.x[0] < place:
+        while w.state["x"][0] < place:
             sim.step(0, excited(k))
             k += 1
             assert k < 900

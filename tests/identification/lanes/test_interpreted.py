@@ -10,9 +10,8 @@ import pytest
 from soil_env.identification.online.lanes.steady import steady_state
 from soil_env.identification.online.on_board import wheels_on_board
 from soil_env.identification.online.rover_on_board import rovers_on_board
-from soil_env.parameters import load_scenario, soils
+from soil_env.parameters import load_rover, load_scenario, soils
 from soil_env.parameters.readings import RESTART, RUNNING, STEP, Image, Record, Results, Shown
-from soil_env.parameters import load_rover
 from tests.conftest import ROOT
 
 PERIODS = 60  # control periods, each a step
