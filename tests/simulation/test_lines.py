@@ -126,9 +126,11 @@ def test_where_no_soil_is_passable_the_passable_line_goes_on(scenario):
 
 
 def creep(chosen, seed, steps=900):
-    """Yield (simulation, wheels that are asked for a line) at each step of eight wheels at 0.2 m/s or less.
+    """Yield (simulation, wheels that are asked for a line) at each step of eight wheels at 0.2 m/s
+    or less.
 
-    `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes now and then.
+    `chosen` is the action at halts where a line is chosen; elsewhere the sign of the action changes
+    now and then.
     """
     sim = simulation(
         seed=seed, wheels=8, control={"action": "wheel_speed"}, course={"dead_ends": 0.0}
@@ -143,7 +145,7 @@ def creep(chosen, seed, steps=900):
 
 
 def test_the_sign_of_the_action_at_the_halt_chooses():
-    """Before every fork there is a halt at which it does; what lies under and behind the wheel stays as it is."""
+    """A halt lies before every fork; what is under and behind the wheel stays as it is."""
     for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
         passed = 0
         asked_at = [set() for _ in range(8)]
@@ -177,13 +179,11 @@ def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
             p = int(sim.worlds.counts["patch"][k]) + 1
             left = courses.edges[k, p] - state["x"][k]
             if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1]:
-                seen.setdefault(
-                    (k, p), left
-                )  # the first so near; there may be another, as every metre or so
+                # the first so near; there may be another, as every metre or so
+                seen.setdefault((k, p), left)
     seen = list(seen.values())
-    assert (
-        len(seen) > 15
-    )  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
+    # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
+    assert len(seen) > 15
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
 
@@ -251,7 +251,7 @@ def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_only_true_soil_shows_the_soils_ahead(variant):
-    """Observations of two worlds that differ in nothing but soils and capacities of the lines ahead."""
+    """Observations of two worlds that differ only in soils and capacities of lines ahead."""
     rows = []
     for change in (1.0, 1.1):
         sim = simulation(variant, seed=9)
