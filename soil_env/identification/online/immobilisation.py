@@ -5,9 +5,9 @@ A wheel is *immobilised* after the last moment at which it got further at the le
 the task asks for. Seconds are of driving: halts do not count. A small network reads moving averages
 of the sensor `Channels`, the time since the last halt, the estimate of the soil and the view of the
 ground ahead. It reads neither the true soil nor the action. All is without dimension, so one set of
-weights serves any wheel. Its outputs are hazards, of the first of `HORIZONS` and of the time from there to
-the second. Weights and training: immobilisation.json. It is compiled, since numpy would slow each
-step with full `info`.
+weights serves any wheel. Its outputs are hazards, of the first of `HORIZONS` and of the time from
+there to the second. Weights and training: immobilisation.json. It is compiled, since numpy would
+slow each step with full `info`.
 """
 
 import functools

@@ -127,8 +127,8 @@ def account(wheel, end, stage, drive, rig):
     to its `end`.
 
     With d the change of speed from where the stage begins, and e where it begins beyond the present
-    speed, the integrator takes m (d^2 - e^2)/2, and the same of the rotation: what the products of
-    the stages with their speeds leave.
+    speed, the integrator takes m (d^2 - e^2)/2, and the same of the rotation. This is what the
+    products of the stages with their speeds leave.
     """
     r = rig.radius
     turning = wheel.wheel_speed

@@ -101,8 +101,8 @@ def draw_lines(course, lines, load, numbers, nodes):
     """Draw the lines of the next patch; False if it is not passable, and without classes.
 
     Where the border between a passable line of this patch and one of the patch before falls short
-    of the least margin, the grades of both are lowered, so that the grades of a patch are final
-    when the next one is drawn.
+    of the least margin, the grades of both are lowered. So the grades of a patch are final when the
+    next one is drawn.
     """
     if lines is None:
         return False
