@@ -3,8 +3,8 @@
 `import soil_env` registers the Gymnasium environments `SoilWheel-v0` and `SoilRover-v0`, and does
 nothing else; `gymnasium.make("soil_env:SoilWheel-v0")` needs no import. Their classes are imported
 when they are asked for. Rooms: physics in `terramechanics`, world and task in `simulation`,
-identification in `identification`, both together in `driving`, the environments in `env` and
-`rover_env`, the search for missing effects in `discrepancy`.
+identification in `identification`, the environments, which join both, in `envs`, the search for
+missing effects in `discrepancy`.
 """
 
 from importlib import import_module

@@ -18,8 +18,8 @@ How to add an effect, in two files:
    have it from there.
 4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source
    writes it to `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics
-   tests/simulation/test_worlds.py tests/discrepancy/test_search.py`. `HIDDEN` in `agents/environment.py`
-   lists the effects that hidden training worlds draw from.
+   tests/simulation/test_worlds.py tests/discrepancy/test_search.py`. `HIDDEN` in
+   `agents/environment.py` lists the effects that hidden training worlds draw from.
 
 Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
 other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the
