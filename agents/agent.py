@@ -24,9 +24,9 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import nn
 
 from soil_env._io.loading import Checked, ParameterError, load, quantity
+from soil_env.envs.rover_env import rover_action_space
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
-from soil_env.envs.rover_env import rover_action_space
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import ObservedNumber, layout
 from soil_env.simulation.task.scaling import Scaling
