@@ -1,7 +1,8 @@
 """Worker of `benchmarks.throughput`: environments under random actions, timed on request.
 
-It runs as a script in the interpreter of any checkout, and uses nothing but its public environments. It prints "ready"
-once all is compiled; then each line on stdin is answered by steps a second of each environment, in order.
+It runs as a script in the interpreter of any checkout, and uses nothing but its public
+environments. It prints "ready" once all is compiled; then each line on stdin is answered by steps a
+second of each environment, in order.
 """
 
 import itertools
@@ -26,7 +27,11 @@ EFFECTS = {
 ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     "wheels, mixed, torque, blind": ("wheels", "mixed", {**TORQUE, **BLIND}),
     "wheels, default, blind": ("wheels", None, BLIND),
-    "wheels, mixed, torque, blind, effects on": ("wheels", "mixed", {**TORQUE, **BLIND, "on": True}),
+    "wheels, mixed, torque, blind, effects on": (
+        "wheels",
+        "mixed",
+        {**TORQUE, **BLIND, "on": True},
+    ),
     "wheels, mixed, torque, identified": ("wheels", "mixed", TORQUE),
     "wheels, default, identified": ("wheels", None, {}),
     "rovers, two axles, torque, blind": ("rovers", "lunar_micro_rover", {**TORQUE, **BLIND}),

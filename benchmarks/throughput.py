@@ -137,9 +137,7 @@ def command(smoke: bool, out: Path, against: Path | None) -> None:
     tables = {"Speed": _speeds(results)}
     if firsts:
         heads = ("first start", *(f"{name} [s]" for name in sides))
-        rows = [
-            (name, *(f"{firsts[side][name]:.1f}" for side in sides)) for name in firsts["here"]
-        ]
+        rows = [(name, *(f"{firsts[side][name]:.1f}" for side in sides)) for name in firsts["here"]]
         tables["First start"] = Table(heads, rows)
     write(out, NAME, "Speed", text, tables)
 

@@ -1,1 +1,1 @@
-"""What all compiled functions share: numba's flags, elementary functions, random streams, the cache on disk."""
+"""What compiled functions share: flags, elementary functions, random streams, the cache."""

@@ -14,9 +14,8 @@ from numba import njit
 from soil_env._compiled.flags import EXACT
 
 LARGEST_EXPONENT = 700.0  # [-] e^700 is the largest power that is formed
-ROUNDING = (
-    1.5 * 2.0**52
-)  # [-] added and subtracted it rounds to a whole number, which is then in the low bits
+# [-] added and subtracted it rounds to a whole number, which is then in the low bits
+ROUNDING = 1.5 * 2.0**52
 PER_LN2 = 1.4426950408889634  # [-] 1/ln 2
 LN2_HIGH = 0.6931471803691238  # [-] ln 2 to 32 bits
 LN2_LOW = 1.9082149292705877e-10  # [-] the rest of ln 2

@@ -1,8 +1,9 @@
 """Random numbers inside compiled code: one independent 64-bit stream for each wheel.
 
-SplitMix64 (Steele, Lea & Flood 2014, OOPSLA): a Weyl counter and a mixing function, state of one word. A stream is the
-field `stream` of a record. It is seeded from a `numpy.random.Generator`, so that everything random follows from
-`reset(seed=...)`; numpy's own generators cannot be handed to compiled code that runs in threads.
+SplitMix64 (Steele, Lea & Flood 2014, OOPSLA): a Weyl counter and a mixing function, state of one
+word. A stream is the field `stream` of a record. It is seeded from a `numpy.random.Generator`, so
+that everything random follows from `reset(seed=...)`; numpy's own generators cannot be handed to
+compiled code that runs in threads.
 """
 
 import math
@@ -14,9 +15,8 @@ from soil_env._compiled.elementary import half_cos, half_sin, log
 from soil_env._compiled.flags import EXACT, SUMS, record
 
 WEYL = np.uint64(0x9E3779B97F4A7C15)  # odd, 2^64 over the golden ratio
-MIX_FIRST = np.uint64(
-    0xBF58476D1CE4E5B9
-)  # multipliers and shifts of the mixing function (Stafford's variant 13)
+# multipliers and shifts of the mixing function (Stafford's variant 13)
+MIX_FIRST = np.uint64(0xBF58476D1CE4E5B9)
 MIX_SECOND = np.uint64(0x94D049BB133111EB)
 SHIFT_FIRST = np.uint64(30)
 SHIFT_SECOND = np.uint64(27)
@@ -24,10 +24,10 @@ SHIFT_LAST = np.uint64(31)
 SHIFT_TO_UNIT = np.uint64(11)  # leaves the 53 bits of a float64
 TO_UNIT = 2.0**-53
 
-PAIRS = (
-    5  # pairs of normal numbers that `draw_normals` draws at once: those of all sensors of a wheel
-)
-#: Scratch of `draw_normals`: the numbers of pair i are `first[i]` and `second[i]`; eight for the width of a register.
+#: Pairs of normal numbers that `draw_normals` draws at once: those of all sensors of a wheel.
+PAIRS = 5
+#: Scratch of `draw_normals`: the numbers of pair i are `first[i]` and `second[i]`; eight for the
+#: width of a register.
 NORMALS = record(first=("f8", 8), second=("f8", 8))
 
 
@@ -68,7 +68,7 @@ def normal_pair(owner):
 
 @njit(**EXACT)
 def draw_normals(owner, normals, pairs):
-    """Fill the first `pairs` (at most 8) of the scratch `normals` with standard normal numbers, as `normal_pair`."""
+    """Fill the first `pairs` (at most 8) of `normals` with standard normal numbers."""
     for i in range(8):
         normals.first[i] = uniform(owner) if i < pairs else 0.0
         normals.second[i] = uniform(owner) if i < pairs else 0.0
@@ -80,9 +80,8 @@ def _to_normal(normals):
     """Make normal numbers of uniform ones; all eight at once."""
     for i in range(8):
         radius = math.sqrt(-2.0 * log(1.0 - normals.first[i]))
-        angle = math.pi * (
-            2.0 * normals.second[i] - 1.0
-        )  # half a turn back: sine and cosine change sign
+        # half a turn back: sine and cosine change sign
+        angle = math.pi * (2.0 * normals.second[i] - 1.0)
         sine = half_sin(angle)
         cosine = half_cos(angle)
         normals.first[i] = radius * (2.0 * sine * sine - 1.0)

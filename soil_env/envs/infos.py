@@ -13,8 +13,9 @@ from soil_env.parameters import Scenario
 from soil_env.simulation.task import REWARD_TERMS, Cause, layout
 from soil_env.simulation.world.wheel import WHEEL
 
-#: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat numbers; what costs next to
-#: nothing; nothing. "full" and "numeric" ask for an estimate of the soil.
+#: Values of the keyword `info`: all groups nested; those that need no estimate; all as flat
+#: numbers; what costs next to nothing; nothing. "full" and "numeric" ask for an estimate of the
+#: soil.
 INFOS = ("full", "state", "numeric", "short", "none")
 IMMOBILISED = (Cause.ENTRAPPED, Cause.STALLED, Cause.BOGGED)
 STUCK = np.array([cause in IMMOBILISED for cause in Cause])  # by its number
@@ -66,7 +67,8 @@ def asks(kind: str) -> bool:
 def flat(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """All numbers of a full info without nesting.
 
-    `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`, `AXLE_estimate_NAME` of an axle.
+    `reward_NAME`, `estimate_NAME`, `NAME` of state and traversability; `AXLE_NAME`,
+    `AXLE_estimate_NAME` of an axle.
     """
     prefixes = {
         "reward_terms": "reward_",
@@ -100,8 +102,8 @@ def _numbers(info: Mapping[str, Any]) -> dict[str, np.number]:
 class Infos:
     """Infos of the wheels of one `Simulation`, of a `kind` of `INFOS`.
 
-    `traversability` is that of the last change of the estimate: see `renew`; its probabilities of immobilisation are of
-    now.
+    `traversability` is that of the last change of the estimate: see `renew`; its probabilities of
+    immobilisation are of now.
     """
 
     def __init__(self, simulation: Simulation, kind: str) -> None:
@@ -109,21 +111,21 @@ class Infos:
         self.kind: str = kind
         self._simulation = simulation
         wheels = simulation.count
-        self._assess = self._foresight = None
+        self._assess = None
+        self._foresight = None
         if simulation.belief is not None:
             from soil_env.identification.online.estimate import ground_assessment
             from soil_env.identification.online.immobilisation import ImmobilisationWarning
 
             self._assess = ground_assessment()
             self._foresight = ImmobilisationWarning(self.scenario)
-        self._seen = np.zeros(
-            (wheels, 2)
-        )  # load [of weight] and pitch [rad] when the estimate last changed
+        # load [of weight] and pitch [rad] when the estimate last changed
+        self._seen = np.zeros((wheels, 2))
         self._stale = np.ones(wheels, dtype=np.bool_)
         self._warnings = np.zeros((wheels, len(_WARNING)))
 
     def follow(self, reset: np.ndarray) -> None:
-        """Note which estimates have changed after a step; `reset` [wheels] bool: wheels that it has reset."""
+        """Note which estimates a step has changed; `reset` [wheels] bool: wheels it has reset."""
         changed = self._simulation.worlds.changed
         if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
             which = changed | reset
@@ -131,7 +133,7 @@ class Infos:
                 self.renew(which)
 
     def renew(self, which: np.ndarray) -> None:
-        """Estimates of the wheels `which` [wheels] bool are new: their traversability is that of what they see now."""
+        """Renew the traversability of the wheels `which` [wheels] bool, whose estimates are new."""
         worlds = self._simulation.worlds
         self._seen[which] = worlds.observation[which][:, _SEEN]
         self._stale |= which
@@ -153,7 +155,7 @@ class Infos:
         info = {
             "cause": _CAUSES[cause],
             "immobilised": _STUCK[cause],
-            "reward_terms": dict(zip(REWARD_TERMS, numbers[_TERMS_AT:_TERMS_END].tolist())),
+            "reward_terms": dict(zip(REWARD_TERMS, numbers[_TERMS_AT:_TERMS_END].tolist())),  # noqa: B905 (hot)
         }
         if asks(self.kind):
             ids = worlds.ids
@@ -167,7 +169,7 @@ class Infos:
             foreseen = self._foreseen(worlds, only)[0].tolist()
             info["traversability"] = warning | {"passable": warning["passable"] > 0.0}
             info["traversability"] |= dict(zip(_FORESEEN, foreseen, strict=True))
-        info["state"] = dict(zip(_STATE, numbers[: len(_STATE)].tolist()))
+        info["state"] = dict(zip(_STATE, numbers[: len(_STATE)].tolist()))  # noqa: B905 (hot)
         return info if self.kind != "numeric" else _numbers(flat(info))
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
@@ -177,7 +179,7 @@ class Infos:
         )
 
     def _renewed(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
-        """Traversability [wheels, 6] at the measured load and pitch, `_WARNING`; up to date for the wheels `rows`."""
+        """Traversability [wheels, 6], `_WARNING`, at the measured load; up to date for `rows`."""
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
@@ -204,7 +206,7 @@ class Infos:
         return full if self.kind != "numeric" else flat(full)
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
-        """Info of the wheels that have `ended` [wheels] bool before they are reset, 0 for all others.
+        """Info of the wheels that have `ended` [wheels] bool, before a reset; 0 for all others.
 
         It is that of `kind`, with the groups of "full" if something is identified, else of "state".
         """
@@ -220,7 +222,7 @@ class Infos:
     def _groups(
         self, worlds: Any, which: np.ndarray, identified: bool
     ) -> dict[str, dict[str, np.ndarray]]:
-        """estimate and traversability, if `identified`, and state, arrays [wheels]; traversability only of `which`."""
+        """Estimate and traversability (of `which`), if `identified`, and state, arrays [wheels]."""
         groups = {"state": {name: worlds.state[name].copy() for name in _STATE}}
         if not identified:
             return groups
@@ -245,7 +247,7 @@ def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def masked(info: dict[str, Any], which: np.ndarray) -> dict[str, Any]:
-    """Arrays with 0 where `which` is not, and beside each key `_key` with `which`, as vector environments have it."""
+    """Arrays with 0 where `which` is false, and beside each key `_key` with `which`."""
     out: dict[str, Any] = {}
     for key, value in info.items():
         out[key] = (

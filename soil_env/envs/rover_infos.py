@@ -38,7 +38,7 @@ class RoverInfos:
         return _one_of(self.many(), j, self.kind in ("full", "state"))
 
     def _estimates(self) -> dict[str, np.ndarray]:
-        """Estimates of the soil under each wheel, arrays [wheels]; empty if this kind of info does not ask for them."""
+        """Estimates of the soil under each wheel, arrays [wheels]; empty if not asked for."""
         w = self._simulation.worlds
         return (
             estimates(w.known, self._simulation.scenario)
@@ -72,7 +72,7 @@ class RoverInfos:
     renew = follow
 
     def final(self, ended: np.ndarray) -> dict[str, Any]:
-        """Info of the rovers that have `ended` [rovers], 0 for all others, and beside each key `_key` with them."""
+        """Info of rovers that have `ended` [rovers], 0 for others, and `_key` beside each key."""
         return masked(self.many(), ended)
 
 

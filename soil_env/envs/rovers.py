@@ -1,4 +1,4 @@
-"""Many rovers under one scenario, stepped by compiled calls: the core of the rover's environments."""
+"""Many rovers under one scenario, stepped by compiled calls: the core of their environments."""
 
 from collections import namedtuple
 

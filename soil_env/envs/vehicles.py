@@ -1,4 +1,4 @@
-"""Simulation of many vehicles side by side: the world and, where something asks for it, the estimator on board."""
+"""Many vehicles side by side: the world and, where it is asked for, the estimator on board."""
 
 import os
 from collections.abc import Callable
@@ -49,8 +49,8 @@ def asks_for_estimates(scenario: Scenario, variant: str) -> bool:
 class Vehicles:
     """Base of the simulations of many wheels and of many rovers.
 
-    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k follows from the
-    seed given to `seed`.
+    A subclass gives the arrays and the compiled functions to `_begin`. All randomness of vehicle k
+    follows from the seed given to `seed`.
     """
 
     numbers: Any  # constants of the compiled step
@@ -80,8 +80,8 @@ class Vehicles:
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
-        `vehicles`: their records; `courses`: the numbers that courses are drawn by and the final ground [m] that a
-        vehicle needs before it; `scratch` makes the work arrays of a thread.
+        `vehicles`: their records; `courses`: the numbers that courses are drawn by and the final
+        ground [m] that a vehicle needs before it; `scratch` makes the work arrays of a thread.
         """
         self._lay, self._step = functions
         self._world = worlds
@@ -121,15 +121,16 @@ class Vehicles:
             on_board.prepare(self._record, self._results, self._orders)
 
     def _check_passable(self, trial: Any, vehicles: np.ndarray) -> None:
-        """Refuse a scenario whose soils this vehicle cannot pass, before it shows in the middle of a training."""
+        """Refuse a scenario whose soils this vehicle cannot pass, before a training begins."""
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
             self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
             if vehicles["reward"][0] < 0.0:
                 raise ParameterError(
-                    f"scenario {self.scenario.name!r}: no passable course found for this {self._vehicle} on these "
-                    "soils; expected firmer soils, more stall torque, a lower course.margin or a lower course.grade_deg"
+                    f"scenario {self.scenario.name!r}: no passable course found for this "
+                    f"{self._vehicle} on these soils; expected firmer soils, more stall torque, "
+                    "a lower course.margin or a lower course.grade_deg"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""Many wheels under one scenario, stepped by compiled calls: the core of the single and the vector environment."""
+"""Many wheels under one scenario, stepped by compiled calls: the core of their environments."""
 
 from collections import namedtuple
 from typing import Any
@@ -37,8 +37,8 @@ Worlds = namedtuple(
 class Simulation(Vehicles):
     """`wheels` wheels under one scenario with one observation variant.
 
-    The soil is identified if the observation or the reward asks for it. `warnings`: identify in any case, and keep
-    `worlds.recent` for `identification.online.immobilisation`.
+    The soil is identified if the observation or the reward asks for it. `warnings`: identify in any
+    case, and keep `worlds.recent` for `identification.online.immobilisation`.
     """
 
     _arrays = Worlds

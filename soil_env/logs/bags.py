@@ -174,9 +174,8 @@ def _mcap_records(file: Path, notes: Notes, report: Callable[[int], None]) -> It
                     if isinstance(record, Chunk)
                     else [record]
                 )
-            except (
-                Exception
-            ) as error:  # checksum, decompression: each library has errors of its own
+            # checksum, decompression: each library has errors of its own
+            except Exception as error:
                 notes.add(
                     f"{file.name}: the chunk before byte {stream.tell()} is damaged and left out "
                     f"({error})"

@@ -1,1 +1,1 @@
-"""The world in time: terrain and courses, wheel dynamics, sensors, task, many worlds in one compiled step."""
+"""The world in time: courses, dynamics, sensors, task, many worlds in one compiled call."""

@@ -1,4 +1,5 @@
-"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at rest, `step_wheels` drives.
+"""Compiled functions of many wheels: `lay_wheels` draws courses and places wheels at rest,
+`step_wheels` drives.
 
 Nothing is identified here.
 """
@@ -81,7 +82,8 @@ class WheelWorlds(NamedTuple):
 
     state: np.ndarray  # [wheels] `WHEEL`
     courses: np.ndarray  # [wheels] `course_dtype`
-    notes: np.ndarray  # [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them
+    #: [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them.
+    notes: np.ndarray
     observation: np.ndarray  # [wheels, D] float32
     actions: np.ndarray  # [wheels] in [-1, 1]
     orders: np.ndarray  # [wheels] int8, STEP, RESTART or IDLE
@@ -116,7 +118,8 @@ def wheel_numbers(
 
 
 MOST_ENTRIES = 128  # of an observation
-#: `WheelNumbers` as compiled code takes them, with the bounds of the observation in the first columns.
+#: `WheelNumbers` as compiled code takes them, with the bounds of the observation in the first
+#: columns.
 CONSTANTS = record(
     rig=(RIG, 1),
     task=(TASK, 1),
@@ -171,7 +174,8 @@ def new_wheel_worlds(
 class Setting(NamedTuple):
     """Constants and scratch of a thread as records.
 
-    No arrays: numba counts references to those whenever a function takes one, which costs more than small functions.
+    No arrays: numba counts references to those whenever a function takes one, which costs more than
+    small functions.
     """
 
     rig: Any  # `RIG`
@@ -194,7 +198,7 @@ def camera_in(constants, on):
 
 @njit
 def start_passable(course, owner, numbers, scratch):
-    """Start a new course with a seed of `owner`; the mass [kg] on the wheel with payload, -1 if none is passable."""
+    """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if none is passable."""
     mass = -1.0
     attempts = 0
     while mass < 0.0 and attempts < ATTEMPTS:
@@ -205,11 +209,12 @@ def start_passable(course, owner, numbers, scratch):
 
 @kept
 def lay_wheels(worlds, numbers, orders, scratch, first, end):
-    """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those not found.
+    """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those
+    not found.
 
-    RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at rest at its start.
-    After TRY, the wheel's `reward` is the mass on it, or -1 if no passable course was found. `numbers`:
-    `CourseNumbers`.
+    RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at
+    rest at its start. After TRY, the wheel's `reward` is the mass on it, or -1 if no passable
+    course was found. `numbers`: `CourseNumbers`.
     """
     rig = numbers.rig
     nodes = scratch[0].nodes[0]
@@ -238,7 +243,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
 
 @njit(**FINITE)
 def _sense(wheel, note, course, setting, camera):
-    """Fill the `NOTE` of a wheel after a control period; the `Sight` of its camera, if there is one."""
+    """Fill the `NOTE` of a wheel after a control period; return its camera's `Sight`, if any."""
     task = setting.task
     sense(wheel, note, setting.normals, setting.sd, setting.errors, task.radius)
     if wheel.steps > 0:  # not at the start of a course
@@ -277,7 +282,8 @@ def _restart(wheel, note, course, setting, camera, out):
 
 @njit(**FINITE)
 def _step(wheel, action, course, setting, camera, notes, out):
-    """The control periods of an action of a wheel, until its episode ends: drive, sense, judge, reward; then observe.
+    """The control periods of an action of a wheel, until its episode ends: drive, sense, judge,
+    reward; then observe.
 
     `notes` [held], or [1] to overwrite.
     """
@@ -303,7 +309,8 @@ def _step(wheel, action, course, setting, camera, notes, out):
 
 @kept
 def step_wheels(worlds, constants, options, scratch, first, end):
-    """Follow the orders STEP and RESTART for the wheels `first` to `end` - 1, with their actions in [-1, 1].
+    """Follow the orders STEP and RESTART for the wheels `first` to `end` - 1, with their actions in
+    [-1, 1].
 
     Their courses are laid (`lay_wheels`).
     """

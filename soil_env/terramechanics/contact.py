@@ -20,14 +20,12 @@ from numba import njit
 from soil_env._compiled.elementary import asin_root, exp, half_cos, half_sin, power, smoothed_sign
 from soil_env._compiled.flags import EXACT, INLINE, SUMS, record
 
-NODES_PER_ZONE = (
-    8  # Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
-)
+# Gauss-Legendre nodes of each zone of the arc; the two zones share the normal stress
+NODES_PER_ZONE = 8
 NODES = 2 * NODES_PER_ZONE  # those of the front zone, then those of the rear zone
 _x, _w = np.polynomial.legendre.leggauss(NODES_PER_ZONE)
-NODE_DEPTHS = (
-    0.5 * (_x + 1.0)
-) ** 2  # [-] u^2, distance of a node from the end of the arc over the zone's length
+# [-] u^2, distance of a node from the end of the arc over the zone's length
+NODE_DEPTHS = (0.5 * (_x + 1.0)) ** 2
 NODE_WEIGHTS = 0.5 * _w * (_x + 1.0)  # [-] weight of the node times d(u^2)/du
 _none = np.zeros(NODES_PER_ZONE)
 _all = np.ones(NODES_PER_ZONE)

@@ -42,9 +42,8 @@ from soil_env.terramechanics.residual import (
 )
 from soil_env.terramechanics.steady import LEAST_DIGGING, arc_of
 
-REST_SPEED = (
-    0.001  # [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
-)
+# [m/s] below this speed slip and resistance fade out, so that a wheel can stand still
+REST_SPEED = 0.001
 
 
 class Acting(NamedTuple):

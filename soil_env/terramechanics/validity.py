@@ -37,7 +37,8 @@ def checked(validity: Mapping[str, Any], where: str = "validity") -> dict[str, t
         try:
             low, high = (number(float, x, where) for x in pair)
         except (TypeError, ValueError):
-            low = high = math.nan
+            low = math.nan
+            high = math.nan
         if not -math.inf < low <= high < math.inf:
             raise ParameterError(f"{where}.{name} = {pair!r}: expected [lowest, highest]")
         out[name] = (low, high)

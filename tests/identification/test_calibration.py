@@ -13,7 +13,7 @@ COURSES = 40
 
 @pytest.fixture(scope="module")
 def errors():
-    """Errors, standard deviations and errors of the prior [N, 6] of `QUANTITIES`, halts left out."""
+    """Errors, their sd and errors of the prior [N, 6] of `QUANTITIES`, halts left out."""
     scenario = load_scenario("two_lines")
     controller = make_controller("best_slip_identified", scenario)
     return judged(record(controller, scenario, COURSES, SEED), scenario)[:3]

@@ -54,7 +54,7 @@ def check(kept, c, mean, sd):
 
 
 def test_precisions_of_patches_add_up_and_the_prior_counts_once(kept):
-    """The last estimate on each patch counts; one that knows no more than the prior adds nothing."""
+    """The last estimate on each patch counts; one no better than the prior adds nothing."""
     posteriors = [(ESTIMATE, SD), (ESTIMATE - 0.3 * SD, 0.8 * SD), (ESTIMATE + 0.1 * SD, 1.2 * SD)]
     for patch, posterior in enumerate(posteriors):
         remember(kept, 0, patch, PRIOR, 0.9 * SD)  # an earlier one on the same patch

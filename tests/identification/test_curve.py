@@ -82,10 +82,11 @@ def test_nothing_is_lost_or_added(points):
     curve = Curve()
     for k, new in enumerate(points):
         curve.add(new)
+        # never averaged over the edge of a border
         assert set(curve.bins[:, c.ON_BORDER]) <= {
             0.0,
             1.0,
-        }  # never averaged over the edge of a border
+        }
         every = np.array(points[: k + 1])
         np.testing.assert_allclose(sums(curve.bins), sums(every), rtol=1e-9, atol=1e-6)
         low = every[:, c.SLIP].min()

@@ -1,4 +1,4 @@
-"""The filter as a whole: points, consistency on simulated courses, what enters it, wild readings."""
+"""The filter as a whole: points, consistency on courses, what enters it, wild readings."""
 
 import math
 from dataclasses import replace

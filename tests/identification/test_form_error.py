@@ -123,7 +123,7 @@ def test_stress_changes_scale_the_stresses():
 
 
 def test_resultant_and_spread_move_as_errors_along_the_arc_move_them():
-    """Errors correlated over half of the arc, multiplying a stress of n = 1 with its peak midway."""
+    """Errors correlated over half of the arc, on a stress of n = 1 with its peak midway."""
     x = np.linspace(0.0, 1.0, 81)  # theta over the entry angle
 
     def stress(peak, n):  # (7), (8)

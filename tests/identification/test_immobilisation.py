@@ -163,9 +163,8 @@ def test_with_a_camera_the_view_is_that_of_the_observation():
             ways.append(
                 "ahead" if found["line_margin"] == pytest.approx(margins[0], abs=1e-6) else "beside"
             )
-            if (
-                settled and before is False and observed["border_distance"] > 0.2
-            ):  # not back over a border, by noise
+            # not back over a border, by noise
+            if settled and before is False and observed["border_distance"] > 0.2:
                 assert observed["choice"] == 1.0  # it is settled at the halt before the fork
         before = settled if two else None
     assert min(forks.values()) > 20 and set(ways) == {"ahead", "beside"}

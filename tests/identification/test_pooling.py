@@ -133,7 +133,7 @@ def test_what_another_knows_of_another_soil_is_not_taken():
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
 def test_on_a_border_the_ground_is_a_blend_of_what_is_known_of_both_soils(share):
-    """The front wheel knows both soils; the other is on the border with that share of the new one."""
+    """The front wheel knows both soils; the other is on the border, with a share of the new."""
     wheels = Wheels((MEAN + SD, covariance(0.01)), (MEAN, covariance(100.0)))
     k = SECOND
     border = 4.2

@@ -58,7 +58,7 @@ def conditional(mean, covariance, ln_K):
 
 
 def test_the_prior_follows_the_sinkage(filled):
-    """As a Gaussian of all six unknowns that is conditioned on a reading of two of them, by numpy."""
+    """As a Gaussian of all six unknowns, conditioned on a reading of two of them by numpy."""
     banks, numbers, scenario = filled
     mean, covariance = prior_of_belief(scenario)
     n = rows(banks)

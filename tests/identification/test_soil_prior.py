@@ -31,7 +31,7 @@ EVERY = [load_scenario(n) for n in scenario_names()] + [load_rover(n) for n in r
 
 
 def test_the_library_is_what_the_world_draws():
-    """Moments of the mixture against 4000 soils as `courses.draw_soil` draws them, passable or not."""
+    """Moments of the mixture against 4000 soils of `courses.draw_soil`, passable or not."""
     drawn = np.zeros(4000, SOIL)
     draw_soils(stream_of(0), course_distribution(MIXED), drawn)
     tangent, cohesion, K, S, n, gain = (drawn[name] for name in SoilState._fields[:6])
@@ -46,7 +46,7 @@ def test_the_library_is_what_the_world_draws():
 
 @pytest.mark.parametrize("scenario", EVERY, ids=lambda s: s.name)
 def test_the_prior_of_each_shipped_scenario_is_a_gaussian(scenario):
-    """Symmetric, positive definite, and as wide as soils differ: neither sure nor without any idea."""
+    """Symmetric, positive definite, and as wide as soils differ."""
     for mean, covariance in (
         soil_prior.prior_of_belief(scenario),
         soil_prior.published_prior(scenario),
@@ -93,7 +93,7 @@ def test_pressures_are_compared_at_one_depth():
 
 
 def test_widths_of_a_library_hold_68_percent_of_it():
-    """Against draws; soils of two kinds, which lie at both ends of the interval, need a wider one."""
+    """Against draws; soils of two kinds at both ends of the interval need a wider one."""
     gaussians = soil_prior.of_library(load_scenario("sticky"))
     rng = np.random.default_rng(3)
     drawn = np.concatenate(

@@ -15,10 +15,11 @@ from soil_env.terramechanics.reaction import REST_SPEED
 from tests.simulation.wheels import lay_patches, on_random_courses, on_uniform_ground
 from tests.terramechanics.cases import TOGETHER, WHEEL
 
+# a course on which half the torque gets through
 EASY = {
     "margin": [0.15, 0.25],
     "grade_deg": [-5.0, 10.0],
-}  # a course on which half the torque gets through
+}
 
 MOTOR = rig_of(load_scenario("mixed"))[0]
 

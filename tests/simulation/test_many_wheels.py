@@ -82,9 +82,8 @@ def reaction(v, u, sinkage, load, soil, r, b):
 
     without = forces(0.0)[0]
     by_S = forces(1.0)[0] - forces(0.0)[0]
-    S = (
-        max((load - without) / by_S, 0.0) if by_S > 0.0 else 0.0
-    )  # 0: cohesion alone carries more than the load
+    # 0: cohesion alone carries more than the load
+    S = max((load - without) / by_S, 0.0) if by_S > 0.0 else 0.0
     return *forces(S)[1:], S
 
 

@@ -131,9 +131,8 @@ def test_ground_is_continuous(drawn, scenario):
     border = scenario.course.border
     d = 1e-9
     for one in drawn[:5]:
-        assert (
-            np.ptp(np.log(one.patches["sinkage_coefficient"])) > 0.3
-        )  # there is something to jump
+        # there is something to jump
+        assert np.ptp(np.log(one.patches["sinkage_coefficient"])) > 0.3
 
         def row(x, one=one):
             soil, grade = one.ground_at(x, border)

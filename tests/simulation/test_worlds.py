@@ -41,9 +41,8 @@ def settled(case, grade_deg):
     the effect.
     """
     effects = {name: dict(values) for name, values in CASES[case].items()}
-    soil = (
-        SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT
-    )  # the form takes the place of the soil's digging
+    # the form takes the place of the soil's digging
+    soil = SOFT._replace(dig_gain=0.0) if "apparent" in case else SOFT
     wheels = on_uniform_ground(effects, soil, math.radians(grade_deg))
     passes = 1.0
     if "multipass" in effects:

@@ -146,9 +146,8 @@ def mobilised_share(j, K, softening):
         K *= 4.0 * sharpness / (1.0 + sharpness)  # e = j/K at the start, as Janosi & Hanamoto
     x = math.exp(-j / K)
     if sharpness > 0.0:
-        top = (
-            0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0
-        )  # x where the law is stationary
+        # x where the law is stationary
+        top = 0.5 * (sharpness - 1.0) / sharpness if sharpness > 1.0 else 0.0
         return (1.0 - x) * (1.0 + sharpness * x) / ((1.0 - top) * (1.0 + sharpness * top))
     drop = softening.get("drop", 0.0)
     beyond = max(j - softening.get("onset", 0.0), 0.0)
@@ -274,9 +273,8 @@ def steady(soil, slip, load, site, effects, digging=(0.0, 0.5)):
         return theta1, theta2, min(max(middle, theta2 + margin), theta1 - margin)
 
     def displacement(theta, theta1):
-        start = math.acos(
-            min(R * math.cos(theta1) / Q, 1.0)
-        )  # where the lug tips enter, Ding et al. (2011)
+        # where the lug tips enter, Ding et al. (2011)
+        start = math.acos(min(R * math.cos(theta1) / Q, 1.0))
         return Q * (start - theta) - lag * (math.sin(start) - math.sin(theta))
 
     def sums(z, *shapes):

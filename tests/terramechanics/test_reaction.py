@@ -172,9 +172,8 @@ def test_bulldozing_resists_the_travel(v, sign):
     assert found.drawbar_pull == pytest.approx(FLAT.drawbar_pull - 12.0 * sign, abs=1e-3)
     assert found.torque == FLAT.torque
     if v == 0.0:
-        assert found.pull_v == pytest.approx(
-            FLAT.pull_v - 12.0 / reaction.REST_SPEED
-        )  # the slope of V/sqrt(V^2 + rest^2)
+        # the slope of V/sqrt(V^2 + rest^2)
+        assert found.pull_v == pytest.approx(FLAT.pull_v - 12.0 / reaction.REST_SPEED)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""Rows of the wheels of rovers in arrays of wheels: the one place of the identifier that knows them.
+"""Rows of the wheels of rovers in arrays of wheels: the one place of the identifier that knows
+them.
 
 The wheels of a rover are side by side, from the front on.
 """

@@ -117,9 +117,8 @@ def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, n
         + by_gain * by_gain * of_sinkage[2]
     )
     rate += by_y * along[SOIL] + by_gain * along[SOIL + 1]
-    if not math.isfinite(
-        rows[best] + variance + rate
-    ):  # readings that no soil explains: begun anew
+    if not math.isfinite(rows[best] + variance + rate):
+        # readings that no soil explains: begun anew
         steady[0] = 0.0
         return -1.0, 1.0, 0.0
     return max(rows[best] / load, -1.0), variance / (load * load), rate / load

@@ -38,9 +38,8 @@ _KNOWN = 5.0
 # [squared distances of the places tested] least variance of a place, ampler than that between two
 _BETWEEN = 0.4
 _KEPT_ERROR = 0.25  # of the form error, that the next soil begins with
-_FOUND = (
-    1.0 / 6.0
-)  # [border lengths] ahead of its middle at which forces show a border, and the sd of that
+# [border lengths] ahead of its middle at which forces show a border, and the sd of that
+_FOUND = 1.0 / 6.0
 # [border lengths] sd of a border's place beyond which readings on it do not count behind it
 _UNSURE = 0.08
 
@@ -94,8 +93,10 @@ def note_grade(banks, k, pitch, numbers):
         search(banks, k, numbers)
     while p.nearest[k] < x - 0.5 * numbers.border:  # its border is passed: make room for one ahead
         for i in range(CANDIDATES - 1):
-            found[i], found[CANDIDATES + i] = found[i + 1], found[CANDIDATES + i + 1]
-        found[CANDIDATES - 1] = found[2 * CANDIDATES - 1] = 0.0
+            found[i] = found[i + 1]
+            found[CANDIDATES + i] = found[CANDIDATES + i + 1]
+        found[CANDIDATES - 1] = 0.0
+        found[2 * CANDIDATES - 1] = 0.0
         p.nearest[k] += numbers.offsets[1]
     if p.grades[k] > 0.0:
         _add_pitch(banks, k, y, numbers)
@@ -138,7 +139,11 @@ def _locate(banks, k, numbers):
     first = exp(larger(first - highest, -700.0))
     second = exp(larger(second - highest, -700.0))
     weight = total(first + second)
-    place = rise = square = here = here_square = 0.0
+    place = 0.0
+    rise = 0.0
+    square = 0.0
+    here = 0.0
+    here_square = 0.0
     for i in range(0, CANDIDATES, COUNT):
         w = (first if i == 0 else second) * (1.0 / weight)
         e = from_array(numbers.offsets, i)
@@ -196,7 +201,8 @@ def begin(banks, k, numbers, place, place_variance, rise):
     p.by_forces[k] = 0.0
     p.fixed[k] = 0.0
     p.same[k] = 0.0
-    p.next_share[k] = p.next_square[k] = 0.0
+    p.next_share[k] = 0.0
+    p.next_square[k] = 0.0
     p.border[k] = place
     p.border_variance[k] = place_variance
     p.rise[k] = rise

@@ -25,9 +25,8 @@ from soil_env.identification.online.lanes.contact import (
 from soil_env.identification.online.lanes.elementary import exp, half_sin_cos, larger, log
 from soil_env.identification.online.lanes.rows import scratch_rows
 
-_LEAST_RISE = (
-    1e-3  # lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
-)
+# lower bound of sin(entry angle), by which is divided: no contact, or a buried wheel
+_LEAST_RISE = 1e-3
 _nodes = scratch_rows(Nodes, NODE_COLUMNS)
 
 
@@ -95,9 +94,8 @@ def reaction(soil, sinkage, slip, load, r, b):
     exponent = _slope(forces(by_n, s, tan_phi, none, r, b), of_s, s)
     ln_K = _slope(shear_forces(by_K, st * K, c * K, r, b), of_s, s)
     sin_half, cos_half = half_sin_cos(arc.theta1)
-    rise = 1.0 / larger(
-        (2.0 * r) * sin_half * cos_half, _LEAST_RISE * r
-    )  # d theta1/dz of z = r (1 - cos theta1)
+    # d theta1/dz of z = r (1 - cos theta1)
+    rise = 1.0 / larger((2.0 * r) * sin_half * cos_half, _LEAST_RISE * r)
     angle = _slope(forces(by_angle, s, tan_phi, c, r, b), of_s, s)
     slipping = _slope(shear_forces(by_travel, rate * st, rate * c, r, b), of_s, s)
     return Reaction(

@@ -62,9 +62,8 @@ _FEW = 3.0  # points of a soil up to which all bins are linearised at each
 _LEAST_SHARE = 1e-4  # of either soil on a border
 # how much more the covariance of the old soil counts: its error is one for all bins of a border
 _OLD_DOUBT = 3.0
-_OF_VOLUME = (
-    0.25  # share of the ln of the determinant that counts, errors by slip and sinkage in it
-)
+# share of the ln of the determinant that counts, errors by slip and sinkage in it
+_OF_VOLUME = 0.25
 _matrix = scratch(TRIANGLE * COUNT)
 _matrix2 = scratch(TRIANGLE * COUNT)
 _vector = scratch(UNKNOWNS * COUNT)

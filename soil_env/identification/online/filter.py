@@ -45,9 +45,8 @@ _TURNED = 8.0
 _MASS_DOUBT = 0.05  # relative, of the mass by the first point
 _LIFTED = 0.05  # [of the weight] load below which readings are passed over before the first point
 _SINKAGE_DOUBT = 0.1  # [wheel radii] of the first sinkage: reached where none is measured
-_SINKAGE_SHARE = (
-    2.0  # variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
-)
+# variance of the sinkage in the fit over that of the sinkage filter, whose errors go on
+_SINKAGE_SHARE = 2.0
 _KEY_ERROR = 3e-3  # 1-sigma error of the laws where points are grouped by slip, of the load
 #: The excess of the chi-squared of each point over `_EXPECTED` is summed, never below 0; a sum
 #: above this contradicts the laws, and one above `_ANOTHER_SOIL` the soil.
@@ -71,9 +70,8 @@ _HARDER = 5.0
 _GROWS = 1.3
 _SHRINKS = 1.1
 _LARGEST = 0.3
-_LATER = (
-    12.0  # `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
-)
+# `_BEGINS` where only forces show borders, which are found after they have spoilt the fit
+_LATER = 12.0
 _FIELDS = len(Slopes._fields)
 _PULL = 0  # rows of `_slopes`
 _TORQUE = _FIELDS

@@ -128,9 +128,8 @@ class FilterNumbers(NamedTuple):
     # [10] of slip, sinkage, pull, load, torque, speed, rim speed, pitch, motor torque, acceleration
     noise: np.ndarray
     border: float  # [m] over which one soil passes into the next, as believed
-    grade_change: (
-        float  # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
-    )
+    # [rad] sd of the rise of the grade from one soil to the next; 0: not looked at
+    grade_change: float
     # relative sd of the change of the load from point to point; 0: a constant mass under gravity
     load_drift: float
     stall_torque: float

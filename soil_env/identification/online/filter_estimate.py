@@ -177,7 +177,9 @@ def publish(banks, k, numbers, estimate, sd, covariance, pull, anew):
         yy + variance + of_load + _OF_PRESSURE[0] ** 2 + _OF_PRESSURE[1] ** 2 * of_exponent
     )
     covariance[LN_GAIN, LN_GAIN] = gg + _OF_GAIN[0] ** 2 + _OF_GAIN[1] ** 2 * of_exponent
-    covariance[LN_GAIN, PHI] = covariance[LN_GAIN, LN_K] = covariance[LN_GAIN, COHESION] = 0.0
+    covariance[LN_GAIN, PHI] = 0.0
+    covariance[LN_GAIN, LN_K] = 0.0
+    covariance[LN_GAIN, COHESION] = 0.0
     covariance[LN_GAIN, LN_S] = yg
     doubt = (1.0 + min(p.misfit[k], _MOST) / _DOUBTED) * (
         _CONTRADICTED if p.flagged[k] > 0.0 else 1.0

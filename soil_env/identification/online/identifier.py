@@ -39,15 +39,13 @@ FARTHEST = 60.0
 class Identifiers(NamedTuple):
     """Memory of many identifiers: arrays with one row a wheel."""
 
-    estimate: (
-        np.ndarray
-    )  # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
+    # [wheels, 5] the published estimate, in the order of `IdentifierNumbers.prior`
+    estimate: np.ndarray
     sd: np.ndarray  # [wheels, 5] its standard deviations
     status: np.ndarray  # [wheels] `Status`
     covariance: np.ndarray  # [wheels, 5, 5] of it
-    best_pull: (
-        np.ndarray
-    )  # [wheels, 2] best steady drawbar pull [of load] and its standard deviation
+    # [wheels, 2] best steady drawbar pull [of load] and its standard deviation
+    best_pull: np.ndarray
     banks: FilterBanks
     borders: np.ndarray  # [wheels] to another soil that the filter has found since `forget`
 

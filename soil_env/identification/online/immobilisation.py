@@ -4,8 +4,8 @@ as identified.
 A wheel is *immobilised* after the last moment at which it got further at the least mean speed that
 the task asks for. Seconds are of driving: halts do not count. A small network reads moving averages
 of the sensor `Channels`, the time since the last halt, the estimate of the soil and the view of the
-ground ahead, but neither the true soil nor the action; all without dimension, so one set of weights
-serves any wheel. Its outputs are hazards, of the first of `HORIZONS` and of the time from there to
+ground ahead. It reads neither the true soil nor the action. All is without dimension, so one set of
+weights serves any wheel. Its outputs are hazards, of the first of `HORIZONS` and of the time from there to
 the second. Weights and training: immobilisation.json. It is compiled, since numpy would slow each
 step with full `info`.
 """
@@ -91,9 +91,8 @@ _SEEN = _AVERAGES + 1
 #: Numbers kept of each wheel: moving averages, seconds of driving since the start or a halt, what
 #: is seen now.
 MEMORY = _SEEN + len(_VIEW)
-_PITCH, _LOAD = (
-    2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load")
-)  # averages over 2 s
+# averages over 2 s
+_PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
 
 class WarningNumbers(NamedTuple):

@@ -71,9 +71,8 @@ class Readings(NamedTuple):
     slip: float = _NAN  # [-] where a sensor gives it; else it follows from the two speeds
     pitch: float = _NAN  # [rad]
     motor_torque: float = _NAN  # [N m] at the wheel, behind the gear
-    acceleration: float = (
-        _NAN  # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
-    )
+    # [m/s2] of an accelerometer along the course: that of travel, and g sin(pitch)
+    acceleration: float = _NAN
     time: float = _NAN  # [s] of any epoch; left out, one `period` after the last
 
 
@@ -202,9 +201,8 @@ class OnlineIdentifier:
             )
         if period is None:
             raise ParameterError("period = None: expected a number [s]")
-        any_soil = Soil(
-            30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6
-        )  # a scenario has one; nothing here reads it
+        # a scenario has one; nothing here reads it
+        any_soil = Soil(30.0, 0.0, 0.01, 1.0, sinkage_coefficient=1e6)
         try:
             control = replace(Control(period=period), substep=min(period, 0.05))
             self._set(

@@ -48,9 +48,8 @@ _CONVERGED = Status.CONVERGED.value
 _MISFIT = Status.MISFIT.value
 _NOT_EXCITED = Status.NOT_EXCITED.value
 _NO_DATA = Status.NO_DATA.value
-_LEARNT = (
-    0.6  # sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
-)
+# sd of phi and ln K over that of the prior, at most, for an estimate to count as converged
+_LEARNT = 0.6
 _LEAST_ANGLE = 0.01  # [rad]
 _STEEPEST = 1.5  # [rad]
 # share of the prior's information that a posterior must exceed: equal ones differ by rounding
@@ -298,7 +297,8 @@ def pool(pools, ids, k, first, axles, numbers):
             for i in range(BELIEF):
                 gain[i] /= apart
             _absorb(mean, P, gain)
-    mean[0], mean[COHESION] = min(max(mean[0], _LEAST_ANGLE), _STEEPEST), max(mean[COHESION], 0.0)
+    mean[0] = min(max(mean[0], _LEAST_ANGLE), _STEEPEST)
+    mean[COHESION] = max(mean[COHESION], 0.0)
     learnt = 0.0
     for i in range(UNKNOWNS):
         pools.sd[k, i] = math.sqrt(

@@ -40,9 +40,8 @@ LOG_WEIGHT = COVARIANCE + STATES * (STATES + 1) // 2
 SINKAGE_ROWS = LOG_WEIGHT + 1
 _REACH = 1.9  # [sd of ln gain] of the outermost filters
 _WIDTH = 0.75 * 2.0 * _REACH / (COUNT - 1)  # [sd] of each
-_YIELD_RATE = (
-    6.0  # [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
-)
+# [1/s] at which a wheel comes up to its bearing sinkage, in the mean over a point
+_YIELD_RATE = 6.0
 _LAG = 0.5  # share of the change in bearing sinkage since the last point that has not acted yet
 # 1-sigma of the law of sinkage: of the radius, of the change, of the sinkage, of the change of the
 # bearing sinkage, of what the place of the border makes of it

@@ -177,14 +177,18 @@ def _begin(banks, k, count):
     """Nothing is known of a soil but its prior: `count` nodes."""
     nodes = banks.nodes[k]
     prior = banks.prior[k]
-    banks.point.points[k] = banks.point.bins[k] = banks.point.misfit[k] = banks.point.stale[k] = 0.0
+    banks.point.points[k] = 0.0
+    banks.point.bins[k] = 0.0
+    banks.point.misfit[k] = 0.0
+    banks.point.stale[k] = 0.0
     _place_nodes(nodes, prior[PRIOR_K], REACH * math.sqrt(prior[PRIOR_K + 1]), count)
     for j in range(COUNT):
         away = nodes[LN_K * COUNT + j] - prior[PRIOR_K]
         for i in range(3):
             nodes[i * COUNT + j] = prior[PRIOR_OTHERS + i] + prior[PRIOR_SLOPES + i] * away
         nodes[BORDER_PLACE * COUNT + j] = banks.point.border[k]
-        nodes[SAME_SOIL * COUNT + j] = nodes[LOG_WEIGHT * COUNT + j] = 0.0
+        nodes[SAME_SOIL * COUNT + j] = 0.0
+        nodes[LOG_WEIGHT * COUNT + j] = 0.0
 
 
 @compiled_part
@@ -231,7 +235,8 @@ def leave_old_soil(banks, k):
             prior[i] = banks.old_prior[k, i]
         begin_again(banks, k)
         return True
-    centre = square = 0.0
+    centre = 0.0
+    square = 0.0
     for j in range(STAYS):
         w = math.exp(nodes[LOG_WEIGHT * COUNT + j]) / max(1.0 - same, 1e-12)
         centre += w * nodes[p + j]

@@ -21,9 +21,8 @@ _LEAST_WIDTH = 0.95  # of `widths` that counts
 _PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
 _ONE_SIGMA = math.erf(math.sqrt(0.5))
 _DEPTH = 0.2  # [wheel radii] at which pressures are compared
-_OF_SPREAD = np.array(
-    [TANGENT, COHESION, LN_K, PRESSURE, GAIN]
-)  # in the order of `SoilSpread.factor`
+# in the order of `SoilSpread.factor`
+_OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])
 
 Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
 
@@ -31,15 +30,13 @@ Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covarian
 class SoilPrior(NamedTuple):
     """The prior as the compiled filter takes it."""
 
-    forces: (
-        np.ndarray
-    )  # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
+    # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
+    forces: np.ndarray
     sinkage: np.ndarray  # [2] mean of (y, l)
     sinkage_covariance: np.ndarray  # [4]
     regression: np.ndarray  # [8] of the four on the two, row by row
-    widths: (
-        np.ndarray
-    )  # [5] standard deviations of (phi, ln K, ln S, c, l) as published, over those of the filter
+    # [5] standard deviations of (phi, ln K, ln S, c, l) as published, over those of the filter
+    widths: np.ndarray
 
 
 def depth_of(scenario: Scenario) -> float:
@@ -68,9 +65,12 @@ def plain(scenario: Scenario) -> Gaussian:
     least[COHESION] *= scenario.weight / (w.radius * w.width)
     sd = np.maximum(sd, least)
     r = np.eye(SIZE)
-    r[TANGENT, COHESION] = r[COHESION, TANGENT] = b.friction_cohesion
-    r[TANGENT, PRESSURE] = r[PRESSURE, TANGENT] = b.friction_stiffness
-    r[LN_K, PRESSURE] = r[PRESSURE, LN_K] = b.stiffness_shear_modulus
+    r[TANGENT, COHESION] = b.friction_cohesion
+    r[COHESION, TANGENT] = b.friction_cohesion
+    r[TANGENT, PRESSURE] = b.friction_stiffness
+    r[PRESSURE, TANGENT] = b.friction_stiffness
+    r[LN_K, PRESSURE] = b.stiffness_shear_modulus
+    r[PRESSURE, LN_K] = b.stiffness_shear_modulus
     return 1.0, mean, r * np.outer(sd, sd)
 
 

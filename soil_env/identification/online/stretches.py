@@ -33,9 +33,8 @@ WHICH = np.array([0, 1, COHESION])  # of the unknowns are shared
 # behind it
 LAG = 3
 AT_START = -1e6  # [m] where the first stretch begins, for all wheels
-RUT_DRIFT = (
-    0.1  # 1-sigma of the change of ln S along a rut, from one point of the filter to the next
-)
+# 1-sigma of the change of ln S along a rut, from one point of the filter to the next
+RUT_DRIFT = 0.1
 _PLACE_SD = 0.1  # of the length of a border: 1-sigma of the place that another wheel has found
 _NO_DATA = Status.NO_DATA.value
 
@@ -73,10 +72,8 @@ class PoolNumbers(NamedTuple):
 
 def new_pools(wheels: int) -> Pools:
     """Empty memory; `forget_stretches` sets one wheel to the prior."""
-    (estimate, sd), (begins, ends) = (
-        np.zeros((2, wheels, UNKNOWNS)),
-        np.zeros((2, wheels, STRETCHES)),
-    )
+    estimate, sd = np.zeros((2, wheels, UNKNOWNS))
+    begins, ends = np.zeros((2, wheels, STRETCHES))
     status, left = np.zeros((2, wheels), dtype=np.int64)
     place, crossing, points = np.zeros((3, wheels))
     last = np.zeros((wheels, LAG, BELIEF))

@@ -1,9 +1,9 @@
 """Body of a rover: its state, and its suspension in equilibrium (docs/physics/rover.md).
 
 A rover is seen from the side, its two sides alike, so all masses and forces are those of one side.
-Loads follow from the DP and T of the same stage, which in turn follow from the loads: each stage is
-solved with the loads of the forces that the last reaction foresees, and again with those of the
-forces found, where that changes a load by more than `LOAD_TOLERANCE`.
+Loads follow from the DP and T of the same stage, which in turn follow from the loads. Each stage is
+solved with the loads of the forces that the last reaction foresees. Where the forces found change a
+load by more than `LOAD_TOLERANCE`, it is solved again with theirs.
 """
 
 import math

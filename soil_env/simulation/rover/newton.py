@@ -1,9 +1,9 @@
 """Newton's method for the speeds of a stage of a step of a rover: one of travel, one of rotation an
 axle.
 
-The equation of each axle has its own rim speed and V only, so a step of Newton's method is the
-elimination of all rim speeds, at a cost that is linear in the axles. Stages and reaction are those
-of `simulation.world`.
+The equation of each axle has its own rim speed and V only. A step of Newton's method is
+therefore the elimination of all rim speeds, at a cost that is linear in the axles. Stages and
+reaction are those of `simulation.world`.
 """
 
 from typing import Any, NamedTuple

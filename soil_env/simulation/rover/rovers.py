@@ -141,7 +141,7 @@ def rover_course_numbers(
 def new_rover_worlds(
     rovers: int, scenario: RoverScenario, numbers: RoverNumbers, recorded: bool
 ) -> RoverWorlds:
-    """Worlds for so many rovers, to be restarted; `recorded`: keep the sensor record of each step."""
+    """Worlds for so many rovers, to be restarted; `recorded`: keep each step's sensor record."""
     axles = scenario.axles
     held = scenario.control.held
     courses = new_courses(rovers, _with_front(scenario), LEAST_CELLS)

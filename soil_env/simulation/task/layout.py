@@ -1,8 +1,8 @@
 """Layout of the observation, number by number.
 
-All variants begin with the same entries. Forces, speeds and sinkage are relative to the wheel's weight, top rim speed
-and radius, so that they are of order one for any wheel. Centres and scales were read off the scenarios two_lines,
-sticky and field_vehicle.
+All variants begin with the same entries. Forces, speeds and sinkage are relative to the wheel's
+weight, top rim speed and radius, so that they are of order one for any wheel. Centres and scales
+were read off the scenarios two_lines, sticky and field_vehicle.
 """
 
 from dataclasses import dataclass, replace
@@ -21,9 +21,8 @@ class ObservedNumber:
     unit: str
     low: float
     high: float
-    centre: float = (
-        0.0  # observed is (value - centre)/scale, unless the values themselves are asked for
-    )
+    # observed is (value - centre)/scale, unless the values themselves are asked for
+    centre: float = 0.0
     scale: float = 1.0
 
 
@@ -100,7 +99,8 @@ def _seen(classes: int, lines: int) -> list[ObservedNumber]:
 def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:
     """Entries of an observation variant; the first ones are those of `blind` in every variant.
 
-    On a `course` with terrain classes the entries of the camera follow, then those of the soils of the lines ahead.
+    On a `course` with terrain classes the entries of the camera follow, then those of the soils of
+    the lines ahead.
     """
     if not isinstance(variant, str):
         raise ParameterError(f"observation = {variant!r}: expected one of {', '.join(VARIANTS)}")

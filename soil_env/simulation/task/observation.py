@@ -65,7 +65,7 @@ def write_soil_under(out, wheel, course, border):
 
 @njit(**EXACT)
 def write_seen(out, wheel, course, sight, camera, truth):
-    """Fill `out` from its first entry of the camera on; with `truth`, the true soils of the lines ahead behind them."""
+    """Fill `out` with what the camera sees; with `truth`, the lines' true soils behind it."""
     i = write_view(out, wheel, course, sight, camera)
     if truth:
         write_soils_ahead(out[i:], course, sight, camera)
@@ -91,7 +91,7 @@ def _write_true_lines(out, wheel, course, camera):
 
 @njit(**EXACT)
 def write_soils_ahead(out, course, sight, camera):
-    """Fill `out` [lines x 8] with the true soils of the lines ahead and their margins over the grade that is seen."""
+    """Fill `out` [lines x 8] with true soils of lines ahead and their margins over the grade."""
     ahead = patch_ahead(course, sight, camera)
     for number in range(camera.lines):
         entries = out[number * ENTRIES_AHEAD :]

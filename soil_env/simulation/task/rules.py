@@ -17,7 +17,7 @@ ROUNDING = 1e-9  # [s] by which a sum of control periods may fall short of a tim
 
 
 class Cause(enum.IntEnum):
-    """Cause of an episode's end. `ENTRAPPED`, `STALLED` and `BOGGED` are the three ways to be immobilised."""
+    """Cause of an episode's end; `ENTRAPPED`, `STALLED` and `BOGGED` are immobilised."""
 
     RUNNING = 0
     FINISHED = 1  # reached the end of the course
@@ -81,8 +81,9 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
 def judge(vehicle, task):
     """`Cause` of a vehicle after a control period; advances its clocks, which stand still in halts.
 
-    A vehicle is immobilised if it has not got `no_progress_distance` further than ever before for `no_progress_time`,
-    has left the course backwards, or has sunk deeper than `bogged_sinkage` radii.
+    A vehicle is immobilised if it has not got `no_progress_distance` further than ever before for
+    `no_progress_time`, has left the course backwards, or has sunk deeper than `bogged_sinkage`
+    radii.
     """
     out_of_time = vehicle.steps >= task.periods
     if vehicle.halt_left > 0.0:
@@ -106,10 +107,12 @@ def judge(vehicle, task):
 
 @njit(**FINITE)
 def add_reward(vehicle, cause, task, terms):
-    """Add the last control period of a vehicle to the first three of `terms` [4] (see REWARD_TERMS).
+    """Add the last control period of a vehicle to the first three of `terms` [4] (see
+    REWARD_TERMS).
 
-    progress: weight x distance travelled / course length; energy: -weight x motor work (no recuperation) / (weight of
-    the loaded wheel x course length); immobilisation: -weight once, when the course ends unfinished.
+    progress: weight x distance travelled / course length; energy: -weight x motor work (no
+    recuperation) / (weight of the loaded wheel x course length); immobilisation: -weight once, when
+    the course ends unfinished.
     """
     terms[0] += task.progress * vehicle.travel / task.length
     work = max(vehicle.motor_work, 0.0)

@@ -1,7 +1,7 @@
 """Observations of order one: (value - centre)/scale, entry by entry, the same for every scenario.
 
-A learner whose first layer takes numbers as they are (any library's default) starts with weights for inputs of order
-one; log10 of a sinkage coefficient is 6 +- 0.3.
+A learner whose first layer takes numbers as they are (any library's default) starts with weights
+for inputs of order one; log10 of a sinkage coefficient is 6 +- 0.3.
 """
 
 from collections.abc import Iterable
@@ -19,7 +19,8 @@ _ALWAYS = "log10_sinkage_coefficient"
 
 
 class Scaling:
-    """Scaling of observations [..., D] with these entries to order one and back; unchanged if not `scaled`.
+    """Scaling of observations [..., D] with these entries to order one and back; unchanged if not
+    `scaled`.
 
     Entries of a line ahead are 0 while it is out of sight, on either side of the scaling.
     """
@@ -82,7 +83,7 @@ class Scaling:
         return out
 
     def _rows(self, values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Centre and scale in the shape of `values`, kept: broadcast they would take twice as long."""
+        """Centre and scale in the shape of `values`, kept: a broadcast takes twice as long."""
         if self._wide is None or self._wide[0].shape != values.shape:
             self._wide = (
                 np.tile(self.centre, (*values.shape[:-1], 1)),

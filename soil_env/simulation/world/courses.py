@@ -37,9 +37,8 @@ from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.model import WheelSoilModel
 
 REDRAWS = 30  # attempts at a soil or a patch
-ACTIONS_AHEAD = (
-    3.0  # actions of travel at top rim speed before a wheel within which ground is drawn
-)
+# actions of travel at top rim speed before a wheel within which ground is drawn
+ACTIONS_AHEAD = 3.0
 
 
 def course_numbers(scenario: Scenario, model: WheelSoilModel | None = None) -> CourseNumbers:

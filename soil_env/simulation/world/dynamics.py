@@ -1,7 +1,8 @@
-"""One control period of a wheel: two implicit stages a step (Alexander 1977), short steps where needed.
+"""One control period of a wheel: two implicit stages a step, short steps where needed.
 
-The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change takes 2, 4 or 8 steps where
-others take one; one whose iteration fails goes on by steps halved down to `FINEST`.
+The method: `newton` and docs/physics/wheel.md. A wheel whose speeds are about to change takes 2, 4
+or 8 steps where others take one; one whose iteration fails goes on by steps halved down to
+`FINEST`.
 """
 
 import math
@@ -42,11 +43,12 @@ from soil_env.terramechanics.reaction import (
 )
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] duration of a stage over that of the step
-LEAD = math.sqrt(
-    2.0
-)  # [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
-FINEST = 1024  # a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
-# Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where others take one.
+# [-] (1 - GAMMA)/GAMMA - 1: how far the second stage begins beyond the end of the first
+LEAD = math.sqrt(2.0)
+# a step that fails is halved down to this fraction; softening soil breaks away within 1 ms
+FINEST = 1024
+# Foreseen changes of speed [of the top rim speed] beyond which a wheel takes 2, 4 and 8 steps where
+# others take one.
 REFINED_TWICE = 0.3
 REFINED_FOUR_TIMES = 0.6
 REFINED_EIGHT_TIMES = 1.2
@@ -66,7 +68,7 @@ class Stand(NamedTuple):
 
 @njit(**INLINE)
 def steps_for(change, halt_left):
-    """Steps that a wheel takes where others take one, for a change of speeds ahead [of the top rim speed]."""
+    """Steps that a wheel takes where others take one, for a `change` [of top rim speed] ahead."""
     if halt_left >= DRIVING or change <= REFINED_TWICE:  # a halt has its speed loop
         return 1
     if change <= REFINED_FOUR_TIMES:
@@ -93,7 +95,7 @@ def change_ahead(wheel, drive, rig):
 
 @njit(**INLINE)
 def stage_of(number, h, speed, rim, speed_before, rim_before):
-    """`Stage` 0 or 1 of a step of h seconds, from the present speeds and those before the stage before [m/s]."""
+    """`Stage` 0 or 1 of a step of h seconds, from speeds now and before the last stage [m/s]."""
     g = GAMMA * h
     if number == 0:
         return Stage(g, 0.0, g, g, speed, rim)
@@ -104,7 +106,7 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 @njit(**FINITE)
 def ground_ahead(wheel, stage, patches, cells, before, border):
-    """Ground `Ahead` of a wheel in a stage, over which `before` wheels of its rover have passed; notes its patch."""
+    """Ground `Ahead` of a wheel in a stage, after `before` wheels of its rover; note its patch."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
     wheel.patch = patch_at(patches, x, wheel.patch)
     soil, grade = ground_at(patches, x, wheel.patch, border)
@@ -121,11 +123,12 @@ def foreseen_sinkage(wheel, duration):
 
 @njit(**INLINE)
 def account(wheel, end, stage, drive, rig):
-    """Work [J] of the motor, of the soil and of the integrator in a stage, from the present speeds to its `end`.
+    """Work [J] of the motor, of the soil and of the integrator in a stage, from the present speeds
+    to its `end`.
 
-    With d the change of speed from where the stage begins, and e where it begins beyond the present speed, the
-    integrator takes m (d^2 - e^2)/2, and the same of the rotation: what the products of the stages with their speeds
-    leave.
+    With d the change of speed from where the stage begins, and e where it begins beyond the present
+    speed, the integrator takes m (d^2 - e^2)/2, and the same of the rotation: what the products of
+    the stages with their speeds leave.
     """
     r = rig.radius
     turning = wheel.wheel_speed
@@ -149,7 +152,7 @@ def account(wheel, end, stage, drive, rig):
 
 @njit(**INLINE)
 def move(wheel, end, stage, ground, drive, rig):
-    """Take a wheel to the `end` of a stage (`Motion`): sinkage and place, work, speeds and forces."""
+    """Take a wheel to the `end` of a stage: sinkage and place, work, speeds and forces."""
     rim = rig.radius * wheel.wheel_speed
     moved = stage.first * wheel.speed + stage.last * end.speed
     slid = stage.first * abs(rim - wheel.speed) + stage.last * abs(end.rim - end.speed)
@@ -189,7 +192,8 @@ def stand(wheel, stage, ahead, world):
 def take_stage(wheel, stage, ahead, drive, forced, world):
     """(done, (gain, recovery) of digging) of a stage on the ground `Ahead`.
 
-    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is `forced` on.
+    Where Newton's method fails nothing is done, and the wheel stays as before, unless it is
+    `forced` on.
     """
     at = stand(wheel, stage, ahead, world)
     end = solve_speeds(wheel, stage, at.footing, at.along, drive, world, at.beside)
@@ -202,7 +206,7 @@ def take_stage(wheel, stage, ahead, drive, forced, world):
 
 @njit(**FINITE)
 def drive_period(wheel, drive, patches, cells, world):
-    """Drive a wheel for a control period, by steps of two stages that are halved while Newton's method fails."""
+    """Drive a wheel for a control period; steps are halved while Newton's method fails."""
     rig = world.rig
     begin_period(wheel)
     steps = steps_for(change_ahead(wheel, drive, rig), wheel.halt_left)
@@ -229,15 +233,14 @@ def drive_period(wheel, drive, patches, cells, world):
         if done:
             h = longest
         else:
-            h = (
-                0.5 * h if failed else longest
-            )  # after the first failure the rest is tried once more
+            # after the first failure the rest is tried once more
+            h = 0.5 * h if failed else longest
             failed = True
 
 
 @njit(**FINITE)
 def _at_fork(wheel, course, camera, action, rig):
-    """Before the halts of a control period are reckoned: what its action chooses, and the halt to come."""
+    """Set what an action chooses, and the halt to come, before a control period."""
     if camera is None:
         return
     else:
@@ -249,7 +252,8 @@ def _at_fork(wheel, course, camera, action, rig):
 
 @njit(**INLINE)
 def control_period(wheel, action, course, camera, world):
-    """One control period of a wheel under an action in [-1, 1] (`commanded`); `camera`: None without lines.
+    """One control period of a wheel under an action in [-1, 1] (`commanded`); `camera`: None
+    without lines.
 
     In a halt the drive ignores the action and holds the wheel with its speed loop.
     """

@@ -2,7 +2,8 @@
 
     V = V* + h/m (DP - m g sin(grade)),   u = u* + h r/J (T_motor - T),   u = r w
 
-with the analytic derivatives of the reaction; V* and u* of the two stages: docs/physics/wheel.md (Alexander 1977).
+with the analytic derivatives of the reaction; V* and u* of the two stages: docs/physics/wheel.md
+(Alexander 1977).
 """
 
 from typing import NamedTuple
@@ -20,8 +21,9 @@ PASSES = 60  # evaluations of the reaction in a stage, at most
 TRIES = 8  # evaluations along one step of Newton's method, at most
 LEAST_GAIN = 0.1  # [of the share of a step] by which the residual has to fall
 SHORTER = 0.4  # [-] factor on a step that is not better
-# A residual is let pass where no shorter step makes it smaller: at most `NEARLY`, and `OF_CHANGE` of the change of
-# speed that was found. Without the second, a step that is short enough would leave the speeds as they are.
+# A residual is let pass where no shorter step makes it smaller: at most `NEARLY`, and `OF_CHANGE`
+# of the change of speed that was found. Without the second, a step that is short enough would leave
+# the speeds as they are.
 NEARLY = 1e-4  # [m/s]
 OF_CHANGE = 0.1  # [-]
 SHORT = 0.1  # [of the rim speed] foreseen change up to which the first try is the foreseen speed
@@ -29,7 +31,7 @@ LEAST_PIVOT = 1e-12  # [-] determinant that a step is divided by, at least
 
 
 class Stage(NamedTuple):
-    """A stage of a step: its duration, the weights of its first and last speeds over it, and where it begins."""
+    """A stage of a step: duration, weights of its first and last speeds, where it begins."""
 
     duration: float  # [s]
     first: float  # [s]
@@ -50,7 +52,7 @@ class Motion(NamedTuple):
 
 @njit(**FINITE)
 def newton_step(f1, f2, cv, cu, force, net_u):
-    """(dV, du) of Newton's method for the residuals f1, f2 of implicit Euler; `net_u` = d(T - T_motor)/du."""
+    """(dV, du) of Newton's method for the residuals f1, f2; `net_u` = d(T - T_motor)/du."""
     a11 = 1.0 - cv * force.pull_v
     a12 = -cv * force.pull_u
     a21 = cu * force.torque_v
@@ -63,7 +65,7 @@ def newton_step(f1, f2, cv, cu, force, net_u):
 
 @njit(**INLINE)
 def last_force(wheel):
-    """`Reaction` of the last stage of a wheel; what a foreseen change of speed does not need is 0."""
+    """`Reaction` of a wheel's last stage; what a foreseen change of speed does not need is 0."""
     return Reaction(
         wheel.load,
         wheel.drawbar_pull,
@@ -82,8 +84,8 @@ def last_force(wheel):
 def foreseen(wheel, drive, back_v, back_u, h, along, rig):
     """(dV, du) [m/s] of a wheel in h seconds, by the reaction of the last stage to first order.
 
-    The stage begins at speeds that lie `back_v`, `back_u` [m/s] behind the present ones; `along` [N] is the weight
-    along the grade.
+    The stage begins at speeds that lie `back_v`, `back_u` [m/s] behind the present ones; `along`
+    [N] is the weight along the grade.
     """
     cv = h / wheel.mass
     cu = h * rig.radius / rig.inertia
@@ -96,16 +98,17 @@ def foreseen(wheel, drive, back_v, back_u, h, along, rig):
 
 @njit(**INLINE)
 def near_enough(residual, change):
-    """True if a residual [m/s] that no shorter step reduces is let pass; `change` of speed in the stage [m/s]."""
+    """True if a residual [m/s] that no shorter step reduces is let pass; `change` in m/s."""
     return residual < NEARLY and residual < TOLERANCE + OF_CHANGE * change
 
 
 @njit(**INLINE)
 def solve_speeds(wheel, stage, footing, along, drive, world, beside):
-    """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual is shortened.
+    """`Motion` at the end of a stage, by Newton's method; a step that does not reduce the residual
+    is shortened.
 
-    Once the residual is predicted to fall far below the tolerance, the last step is taken with the reaction to first
-    order instead of being computed once more.
+    Once the residual is predicted to fall far below the tolerance, the last step is taken with the
+    reaction to first order instead of being computed once more.
     """
     rig = world.rig
     r = rig.radius
@@ -120,9 +123,8 @@ def solve_speeds(wheel, stage, footing, along, drive, world, beside):
     else:
         try_v = v
         try_u = u
-    curvature = (
-        1.0 + r * footing.theta1 / footing.shear_modulus
-    )  # change of shear over that of speed
+    # change of shear over that of speed
+    curvature = 1.0 + r * footing.theta1 / footing.shear_modulus
 
     v = stage.speed
     u = stage.rim
@@ -146,7 +148,8 @@ def solve_speeds(wheel, stage, footing, along, drive, world, beside):
             share = 1.0
             tries = 0
             dv, du = newton_step(f1, f2, cv, cu, force, force.torque_u - slope / r)
-            # quadratic convergence: the residual falls by the last ratio, or by the change of shear that is made
+            # quadratic convergence: the residual falls by the last ratio, or by the change of shear
+            # that is made
             by_shear = max(abs(dv), abs(du)) * curvature / (abs(u) + REST_SPEED)
             if norm * min(norm / before, by_shear) < PREDICTED * TOLERANCE:
                 ahead = moved(force, dv, du)

@@ -41,7 +41,7 @@ def sensor_deviations(scenario: Scenario) -> np.ndarray:
 
 @njit(**FINITE)
 def start_odometry(vehicle, scale):
-    """Odometry at the start of a course, with a gain that stays the same over it; `scale`: its sd [-]."""
+    """Odometry at the start of a course, with a constant gain; `scale`: its sd [-]."""
     vehicle.odometer = 0.0
     vehicle.odometer_scale = 1.0 + scale * normal_pair(vehicle)[0]
 
@@ -50,7 +50,8 @@ def start_odometry(vehicle, scale):
 def roll_odometer(vehicle, speed, period):
     """Odometry after a control period [s] at whose end the sensor read this `speed` [m/s].
 
-    It integrates the readings of the speed sensor, so that its difference holds no truth beyond theirs.
+    It integrates the readings of the speed sensor, so that its difference holds no truth beyond
+    theirs.
     """
     vehicle.odometer += vehicle.odometer_scale * speed * period
 

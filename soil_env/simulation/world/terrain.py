@@ -1,4 +1,4 @@
-"""The ground of a course: patches of soil with a grade each, smooth borders between them, and the rut of the wheel."""
+"""The ground of a course: patches of soil and grade, smooth borders, the rut of the wheel."""
 
 import math
 from typing import Any
@@ -16,9 +16,10 @@ CELL = 0.05  # [m] length of one cell of the rut
 CELLS_BEHIND = 10  # cells behind the start of a course
 BEHIND = CELLS_BEHIND * CELL  # [m] ground behind the start that has cells of its own
 
-# How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling wheel compacts, a
-# digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc. 3rd ISTVS Conf. II:1-12); the law
-# is ours: factor = COMPACTION * (digging ratio)^-LOOSENING, bounded.
+# How a pass changes the ground, as a factor on the sinkage coefficient S of the cell. A rolling
+# wheel compacts, a digging one loosens. The direction is that of multi-pass tests (Holm 1969, Proc.
+# 3rd ISTVS Conf. II:1-12); the law is ours: factor = COMPACTION * (digging ratio)^-LOOSENING,
+# bounded.
 COMPACTION = 1.6  # [-] factor on S behind a wheel that rolls, chosen
 LOOSENING = 1.5  # [-] power of the digging ratio, chosen
 LEAST_RUT_FACTOR = 0.3  # [-] on S
@@ -39,9 +40,11 @@ RUT = record(
     factor=("f4",),  # [-] on the sinkage coefficient, left by earlier passes
     depth=("f4",),  # [m] of the rut below the undisturbed surface, 0 before the first pass
 )
-#: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line 1 beside it.
+#: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line
+#: 1 beside it.
 LINE = record(
-    "grade",  # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
+    # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
+    "grade",
     *SoilState._fields,
     "capacity",  # [of weight] best steady drawbar pull
     "grade_error",  # [rad] of the grade that a camera sees
@@ -62,10 +65,11 @@ LEAST_CELLS = 256  # that a course has room for
 
 
 def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
-    """Dtype of a course with room for so many patches and cells, and of terrain classes where there are any.
+    """Dtype of a course with room for so many patches and cells, and of terrain classes where there
+    are any.
 
-    Only the first `drawn` patches are drawn, and the cells below them cleared. Room is a power of two, since compiled
-    code is compiled anew for each dtype.
+    Only the first `drawn` patches are drawn, and the cells below them cleared. Room is a power of
+    two, since compiled code is compiled anew for each dtype.
     """
     patches = _room(patches, LEAST_PATCHES)
     cells = _room(cells, LEAST_CELLS)
@@ -108,7 +112,7 @@ def new_courses(wheels: int, scenario: Scenario, least_cells: int = LEAST_CELLS)
 
 @njit(**EXACT)
 def patch_at(patches, x, patch):
-    """Index of the patch at x [m]; `patch` is a first guess. Patches that are not drawn begin at `HUGE`."""
+    """Index of the patch at x [m], from a first guess; patches not drawn begin at `HUGE`."""
     while patch + 1 < patches.size and x >= patches[patch + 1].start:
         patch += 1
     while patch > 0 and x < patches[patch].start:
@@ -118,8 +122,9 @@ def patch_at(patches, x, patch):
 
 @njit(**EXACT)
 def border_near(patches, x, patch, border):
-    """(patch before the border, share of the patch behind it) of a wheel at x [m] on `patch`; the share is 0 or less
-    than 1 within `border` [m] around the border, -1 away from it."""
+    """(patch before the border, share of the patch behind it) of a wheel at x [m] on `patch`; the
+    share is 0 or less than 1 within `border` [m] around the border, -1 away from it.
+    """
     here = patches[patch]
     at_end = x - here.start > here.end - x
     first = patch if at_end else patch - 1
@@ -135,7 +140,8 @@ def border_near(patches, x, patch, border):
 def ground_at(patches, x, patch, border):
     """(`SoilState`, grade [rad]) of undisturbed ground at x [m], which is on `patch` (`patch_at`).
 
-    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the next.
+    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the
+    next.
     """
     first, share = border_near(patches, x, patch, border)
     here = patches[first]
@@ -175,9 +181,11 @@ def rut_factor_at(cells, x):
 
 @njit(**EXACT)
 def in_cell(cell, x):
-    """True if a wheel that comes from `cell` is still in it at x [m]: the next one begins in its own middle.
+    """True if a wheel that comes from `cell` is still in it at x [m]: the next one begins in its
+    own middle.
 
-    So a cell is passed once the wheel no longer stands on any of it, and rocking over a border passes none.
+    So a cell is passed once the wheel no longer stands on any of it, and rocking over a border
+    passes none.
     """
     return cell - 1.0 < place_in_cells(x) < cell + 1.0
 
@@ -194,7 +202,8 @@ def cell_after(cells, cell, x):
 
 @njit(**EXACT)
 def leave_rut(cell, depth, dug, compaction):
-    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened by digging.
+    """Mark a cell as driven over: its rut, `depth` [m], and soil compacted by rolling or loosened
+    by digging.
 
     `dug`: the digging ratio; `compaction`: the factor on S of a wheel that rolls without digging.
     """
@@ -218,7 +227,7 @@ def _sample(patches, x, border, places):
 
 
 def places_on(courses: np.ndarray, k: int, x: np.ndarray, border: float) -> np.ndarray:
-    """Undisturbed ground of course k at places x [n] in m, `PLACE` [n]; `border` [m] as in `ground_at`."""
+    """Undisturbed ground, `PLACE` [n], of course k at x [n]; `border` [m] as in `ground_at`."""
     places = np.zeros(len(x), PLACE)
     _sample(courses["patches"][k], np.ascontiguousarray(x, dtype=float), float(border), places)
     return places

@@ -1,12 +1,13 @@
 """State of a driven wheel and its laws of motion (docs/physics/wheel.md), which `dynamics` steps.
 
-    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and payload
-    J dw/dt = T_motor - T                    rotation
-    dz/dt   = B z_w - A z                    sinkage on fresh ground, `effects.excavation_rate`
-    W       = m g cos(grade)                 Eq. (1), met at every instant
+    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and
+    payload J dw/dt = T_motor - T                    rotation dz/dt   = B z_w - A z
+    sinkage on fresh ground, `effects.excavation_rate` W       = m g cos(grade)                 Eq.
+    (1), met at every instant
 
-z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it (`sink`). On ground
-that the wheel has touched before, travel takes the sinkage to the depth of the rut instead.
+z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it
+(`sink`). On ground that the wheel has touched before, travel takes the sinkage to the depth of the
+rut instead.
 """
 
 import math
@@ -30,16 +31,16 @@ from soil_env.terramechanics.residual import residual_law
 from soil_env.terramechanics.steady import DEEPEST, Conditions, Point, steady_at
 
 SHALLOWEST = 1e-4  # [radii] least sinkage of a wheel
-REVERSE = (
-    0.1  # [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
-)
+# [of the top rim speed] that rim acceleration can command backwards, to back out of a hole
+REVERSE = 0.1
 SETTLING_TIME = 0.1  # [s] in which soil yields under a wheel that stands on less than it needs
 MOST_BEARING = 10.0  # [-] most that z_w may exceed the present sinkage by, as a factor
 LEAST_EXPONENT = 0.05  # [-] sinkage exponent below which z_w is not sought
 STANDING = 1e-12  # [-] relaxation in a stage, or [m] of travel, below which nothing changes
 LEAST_WAY = 1e-6  # [m] way through a cell that digging is compared with, at least
 
-#: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept for sensors and info.
+#: A wheel; all fields have eight bytes. Numbers that follow from others in the same step are kept
+#: for sensors and info.
 WHEEL = record(
     "x",  # [m] distance along the course
     "speed",  # V [m/s]
@@ -82,15 +83,15 @@ WHEEL = record(
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
     cause=("i8",),  # `Cause` of the end of its episode, or that it runs
     periods=("i8",),  # control periods of the last step
-    converged=(
-        "i8",
-    ),  # 1 unless Newton's method failed at the finest step of the last control period
+    # 1 unless Newton's method failed at the finest step of the last control period
+    converged=("i8",),
     patch=("i8",),  # of the course, under the wheel
     cell=("i8",),  # of the rut, under the wheel
     steps=("i8",),  # control periods since reset
 )
 
-#: Constants of a wheel with its motor, of the commands that it takes and of the halts of its courses.
+#: Constants of a wheel with its motor, of the commands that it takes and of the halts of its
+#: courses.
 RIG = record(
     "radius",  # [m] of the rim
     "width",  # [m]
@@ -109,7 +110,9 @@ RIG = record(
     "halt_high",  # [m] largest distance between halts
     "halt_time",  # [s]
     "period",  # [s] of the control
-    "rim_step",  # [of top rim speed] change of the command by an action of 1 in a period; 0: the action is the command
+    # [of top rim speed] change of the command by an action of 1 in a period; 0: the action is the
+    # command
+    "rim_step",
     "sight",  # [m] before a patch from which its lines are seen
     substeps=("i8",),  # of a control period
     speed_command=("?",),  # True if the drive follows a commanded rim speed
@@ -117,7 +120,7 @@ RIG = record(
 
 
 class World(NamedTuple):
-    """What a wheel is simulated with: its constants, what acts beside the base model, the scratch of its thread."""
+    """What a wheel is simulated with: constants, what acts beside the base model, scratch."""
 
     rig: Any  # `RIG`
     acting: Acting
@@ -157,7 +160,7 @@ class Path(NamedTuple):
 
 
 def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarray:
-    """Pack the constants of a scenario, `RIG` [1]; `model` gives the lugs and the effects of this world."""
+    """Pack the constants of a scenario, `RIG` [1]; `model` gives lugs and effects."""
     w = scenario.wheel
     c = scenario.control
     rig = np.zeros(1, RIG)
@@ -199,7 +202,8 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
 
 @njit(**INLINE)
 def commanded(wheel, action, halted, rig):
-    """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is a rim acceleration.
+    """`Drive` of a control period: the action itself, or the rim speed that it leads to where it is
+    a rim acceleration.
 
     In a halt the wheel is held at rest, and the action that counts as the last one is 0.
     """
@@ -224,11 +228,13 @@ def begin_period(wheel):
 
 @njit(**INLINE)
 def sink(wheel, ground, mobilised, path, rig):
-    """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the coefficient `mobilised`.
+    """Place and sinkage of a wheel after a stage on `Ground`, in which its load mobilised the
+    coefficient `mobilised`.
 
-    z_w is the depth at which undisturbed soil bears the pressure `mobilised` z^n at the depth z = `ground.sinkage`.
-    Ground beyond the furthest places of a wheel is fresh; where it has been, travel leads to the depth of the rut
-    instead of z_w. The rut grows where the wheel digs and not where it climbs out of its hole.
+    z_w is the depth at which undisturbed soil bears the pressure `mobilised` z^n at the depth z =
+    `ground.sinkage`. Ground beyond the furthest places of a wheel is fresh; where it has been,
+    travel leads to the depth of the rut instead of z_w. The rut grows where the wheel digs and not
+    where it climbs out of its hole.
     """
     soil = ground.soil
     exponent = max(soil.sinkage_exponent, LEAST_EXPONENT)
@@ -253,10 +259,12 @@ def sink(wheel, ground, mobilised, path, rig):
 
 @njit(**INLINE)
 def relax_sinkage(sinkage, bearing, onto, path, soil, length):
-    """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path` (`effects.excavation_rate`).
+    """Sinkage [m] after dz/dt = B z_w - A z + |V| (onto - z_w)/length along a `Path`
+    (`effects.excavation_rate`).
 
-    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once, travelling or not.
-    `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of the rut where the wheel has been.
+    Where z < z_w, 1/SETTLING_TIME is added to A and B: the wheel sinks under its load at once,
+    travelling or not. `onto` [m] is the depth that travel leads to: z_w on fresh ground, that of
+    the rut where the wheel has been.
     """
     speed = abs(path.moved) / path.duration
     sliding = abs(path.slid) / path.duration
@@ -273,10 +281,10 @@ def relax_sinkage(sinkage, bearing, onto, path, soil, length):
 
 @njit(**FINITE)
 def leave_ruts(wheel, cells, digging, compaction):
-    """Mark the cells that a wheel has passed in a stage; it comes into the next one in the middle of that.
+    """Mark the cells that a wheel has passed in a stage; the next one begins in its own middle.
 
-    How much it dug follows from the way that the rim slid in its cell: its sinkage over z_w does not say, since it lags
-    behind a change of the ground. `digging`: (gain, recovery) of the soil.
+    How much it dug follows from the way that the rim slid in its cell: its sinkage over z_w does
+    not say, since it lags behind a change of the ground. `digging`: (gain, recovery) of the soil.
     """
     after = cell_after(cells.size, wheel.cell, wheel.x)
     if after == wheel.cell:
@@ -294,7 +302,7 @@ def leave_ruts(wheel, cells, digging, compaction):
 
 @njit(**INLINE)
 def end_period(wheel, x_start, owner, rig):
-    """The end of a control period of a wheel, or of a rover as a whole, that began at `x_start` [m]: travel and halts.
+    """End a control period of a wheel or a whole rover that began at `x_start` [m].
 
     `owner` has the random stream for the places of halts.
     """
@@ -315,7 +323,7 @@ def measure_slip(wheel, rig):
 
 @njit(**EXACT)
 def settle_at(wheel, x, mass, course, world):
-    """Put a wheel, whose record is blank but for its stream, at rest at x [m], sunk in under its own load."""
+    """Put a wheel, its record blank but for its stream, at rest at x [m], sunk in by its load."""
     rig = world.rig
     wheel.patch = patch_at(course.patches, x, 0)
     soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)

@@ -49,7 +49,10 @@ def f(x):
     return x + 1.0
 """
 #: Prints the result, how often compiled code was loaded, and how often it was not there.
-CALL = "from {0} import f; print(f(1.0), sum(f.stats.cache_hits.values()), sum(f.stats.cache_misses.values()))"
+CALL = (
+    "from {0} import f; print(f(1.0), sum(f.stats.cache_hits.values()), "
+    "sum(f.stats.cache_misses.values()))"
+)
 
 
 @pytest.fixture()

@@ -66,6 +66,9 @@ def test_no_function_returns_its_scratch_memory():
     assert not [
         (path.name, name) for path, source in trees.items() for name in returned(source, getters)
     ]
-    bad = "def f():\n    return Substep(new_footing(), 1)\ndef g():\n    a = new_footing()\n    return a, 2\n"
+    bad = (
+        "def f():\n    return Substep(new_footing(), 1)\n"
+        "def g():\n    a = new_footing()\n    return a, 2\n"
+    )
     fine = "def h():\n    a = new_footing()\n    return total(a)\n"
     assert list(returned(bad + fine, {"new_footing"})) == ["f", "g"]

@@ -259,9 +259,8 @@ def test_halving_the_step_changes_little(rover):
     first, second = np.mean(changes, axis=0)
     assert np.all(first < 0.01)
     moving = slice(None, 2 + load_rover(rover).axles)  # loads follow a step behind
-    assert np.all(
-        (second[moving] < 0.8 * first[moving]) | (second[moving] < 3e-4)
-    )  # or what the iteration leaves
+    # or what the iteration leaves
+    assert np.all((second[moving] < 0.8 * first[moving]) | (second[moving] < 3e-4))
 
 
 def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
@@ -296,9 +295,8 @@ def test_a_wheel_that_rolls_leaves_a_stiffer_floor_on_which_the_next_sinks_less(
     a = driven(started(scenario), 0.3, 200)
     per_load = a.wheel["sinkage"] / a.wheel["load"] ** (2.0 / 3.0)
     assert per_load[1] / per_load[0] == pytest.approx(COMPACTION_OF_RUT ** (-2.0 / 3.0), rel=0.02)
-    assert (
-        2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)
-    )  # two passes, Abebe et al. (1989)
+    # two passes, Abebe et al. (1989)
+    assert 2.0 ** (1 / 4) < 1.0 + per_load[1] / per_load[0] < 2.0 ** (1 / 2)
     assert a.wheel["floor"][1] == pytest.approx(a.wheel["sinkage"][0], rel=1e-3)
 
 

@@ -101,9 +101,8 @@ def _of_one(polynomial, name):
 def _scaled(x, k):
     """x 2^k for x in [0.5, 2) and whole k in [-1022, 1022]."""
     builder = x.builder
-    shifted = builder.bitcast(
-        (k + 6755399441055744.0).value, INTEGERS
-    )  # k + 1.5 2^52 holds k in its low bits
+    # k + 1.5 2^52 holds k in its low bits
+    shifted = builder.bitcast((k + 6755399441055744.0).value, INTEGERS)
     exponent = builder.shl(shifted, ir.Constant(INTEGERS, [52] * COUNT))
     return _Emitted(
         builder, builder.bitcast(builder.add(builder.bitcast(x.value, INTEGERS), exponent), VECTOR)

@@ -25,9 +25,8 @@ from soil_env.identification.online.lanes.contact import (
 from soil_env.identification.online.lanes.elementary import where_less
 from soil_env.parameters import SoilState
 
-_SECANT = (
-    1e-7  # [ln m]^2 product of the last two steps at which the secant ends: the size of its error
-)
+# [ln m]^2 product of the last two steps at which the secant ends: the size of its error
+_SECANT = 1e-7
 DEEPEST = 1.5  # [radii] sinkage beyond which a wheel counts as buried
 #: Slips at which the drawbar pull is compared.
 SLIPS = np.array([0.05, 0.1, 0.15, 0.2, 0.26, 0.33, 0.41, 0.5, 0.6, 0.72, 0.85, 0.97])
@@ -194,9 +193,8 @@ def best_working_point(load, soil, r, b, torque_available):
         last = SLIPS[_MIDDLE]
         while 0 <= i < SLIPS.size:
             slip = SLIPS[i]
-            if (
-                guess > 0.0
-            ):  # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
+            if guess > 0.0:
+                # at the same load the ratio of sinkages is the ratio of slip-sinkage, to a power
                 deeper = slip_sinkage_ratio(slip, gain, recovery)
                 deeper /= slip_sinkage_ratio(last, gain, recovery)
                 guess *= deeper**power
