@@ -148,7 +148,7 @@ def faults(env, actions, before, stepped, out) -> dict[str, np.ndarray]:
         ),
         "energy term <= 0": ~(term["energy"] <= 0.0),
         "state finite": ~np.logical_and.reduce(
-            [np.isfinite(state[name]) for name in state.dtype.names]
+            [np.isfinite(state[name]) for name in state.dtype.names if state[name].ndim == 1]
         ),
         "sinkage in [1e-4, 1.5] radii": ~(
             (state["sinkage"] >= 0.99e-4 * r) & (state["sinkage"] <= 1.5 * r * 1.000001)

@@ -59,7 +59,8 @@ def warm_up() -> None:
     identifier.update(Readings(2.0, 0.25, 0.02, 10.0, 147.0, 5.0))
     identifier.traversability()
     slips(np.array([0.3]), np.array([0.2]))
-    model.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
+    for predictor in (WheelSoilModel(model.wheel, model.soil), model):
+        predictor.predict({"slip": np.array([0.1, 0.3]), "load": 100.0})
     best_points(np.ones((1, 7)), np.array([100.0]), wheels()["planetary_rover"])
     for equations in compare.HELD:
         compare.root(equations)

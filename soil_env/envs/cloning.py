@@ -72,10 +72,9 @@ def _copy(a, wheels, b, places, count, into, name):
             _copy(
                 getattr(a, field), wheels, getattr(b, field), places, count, into, f"{name}.{field}"
             )
-    elif a.shape[1:] != b.shape[1:]:
+    elif a.shape[1:] != b.shape[1:] or a.dtype != b.dtype:
         raise ParameterError(
-            f"clone: {name} is {a.shape[1:]} in one simulation and {b.shape[1:]} in the other: "
-            "expected the same scenario"
+            f"clone: {name} has not one shape in both simulations: expected the same scenario"
         )
     elif len(a) and len(b):  # averages are kept only where something asks for them
         b[places] = a[wheels]

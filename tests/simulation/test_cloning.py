@@ -27,7 +27,7 @@ def memory(part, wheel, wheels, name="worlds"):
     if isinstance(part, tuple):
         out = {}
         for field in part._fields:
-            if field == "record":  # which every step writes anew
+            if field == "notes":  # which every step writes anew
                 continue
             out |= memory(getattr(part, field), wheel, wheels, f"{name}.{field}")
         return out

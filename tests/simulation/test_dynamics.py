@@ -159,7 +159,7 @@ def test_rolling_out_and_back_keeps_the_rut():
     out = wheels.drive([0.4] * 60)
     assert out[-1, 0] > 0.5
     cell = wheels.now().cell
-    cells = wheels.courses.cells[0]
+    cells = wheels.courses["cells"][0]
     passed = cells[terrain.CELLS_BEHIND + 2 : cell - 2]
     assert passed.size > 5 and np.all(passed["factor"] > 1.0) and np.all(passed["depth"] > 0.0)
     assert np.all(cells["factor"][cell + 1 :] == 1.0)  # not yet driven over
@@ -201,7 +201,7 @@ def test_a_rut_is_left_by_digging_and_not_by_lag():
     lay_patches(wheels.courses, (0.0, 1.0, 1e3), [soft, firm], [0.0, 0.0])
     rows = wheels.drive([0.4] * 100)
     assert rows[-1, 0] > 2.0
-    factor = wheels.courses.cells["factor"][0]
+    factor = wheels.courses["cells"]["factor"][0]
     x = (np.arange(factor.size) - terrain.CELLS_BEHIND + 0.5) * terrain.CELL
     lagging = np.interp(1.25, rows[:, 0], rows[:, 1]) / rows[-1, 1]
     assert lagging > 1.3  # deeper than the firm ground asks for

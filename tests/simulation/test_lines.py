@@ -10,7 +10,6 @@ from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.simulation.task import VARIANTS, layout
 from soil_env.simulation.world import camera
-from soil_env.simulation.world.terrain import course_of
 from soil_env.simulation.world.wheel import WHEEL
 from soil_env.terramechanics.ground import blend
 from tests.simulation.courses import course, margin, stream_of
@@ -78,7 +77,7 @@ def test_patches_of_a_class_scatter_about_its_soil(drawn):
     """The first patches show each class once; the classes of two courses are different soils."""
     for one, other in zip(drawn[:10], drawn[1:11], strict=True):
         classes = one.lines["terrain"]
-        library = one.courses.library[0]
+        library = one.courses["library"][0]
         assert sorted(classes[:3, 0]) == [0, 1, 2]
         assert np.all(one.forks["lines"][:3] == 1) and np.all(one.forks["lines"][3:] == 2)
         assert np.all(classes[3:, 0] != classes[3:, 1])
@@ -88,7 +87,7 @@ def test_patches_of_a_class_scatter_about_its_soil(drawn):
             # a patch with one line has it twice
             assert len(np.unique(of_class["shear_modulus"])) > 1 or len(of_class) == 2
         for name in SoilState._fields[:6]:  # the recovery of digging is one
-            assert not np.any(library[name] == other.courses.library[0][name])
+            assert not np.any(library[name] == other.courses["library"][0][name])
 
 
 def test_what_is_in_sight_is_final(scenario):
@@ -145,24 +144,27 @@ def creep(chosen, seed, steps=900):
 
 
 def test_the_sign_of_the_action_at_the_halt_chooses():
-    """A halt lies before every fork; what is under and behind the wheel stays as it is."""
+    """Before every fork there is a halt at which it does; what lies under and behind the wheel
+    stays as it is.
+    """
     for chosen, line in ((-0.01, 1), (0.0, 0), (1.0, 0), (-1.0, 1)):
         passed = 0
         asked_at = [set() for _ in range(8)]
         for sim, asked in creep(chosen, 2):
             for k in np.flatnonzero(asked):
                 assert sim.worlds.state["halt_left"][k] > 0.0
-                asked_at[k].add(int(sim.worlds.counts["patch"][k]) + 1)
+                asked_at[k].add(int(sim.worlds.state["patch"][k]) + 1)
         courses = sim.worlds.courses
         for k in range(8):
-            here = int(sim.worlds.counts["patch"][k])
-            forks = [p for p in range(here + 1) if courses.lines.count[k, p] == 2]
+            here = int(sim.worlds.state["patch"][k])
+            forks = [p for p in range(here + 1) if courses["forks"]["lines"][k, p] == 2]
             assert asked_at[k] >= set(forks)
             passed += len(forks)
             for p in forks:
-                assert courses.lines.taken[k, p] == line
-                np.testing.assert_array_equal(courses.soils[k, p], courses.lines.soils[k, p, line])
-                assert courses.grades[k, p] == courses.lines.grades[k, p, line]
+                assert courses["forks"]["taken"][k, p] == line
+                taken = courses["lines"][k, p, line]
+                for name in ("grade", *SoilState._fields):
+                    assert courses["patches"][name][k, p] == taken[name]
         assert passed > 8
 
 
@@ -176,23 +178,25 @@ def test_the_wheel_halts_at_the_stated_distance_before_a_fork():
         begins = (state["halt_left"] > 0.0) & ~started
         started = state["halt_left"] > 0.0
         for k in np.flatnonzero(begins):
-            p = int(sim.worlds.counts["patch"][k]) + 1
-            left = courses.edges[k, p] - state["x"][k]
-            if courses.lines.count[k, p] == 2 and left <= spec.halt_before[1]:
-                # the first so near; there may be another, as every metre or so
-                seen.setdefault((k, p), left)
+            p = int(sim.worlds.state["patch"][k]) + 1
+            left = courses["patches"]["start"][k, p] - state["x"][k]
+            if courses["forks"]["lines"][k, p] == 2 and left <= spec.halt_before[1]:
+                seen.setdefault(
+                    (k, p), left
+                )  # the first so near; there may be another, as every metre or so
     seen = list(seen.values())
-    # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
-    assert len(seen) > 15
+    assert (
+        len(seen) > 15
+    )  # at 0.2 m/s a wheel moves up to 2 cm in the period in which it comes to the place
     assert min(seen) > spec.halt_before[0] - 0.03 and max(seen) <= spec.halt_before[1]
     assert np.ptp(seen) > 0.5 * np.ptp(spec.halt_before)
 
 
 def before_the_fork(sim, away):
     """Put all wheels at rest at a distance [m] before the first fork."""
-    at = sim.worlds.courses.edges[: len(sim.worlds.reward), 3] - away
+    at = sim.worlds.courses["patches"]["start"][:, 3] - away
     sim.worlds.state["x"] = sim.worlds.state["best_x"] = at
-    sim.worlds.counts["patch"] = 2
+    sim.worlds.state["patch"] = 2
     return at
 
 
@@ -201,12 +205,11 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     sim = simulation(seed=6, wheels=400, camera={"label_error": 0.2})
     for k in range(400):
         sim.complete(k)
-    lines = sim.worlds.courses.lines
-    n = sim.worlds.courses.patches
-    error = np.concatenate([lines.grade_errors[k, 3 : n[k]].ravel() for k in range(400)])
-    wrong = np.concatenate(
-        [(lines.labels != lines.classes)[k, 3 : n[k]].ravel() for k in range(400)]
-    )
+    lines = sim.worlds.courses["lines"]
+    drawn = sim.worlds.courses["drawn"]
+    chosen = np.concatenate([lines[k, 3 : drawn[k]].ravel() for k in range(400)])
+    error = chosen["grade_error"]
+    wrong = chosen["label"] != chosen["terrain"]
     assert abs(error.mean()) < 4.0 * 0.01 / math.sqrt(error.size)
     assert error.std() == pytest.approx(0.01, rel=0.05)
     assert wrong.mean() == pytest.approx(0.2, abs=0.03) and wrong.size > 2000
@@ -220,7 +223,7 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
     stays = np.abs(sim.worlds.state["x"] - at) < 0.2
     for image in images[1:]:
         np.testing.assert_array_equal(image[stays][:, shown], images[0][stays][:, shown])
-    expected = lines.grades[:, 3, 0] + lines.grade_errors[:, 3, 0]
+    expected = lines["grade"][:, 3, 0] + lines["grade_error"][:, 3, 0]
     np.testing.assert_allclose(image[stays, names.index("ahead_grade")], expected[stays], atol=1e-6)
 
 
@@ -228,7 +231,7 @@ def test_looking_longer_shows_no_more_of_label_and_grade():
 def look_often(wheels, courses, view, left):
     """Distance [m] to the next border by each of many images of a wheel on the first course."""
     for i in range(left.size):
-        left[i] = camera.look(wheels[0], course_of(courses, 0), view[0]).left
+        left[i] = camera.look(wheels[0], courses[0], view[0]).left
 
 
 def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
@@ -251,14 +254,14 @@ def test_averaging_images_leaves_the_fixed_error_of_a_border(scenario):
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_only_true_soil_shows_the_soils_ahead(variant):
-    """Observations of two worlds that differ only in soils and capacities of lines ahead."""
+    """Observations of worlds that differ in nothing but soils and capacities of the lines ahead."""
     rows = []
     for change in (1.0, 1.1):
         sim = simulation(variant, seed=9)
-        lines = sim.worlds.courses.lines
+        lines = sim.worlds.courses["lines"]
         before_the_fork(sim, 1.0)
-        lines.soils[0, 3:] *= change
-        lines.capacities[0, 3:] *= change
+        for name in (*SoilState._fields, "capacity"):
+            lines[name][0, 3:] *= change
         sim.step(0, 0.0)
         rows.append(sim.worlds.observation[0].copy())
     names = np.array([e.name for e in layout(variant, sim.scenario.course)])
@@ -271,13 +274,13 @@ def test_only_true_soil_shows_the_soils_ahead(variant):
 
 def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
     sim = simulation("true_soil", seed=9)
-    lines = sim.worlds.courses.lines
     before_the_fork(sim, 1.0)
     sim.step(0, 0.0)
     names = [e.name for e in layout("true_soil", sim.scenario.course)]
     for i, line in enumerate(("ahead", "beside")):
-        grade = lines.grades[0, 3, i] + lines.grade_errors[0, 3, i]
-        expected = margin(lines.soils[0, 3, i], grade, sim.worlds.state["mass"][0], sim.scenario)
+        own = sim.worlds.courses["lines"][0, 3, i]
+        grade = own["grade"] + own["grade_error"]
+        expected = margin(own, grade, sim.worlds.state["mass"][0], sim.scenario)
         assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(
             expected, abs=1e-5
         )

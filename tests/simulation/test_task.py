@@ -20,10 +20,10 @@ from soil_env.parameters.readings import Results
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
-from soil_env.simulation.wheels import _observe, _sense, new_scratch
+from soil_env.simulation.wheels import NOTE, Setting, _observe, _sense
 from soil_env.simulation.world.camera import Sight
 from soil_env.simulation.world.sensors import READING
-from soil_env.simulation.world.terrain import course_of
+from soil_env.terramechanics.reaction import BASE
 from tests.simulation.wheels import set_soil, started
 
 SENSORS = len(layout("blind"))  # entries that every variant has
@@ -81,25 +81,34 @@ def test_all_variants_share_the_first_entries(variant):
 
 
 @kept
-def _write(worlds, numbers, scratch, rows, sensed):
-    wheel = worlds.state[0]
-    course = course_of(worlds.courses, 0)
+def _write(worlds, constants, note, scratch, rows, sensed):
+    numbers = constants[0]
+    work = scratch[0]
+    setting = Setting(
+        numbers.rig[0],
+        BASE,
+        numbers.task[0],
+        numbers.sd[0],
+        None,
+        work.nodes[0],
+        work.normals[0],
+    )
     for i in range(len(rows)):
-        reading = scratch.reading[0]
         if sensed:
-            reading = _sense(worlds, numbers, 0, 0, course, scratch)
-        _observe(rows[i], wheel, reading, course, Sight(0, 0.0, 0.0), numbers)
+            _sense(worlds.state[0], note[0], worlds.courses[0], setting, None)
+        sight = Sight(0, 0.0, 0.0)
+        _observe(worlds.state[0], note[0], worlds.courses[0], setting, None, sight, rows[i])
 
 
-def written(sim, count=1, scratch=None):
+def written(sim, count=1, note=None):
     """Observations [count, D] of the present state, each with readings of its own, or with those of
-    a `scratch`.
+    a `note` (`NOTE` [1]).
     """
-    sensed = scratch is None
-    stream = sim.worlds.state["stream"].copy()
-    rows = np.zeros((count, sim.numbers.low.size), dtype=np.float32)
-    _write(sim._world, sim.numbers, scratch or new_scratch(), rows, sensed)
-    sim.worlds.state["stream"] = stream
+    kept_state = sim.worlds.state.copy()
+    rows = np.zeros((count, sim.numbers.bounds.shape[1]), dtype=np.float32)
+    own = np.zeros(1, NOTE) if note is None else note
+    _write(sim._world, sim._constants, own, sim._scratch[0], rows, note is None)
+    sim.worlds.state[:] = kept_state
     return rows
 
 
@@ -112,7 +121,7 @@ def observed_again(sim, estimate=None):
         if estimate is not None:
             known = known._replace(ids=known.ids._replace(estimate=known.ids.estimate + estimate))
         results = Results(out[None], worlds.terms, worlds.reward, worlds.cause)
-        show_estimate(known, sim.belief, worlds.record, results, 0, 0)
+        show_estimate(known, sim.belief, sim._record, results, 0, 0)
     return out
 
 
@@ -122,7 +131,7 @@ def test_only_true_soil_shows_the_soil(variant):
     for _ in range(20):
         sim.step(0, 0.3)
     before = observed_again(sim)
-    patches = sim.worlds.courses.patches
+    patches = sim.worlds.courses["patches"]
     set_soil(patches, [1.3 * patches[name] for name in SoilState._fields])
     after = observed_again(sim)
     changed = before != after
@@ -134,9 +143,9 @@ def test_only_true_soil_shows_the_soil(variant):
 
 def test_true_soil_is_the_undisturbed_soil_under_the_wheel():
     sim = simulation("true_soil", changes={"course": {"border": 0.01}})
-    second = sim.worlds.courses.patches[0, 1]
+    second = sim.worlds.courses["patches"][0, 1]
     sim.worlds.state["x"] = 0.5 * (second.start + second.end)
-    sim.worlds.courses.cells["factor"] = 0.5
+    sim.worlds.courses["cells"]["factor"] = 0.5
     tan_phi, c, k, s, n, gain, recovery = (second[name] for name in SoilState._fields)
     expected = [math.atan(tan_phi), math.log10(k), math.log10(s), c / 1000.0, n, gain, recovery]
     np.testing.assert_allclose(observed_again(sim)[SENSORS:], expected, rtol=1e-6)
@@ -216,15 +225,16 @@ def test_the_observation_follows_from_readings_alone():
     for _ in range(30):
         sim.step(0, 0.3)
     state = sim.worlds.state
-    scratch = new_scratch()
-    scratch.reading[0] = np.full(1, 0.3).repeat(len(READING.names)).view(READING)[0]
+    note = np.zeros(1, NOTE)
+    for name in READING.names:
+        note[name] = 0.3
     seen = []
     for factor in (1.0, 1.7):
         for name in state.dtype.names:
             shown = name in ("last_action", "rim_command", "halt_left", "odometer")
             if not shown and state.dtype[name].kind == "f":
                 state[name] *= factor
-        seen.append(written(sim, scratch=scratch))
+        seen.append(written(sim, note=note))
     np.testing.assert_array_equal(*seen)
 
 

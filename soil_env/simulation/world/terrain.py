@@ -72,6 +72,7 @@ def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
     two, since compiled code is compiled anew for each dtype.
     """
     patches = _room(patches, LEAST_PATCHES)
+    cells = _room(cells, LEAST_CELLS)
     lines: dict[str, Any] = {}
     if classes:
         lines = {
@@ -85,7 +86,7 @@ def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
         drawn=("i8",),
         stream=("u8",),  # from which the patches to come are drawn
         patches=(PATCH, patches),
-        cells=(RUT, _room(cells, LEAST_CELLS)),
+        cells=(RUT, cells),
     )
 
 
@@ -94,11 +95,11 @@ def _room(count: int, least: int) -> int:
     return 1 << (max(count, least) - 1).bit_length()
 
 
-def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
+def new_courses(wheels: int, scenario: Scenario, least_cells: int = LEAST_CELLS) -> np.ndarray:
     """Empty courses, `course_dtype` [wheels]."""
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
-    cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
+    cells = max(CELLS_BEHIND + math.ceil(spec.length / CELL) + 2, least_cells)
     courses = np.zeros(wheels, course_dtype(patches, cells, spec.classes))
     courses["ready"] = HUGE
     courses["patches"]["start"] = HUGE

@@ -19,7 +19,9 @@ def recorded():
 
 
 def errors(recorded, here) -> dict[str, np.ndarray]:
-    """RMS errors of phi [deg], ln K, c [kPa] at the steps `here`: alone, pooled, of the prior."""
+    """RMS errors of phi [deg], ln K and c [kPa] at the steps `here` of a log: alone, pooled, and of
+    the prior.
+    """
     scenario, log = recorded
     prior = np.broadcast_to(published_prior(scenario)[0], log["alone"].shape)
     true = log["soil"][..., :3][here]
@@ -30,7 +32,9 @@ def errors(recorded, here) -> dict[str, np.ndarray]:
 
 
 def rear_leaves_the_border(recorded) -> np.ndarray:
-    """Steps [T, courses, axles] of a rear wheel behind a border that the front one has passed."""
+    """Steps [T, courses, axles] of the rear wheel just behind a border, the front one on the same
+    soil.
+    """
     scenario, log = recorded
     patch = log["soil"][..., 3]
     since = log["soil"][..., 4]

@@ -69,7 +69,7 @@ def test_readings_are_the_state_with_noise(rover):
 
 @pytest.mark.parametrize("rover", rover_names())
 def test_true_soil_is_that_under_each_axle(rover):
-    """As `true_soils` has it, which is the course's: the front axle is on a patch first."""
+    """As `true_soils` has it, which is the course's: the front axle comes to a patch first."""
     course = {"patch_length": [0.7, 0.9], "border": 0.3}
     env, rows = drive(rover, "true_soil", 1, 100, 0.9, action="wheel_speed", course=course)
     names = axle_names(env.scenario.axles)
@@ -114,7 +114,9 @@ def test_energy_and_progress_are_of_the_rover_as_a_whole():
 
 
 def test_the_information_term_is_the_mean_over_the_axles():
-    """It sums up to the discounted fall of entropy, whether an action lasts one period or five."""
+    """It sums up to the fall of entropy, discounted, and is the same whether an action lasts one
+    period or five.
+    """
     env = SoilRoverEnv(
         "mars_rover",
         action="wheel_speed",
