@@ -99,10 +99,6 @@ def test_no_unsafe_loading_in_the_sources():
             "module, name, signature = pickle.load(sys.stdin.buffer)  # from `compile_aside`",
         ),
         ("loading.py", "return yaml.load(text, _Strict)  # a SafeLoader"),
-        (
-            "records.py",
-            'exec(f"def {head}:\\n{body}\\n", names)  # as `typing.NamedTuple` itself does',
-        ),
     ]
 
 
