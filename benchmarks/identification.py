@@ -1,9 +1,9 @@
-"""Calibration of the online identifier in every drive that ships: docs/results/identification.json
-and .md.
+"""Calibration of the online identifier in every drive that ships: docs/results/identification.*
 
-    python -m benchmarks.identification --out X all rows, half an hour; goes on where it was
-    interrupted python -m benchmarks.identification --only two_lines rows of this scenario anew, the
-    others as they are
+    python -m benchmarks.identification --out X           all rows, half an hour; goes on where it
+                                                          was interrupted
+    python -m benchmarks.identification --only two_lines  rows of this scenario anew, the others as
+                                                          they are
 
 A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors
 are those of the ground under the wheel at all steps but halts, whatever the status of the estimate.

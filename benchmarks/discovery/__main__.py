@@ -1,9 +1,9 @@
-"""Blind benchmark of discrepancy discovery: which mechanism is missing from the model of a wheel on
-soil?
+"""Blind benchmark of discovery: which mechanism is missing from the model of a wheel on soil?
 
-    python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16 draw,
-    ask, score python -m benchmarks.discovery run --held-out ... the final run python -m
-    benchmarks.discovery score --out DIR --publish docs/results all answers in DIR
+    python -m benchmarks.discovery run --entrant workflow --seed 100001 --out DIR --jobs 16
+                                                draw, ask, score
+    python -m benchmarks.discovery run --held-out ...                       the final run
+    python -m benchmarks.discovery score --out DIR --publish docs/results   all answers in DIR
 
 An entrant is `workflow` or module:function, from the paths of data.csv and setup.yaml to a
 benchmarks.discovery.entrants.Answer. The same command goes on with a run that was interrupted.

@@ -173,6 +173,9 @@ class Kept:
         return {f.name: hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
 
 
+_decorating = threading.Lock()  # while numba's setting of the cache folder is another one
+
+
 def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
     """Numba's dispatcher of a function, with its cache in the folder `place`."""
     if not COMPILED:
@@ -180,12 +183,13 @@ def _compiled(function: Callable[..., Any], place: Path | None) -> Any:
     options = {"nogil": True, "error_model": "numpy"}
     if place is None:
         return njit(**options)(function)
-    before = config.CACHE_DIR
-    try:
-        config.CACHE_DIR = str(place)  # numba looks for it when the function is decorated
-        return njit(cache=True, **options)(function)
-    finally:
-        config.CACHE_DIR = before
+    with _decorating:
+        before = config.CACHE_DIR
+        try:
+            config.CACHE_DIR = str(place)  # numba looks for it when the function is decorated
+            return njit(cache=True, **options)(function)
+        finally:
+            config.CACHE_DIR = before
 
 
 class _Interpreted:

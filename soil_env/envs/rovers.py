@@ -59,7 +59,8 @@ class RoverSimulation(Vehicles):
         worlds = new_rover_worlds(rovers, scenario, self.numbers, identifies)
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
-        self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, new_rover_scratch)
+        scratch = [new_rover_scratch() for _ in range(-(-rovers // self._share))]
+        self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, scratch)
         on_board = None
         if identifies:
             from soil_env.identification.online.rover_on_board import rovers_on_board

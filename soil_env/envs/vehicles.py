@@ -1,7 +1,6 @@
 """Many vehicles side by side: the world and, where it is asked for, the estimator on board."""
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
@@ -24,7 +23,7 @@ from soil_env.parameters.readings import (
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 SHARES = 4  # of the vehicles, for each thread: those that are done early take another
-VIEWS = ("_x", "_ready", "_record", "_results", "worlds")  # attributes of `Vehicles`
+VIEWS = ("_x", "_ready", "_record", "_results", "worlds", "_order")  # attributes of `Vehicles`
 LEAST = 32  # vehicles that a thread takes at a time, at least
 
 
@@ -76,18 +75,18 @@ class Vehicles:
         worlds: Any,
         vehicles: np.ndarray,
         courses: tuple[Any, float],
-        scratch: Callable[[], Any],
+        scratch: list[Any],
     ) -> None:
         """Take the compiled functions (lay, step) with their arrays.
 
         `vehicles`: their records; `courses`: the numbers that courses are drawn by and the final
-        ground [m] that a vehicle needs before it; `scratch` makes the work arrays of a thread.
+        ground [m] that a vehicle needs before it; `scratch`: the work space of each thread.
         """
         self._lay, self._step = functions
         self._world = worlds
         self._heads = vehicles
         self.course_numbers, self._ahead = courses
-        self._scratch = [scratch() for _ in range(0, self.count, self._share)]
+        self._scratch = scratch
 
     def _view(self) -> None:
         """Views of the arrays, which are no views any more in a copy until they are made anew."""

@@ -13,10 +13,10 @@ from soil_env.simulation.wheels import (
     NOTE,
     WheelNumbers,
     WheelWorlds,
-    constants_of,
     lay_wheels,
-    new_scratch,
+    new_setting,
     new_wheel_worlds,
+    options_of,
     step_wheels,
     wheel_numbers,
     write_true_soils,
@@ -57,14 +57,14 @@ class Simulation(Vehicles):
         self.numbers: WheelNumbers = wheel_numbers(scenario, variant, model)
         notes = (wheels, scenario.control.held) if identifies else (-(-wheels // self._share), 1)
         worlds = new_wheel_worlds(wheels, scenario, self.numbers, notes)
-        self._actions = worlds.actions
-        self._orders = worlds.orders
-        self._constants, self._options = constants_of(self.numbers, identifies)
+        self._options = options_of(self.numbers)
+        settings = [
+            new_setting(self.numbers, identifies, share)
+            for share in range(-(-wheels // self._share))
+        ]
         drawn = course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead))
-        self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, new_scratch)
-        for share, scratch in enumerate(self._scratch):
-            scratch["share"] = share
+        self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, settings)
         on_board = None
         if identifies:
             from soil_env.identification.online.on_board import wheels_on_board  # takes a while
@@ -88,10 +88,17 @@ class Simulation(Vehicles):
             numbers[..., images:],
         )
 
+    def _view(self) -> None:
+        super()._view()
+        self._actions = self._heads["action"]
+        self._order = self._heads["order"]
+
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
-        if orders is not self._world.orders:
-            self._world.orders[first:end] = orders[first:end]
-        self._step(self._world, self._constants, self._options, scratch, first, end)
+        if end - first == 1:
+            self._order[first] = orders[first]
+        else:
+            self._order[first:end] = orders[first:end]
+        self._step(*self._world, scratch, self._options, (first, end))
 
     def wheel(self, k: int) -> dict[str, float]:
         """State of wheel k by name, as it is now."""
@@ -102,6 +109,8 @@ class Simulation(Vehicles):
         """Entries of `true_soil` that `blind` does not have, of each wheel [wheels, D] float32."""
         entries = truth(self.scenario.course)
         out = np.empty((self.count, len(entries)), dtype=np.float32)
-        write_true_soils(self._world, self._constants, self._options, out)
+        write_true_soils(
+            self._world.state, self._world.courses, self._scratch[0], self._options, out
+        )
         low = [e.low for e in entries]
         return np.clip(out, low, [e.high for e in entries], dtype=np.float32)

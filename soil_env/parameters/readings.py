@@ -9,7 +9,7 @@ from soil_env.parameters.scenario import Scenario
 STEP = np.int8(0)  # order to a vehicle: the control periods of an action
 RESTART = np.int8(1)  # order: a new course, at rest at its start
 IDLE = np.int8(2)  # order: nothing
-TRY = np.int8(3)  # order: draw a whole course as a trial
+TRY = np.int8(3)  # order: draw a course as a trial, of a wheel a whole one
 COMPLETE = np.int8(4)  # order: draw the rest of the course
 AHEAD = np.int8(5)  # order: draw the ground ahead of the vehicle
 RUNNING = 0  # `task.Cause` while an episode goes on

@@ -68,25 +68,14 @@ NOTE = record("halted", "place", *READING.names, *IMAGE.names)
 NOWHERE = Sight(0, 0.0, 0.0)  # place of a wheel without a camera
 
 
-#: Work space of a thread, and the number of its share of the wheels.
-SCRATCH = record(share=("i8",), nodes=(ARC_NODES, 1), normals=(NORMALS, 1))
-
-
-def new_scratch() -> np.ndarray:
-    """Work space of one thread, `SCRATCH` [1]."""
-    return np.zeros(1, SCRATCH)
-
-
 class WheelWorlds(NamedTuple):
     """Arrays that the compiled step reads and writes, one row a wheel."""
 
-    state: np.ndarray  # [wheels] `WHEEL`
+    state: np.ndarray  # [wheels] `WHEEL`, with its action and order
     courses: np.ndarray  # [wheels] `course_dtype`
-    #: [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them.
+    #: [wheels, held] `NOTE` of the last step; [shares, 1] if nothing on board reads them
     notes: np.ndarray
     observation: np.ndarray  # [wheels, D] float32
-    actions: np.ndarray  # [wheels] in [-1, 1]
-    orders: np.ndarray  # [wheels] int8, STEP, RESTART or IDLE
 
 
 class WheelNumbers(NamedTuple):
@@ -118,15 +107,17 @@ def wheel_numbers(
 
 
 MOST_ENTRIES = 128  # of an observation
-#: `WheelNumbers` as compiled code takes them, with the bounds of the observation in the first
-#: columns.
-CONSTANTS = record(
+#: `WheelNumbers` as compiled code takes them, with the work space of a thread.
+SETTING = record(
     rig=(RIG, 1),
     task=(TASK, 1),
     sd=(READING, 1),
     camera=(CAMERA, 1),
-    bounds=("f4", (2, MOST_ENTRIES)),
+    bounds=("f4", (2, MOST_ENTRIES)),  # of the observation, in the first columns
     recorded=("?",),  # True if each step is noted for what runs on board
+    share=("i8",),  # number of the thread's share of the wheels
+    nodes=(ARC_NODES, 1),
+    normals=(NORMALS, 1),
 )
 
 
@@ -140,21 +131,27 @@ class Options(NamedTuple):
     camera: bool | None
 
 
-def constants_of(numbers: WheelNumbers, recorded: bool) -> tuple[np.ndarray, Options]:
-    """Pack `WheelNumbers` into `CONSTANTS` [1] and `Options`."""
-    constants = np.zeros(1, CONSTANTS)
-    constants["rig"] = numbers.rig
-    constants["task"] = numbers.task
-    constants["sd"] = numbers.sd
-    constants["recorded"] = recorded
+def options_of(numbers: WheelNumbers) -> Options:
+    """`Options` of a world."""
+    camera = None if numbers.camera is None else True
+    return Options(*numbers.acting, numbers.errors, camera)
+
+
+def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray:
+    """Constants and work space of the thread of a share of the wheels, `SETTING` [1]."""
+    setting = np.zeros(1, SETTING)
+    setting["rig"] = numbers.rig
+    setting["task"] = numbers.task
+    setting["sd"] = numbers.sd
+    setting["recorded"] = recorded
+    setting["share"] = share
     if numbers.camera is not None:
-        constants["camera"] = numbers.camera
+        setting["camera"] = numbers.camera
     entries = numbers.bounds.shape[1]
     if entries > MOST_ENTRIES:
         raise ValueError(f"observation of {entries} entries: expected at most {MOST_ENTRIES}")
-    constants["bounds"][0, :, :entries] = numbers.bounds
-    camera = None if numbers.camera is None else True
-    return constants, Options(*numbers.acting, numbers.errors, camera)
+    setting["bounds"][0, :, :entries] = numbers.bounds
+    return setting
 
 
 def new_wheel_worlds(
@@ -166,13 +163,11 @@ def new_wheel_worlds(
         new_courses(wheels, scenario),
         np.zeros(notes, NOTE),
         np.zeros((wheels, numbers.bounds.shape[1]), dtype=np.float32),
-        np.zeros(wheels),
-        np.full(wheels, IDLE),
     )
 
 
 class Setting(NamedTuple):
-    """Constants and scratch of a thread as records.
+    """Records of a `SETTING`, and what is on.
 
     No arrays: numba counts references to those whenever a function takes one, which costs more than
     small functions.
@@ -188,15 +183,15 @@ class Setting(NamedTuple):
 
 
 @njit(**EXACT)
-def camera_in(constants, on):
+def camera_in(setting, on):
     """`CAMERA` of a world that has one, else None."""
     if on is None:
         return None
     else:
-        return constants.camera[0]
+        return setting.camera[0]
 
 
-@njit
+@njit(**EXACT)
 def start_passable(course, owner, numbers, scratch):
     """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if none is passable."""
     mass = -1.0
@@ -208,7 +203,7 @@ def start_passable(course, owner, numbers, scratch):
 
 
 @kept
-def lay_wheels(worlds, numbers, orders, scratch, first, end):
+def lay_wheels(worlds, numbers, orders, setting, first, end):
     """Follow the `orders` [wheels] for the courses `first` to `end` - 1; return the number of those
     not found.
 
@@ -217,7 +212,7 @@ def lay_wheels(worlds, numbers, orders, scratch, first, end):
     course was found. `numbers`: `CourseNumbers`.
     """
     rig = numbers.rig
-    nodes = scratch[0].nodes[0]
+    nodes = setting[0].nodes[0]
     world = World(rig, numbers.acting, nodes)
     failed = 0
     for k in range(first, end):
@@ -308,51 +303,44 @@ def _step(wheel, action, course, setting, camera, notes, out):
 
 
 @kept
-def step_wheels(worlds, constants, options, scratch, first, end):
-    """Follow the orders STEP and RESTART for the wheels `first` to `end` - 1, with their actions in
-    [-1, 1].
+def step_wheels(state, courses, notes, observation, setting, options, span):
+    """Follow the orders of the wheels of a `span` (first, end): STEP by their action, or RESTART.
 
-    Their courses are laid (`lay_wheels`).
+    The first four are the arrays of `WheelWorlds`; `setting` is that of the thread. Courses are
+    laid (`lay_wheels`).
     """
-    numbers = constants[0]
-    work = scratch[0]
-    setting = Setting(
-        numbers.rig[0],
+    own = setting[0]
+    rig = own.rig[0]
+    records = Setting(
+        rig,
         Acting(options.effects, options.law, options.residual),
-        numbers.task[0],
-        numbers.sd[0],
+        own.task[0],
+        own.sd[0],
         options.errors,
-        work.nodes[0],
-        work.normals[0],
+        own.nodes[0],
+        own.normals[0],
     )
-    camera = camera_in(numbers, options.camera)
-    # taken out of their tuple once: see `Setting`
-    state = worlds.state
-    courses = worlds.courses
-    all_notes = worlds.notes
-    observation = worlds.observation
-    actions = worlds.actions
-    orders = worlds.orders
-    for k in range(first, end):
-        order = orders[k]
-        if order != STEP and order != RESTART:
-            continue
+    camera = camera_in(own, options.camera)
+    for k in range(span[0], span[1]):
         wheel = state[k]
+        if wheel.order != STEP and wheel.order != RESTART:
+            continue
         course = courses[k]
-        notes = all_notes[k if numbers.recorded else work.share]
+        own_notes = notes[k if own.recorded else own.share]
         out = observation[k]
-        if order == STEP:
-            _step(wheel, actions[k], course, setting, camera, notes, out)
+        if wheel.order == STEP:
+            _step(wheel, wheel.action, course, records, camera, own_notes, out)
         else:
-            _restart(wheel, notes[0], course, setting, camera, out)
-        clip(out, numbers.bounds)
+            _restart(wheel, own_notes[0], course, records, camera, out)
+        clip(out, own.bounds)
+        wheel.order = IDLE  # it is done
 
 
 @kept
-def write_true_soils(worlds, constants, options, out):
+def write_true_soils(state, courses, setting, options, out):
     """Fill `out` [wheels, D] with the entries of `layout.truth`."""
-    numbers = constants[0]
-    camera = camera_in(numbers, options.camera)
-    border = numbers.rig[0].border
+    own = setting[0]
+    camera = camera_in(own, options.camera)
+    border = own.rig[0].border
     for k in range(len(out)):
-        write_truth(out[k], worlds.state[k], worlds.courses[k], border, camera)
+        write_truth(out[k], state[k], courses[k], border, camera)

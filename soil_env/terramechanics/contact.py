@@ -5,8 +5,8 @@ Source: Hutangkabodee, Zweiri, Seneviratne & Althoefer (2006), IJAC 3:244-251; t
 distribution is Wong & Reece (1967), the shear law Janosi & Hanamoto (1961).
 
 Angles [rad] are measured from the lowest point of the rim, positive toward the front, *front*
-meaning the side the wheel travels to. The motion enters through two numbers without unit, `rim` = r
-w / v* and `travel` = V / v*, where v* is the rim speed (`slip.motion_from_slip`,
+meaning the side the wheel travels to. The motion enters through two numbers without unit,
+`rim` = r w / v* and `travel` = V / v*, where v* is the rim speed (`slip.motion_from_slip`,
 `motion_from_speeds`). `forces` combines integrals over the arc (`ArcIntegrals`), the same for the
 world and the steady prediction.
 """
@@ -51,11 +51,10 @@ ARC_NODES = record(
 
 
 class ShearLaw(NamedTuple):
-    """Mobilised share of the shear strength with a peak and a residual: e(j) = (1 - x)(a + b x + c
-    y), x = exp(-|j|/K).
+    """Mobilised share of the shear strength with a peak and a residual.
 
-    y = exp(-(|j| - onset)/length) beyond the onset, 1 before it. The law of Janosi & Hanamoto, Eq.
-    (10), is None.
+    e(j) = (1 - x)(a + b x + c y) with x = exp(-|j|/K) and y = exp(-(|j| - onset)/length) beyond the
+    onset, 1 before it. The law of Janosi & Hanamoto, Eq. (10), is None.
     """
 
     a: float

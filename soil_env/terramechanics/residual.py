@@ -1,8 +1,7 @@
 """Residual law: what an unlisted effect adds to a channel, as a sum of products of powers of
 dimensionless groups.
 
-    sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum over terms of  a  prod_g  group_g ^
-    p_g
+    sinkage / r,  drawbar pull / W,  torque / (W r)   +=   sum of  a  prod_g  group_g ^ p_g
 
 `discrepancy.symbolic` finds such laws. They have no claim to hold outside the conditions they were
 found in, so every group is held inside the range it had there.

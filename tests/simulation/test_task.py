@@ -81,23 +81,14 @@ def test_all_variants_share_the_first_entries(variant):
 
 
 @kept
-def _write(worlds, constants, note, scratch, rows, sensed):
-    numbers = constants[0]
-    work = scratch[0]
-    setting = Setting(
-        numbers.rig[0],
-        BASE,
-        numbers.task[0],
-        numbers.sd[0],
-        None,
-        work.nodes[0],
-        work.normals[0],
-    )
+def _write(worlds, note, setting, rows, sensed):
+    own = setting[0]
+    records = Setting(own.rig[0], BASE, own.task[0], own.sd[0], None, own.nodes[0], own.normals[0])
     for i in range(len(rows)):
         if sensed:
-            _sense(worlds.state[0], note[0], worlds.courses[0], setting, None)
+            _sense(worlds.state[0], note[0], worlds.courses[0], records, None)
         sight = Sight(0, 0.0, 0.0)
-        _observe(worlds.state[0], note[0], worlds.courses[0], setting, None, sight, rows[i])
+        _observe(worlds.state[0], note[0], worlds.courses[0], records, None, sight, rows[i])
 
 
 def written(sim, count=1, note=None):
@@ -107,7 +98,7 @@ def written(sim, count=1, note=None):
     kept_state = sim.worlds.state.copy()
     rows = np.zeros((count, sim.numbers.bounds.shape[1]), dtype=np.float32)
     own = np.zeros(1, NOTE) if note is None else note
-    _write(sim._world, sim._constants, own, sim._scratch[0], rows, note is None)
+    _write(sim._world, own, sim._scratch[0], rows, note is None)
     sim.worlds.state[:] = kept_state
     return rows
 

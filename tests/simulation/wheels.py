@@ -41,7 +41,7 @@ class Wheels:
         self.simulation = simulation
         self.state = simulation.worlds.state
         self.courses = simulation.worlds.courses
-        self.rig = simulation._constants["rig"][0, 0]
+        self.rig = simulation._scratch[0]["rig"][0, 0]
 
     def step(self, commands, which=None) -> None:
         """One control period of the wheels `which`, or of all, with one command for all or one for

@@ -1,8 +1,9 @@
 """Online identifier for the readings of a rover: one call for each set of readings.
 
-    identifier = OnlineIdentifier(wheels()["planetary_rover"]) estimate =
-    identifier.update(Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021, drawbar_pull=14.0,
-    torque=5.1)) estimate.friction_angle_deg, estimate.friction_angle_sd_deg, estimate.status
+    identifier = OnlineIdentifier(wheels()["planetary_rover"])
+    readings = Readings(wheel_speed=2.0, speed=0.27, sinkage=0.021, drawbar_pull=14.0, torque=5.1)
+    estimate = identifier.update(readings)
+    estimate.friction_angle_deg, estimate.friction_angle_sd_deg, estimate.status
 
 `SoilWheel-v0` runs the same identifier (`identification.online`): the same readings give the same
 estimate.

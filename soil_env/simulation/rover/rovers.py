@@ -189,8 +189,8 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     """Follow the `orders` [rovers] for the courses `first` to `end` - 1; return the number of those
     not found.
 
-    RESTART starts a new course and puts the rover at rest at its start. After TRY, the rover's
-    `reward` is the mean mass on a wheel, or -1 if no passable course was found. `numbers`:
+    RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
+    course; the rover's `reward` is then the mean mass on a wheel, or -1 if none was passable. `numbers`:
     `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]

@@ -1,9 +1,9 @@
 """State of a driven wheel and its laws of motion (docs/physics/wheel.md), which `dynamics` steps.
 
-    m dV/dt = DP - m g sin(grade)            travel, m = wheel with its share of the body, and
-    payload J dw/dt = T_motor - T                    rotation dz/dt   = B z_w - A z
-    sinkage on fresh ground, `effects.excavation_rate` W       = m g cos(grade)                 Eq.
-    (1), met at every instant
+    m dV/dt = DP - m g sin(grade)    travel; m = wheel with its share of the body, and payload
+    J dw/dt = T_motor - T            rotation
+    dz/dt   = B z_w - A z            sinkage on fresh ground, `slip_sinkage.excavation_rate`
+    W       = m g cos(grade)         Eq. (1), met at every instant
 
 z_w is the depth at which undisturbed soil carries the same pressure as the wheel now has under it
 (`sink`). On ground that the wheel has touched before, travel takes the sinkage to the depth of the
@@ -78,9 +78,11 @@ WHEEL = record(
     "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
+    "action",  # [-1, 1] of the next step
     "reward",  # of the last step
     terms=("f8", 4),  # of the reward, `REWARD_TERMS`
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
+    order=("i8",),  # what is to be done with it: STEP, RESTART or IDLE
     cause=("i8",),  # `Cause` of the end of its episode, or that it runs
     periods=("i8",),  # control periods of the last step
     # 1 unless Newton's method failed at the finest step of the last control period
