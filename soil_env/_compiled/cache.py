@@ -129,7 +129,7 @@ class Kept:
     def _check(self) -> None:
         """Drop the function's files if one is damaged; say so, or that it will be compiled."""
         if self._folder is None:
-            tell("compiled code is not kept, since no folder for it can be written")
+            tell("compiling in each process anew: no folder for compiled code can be written")
             return
         known = self._checksums()
         if known is None or known != self._present():

@@ -190,8 +190,8 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     not found.
 
     RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
-    course; the rover's `reward` is then the mean mass on a wheel, or -1 if none was passable. `numbers`:
-    `RoverCourseNumbers`.
+    course; the rover's `reward` is then the mean mass on a wheel, or -1 if none was passable.
+    `numbers`: `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]
     course_numbers = CourseNumbers(numbers.drawn, numbers.rig, numbers.acting)
