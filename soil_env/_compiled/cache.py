@@ -108,7 +108,7 @@ class Kept:
         try:
             return self._function(*arguments)
         except OSError as error:  # numba has compiled the function and cannot write it
-            tell(f"compiled code is not kept: {error}")
+            tell(f"compiled code cannot be kept: {error}")
             return self._function(*arguments)
 
     @contextmanager
@@ -129,7 +129,7 @@ class Kept:
     def _check(self) -> None:
         """Drop the function's files if one is damaged; say so, or that it will be compiled."""
         if self._folder is None:
-            tell("compiling in each process anew: no folder for compiled code can be written")
+            tell("compiling in each process anew: compiled code cannot be kept, for want of a folder")
             return
         known = self._checksums()
         if known is None or known != self._present():
