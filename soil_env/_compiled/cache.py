@@ -129,7 +129,7 @@ class Kept:
     def _check(self) -> None:
         """Drop the function's files if one is damaged; say so, or that it will be compiled."""
         if self._folder is None:
-            tell("compiling in each process anew: compiled code cannot be kept, for want of a folder")
+            tell("compiling in each process anew: compiled code cannot be kept without a folder")
             return
         known = self._checksums()
         if known is None or known != self._present():
