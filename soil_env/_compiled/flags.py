@@ -2,9 +2,18 @@
 
 Compiled functions are plain Python on numbers, named tuples and numpy records; with
 NUMBA_DISABLE_JIT=1 the same code runs without a compiler. A function that Python calls is decorated
-by `cache.kept`, all others by `njit(**EXACT)` and the like. Small functions, and those that are
-called in one place, are put into their callers (`inline="always"`): numba takes about a quarter of
-a second for each function that it compiles by itself.
+by `cache.kept`, all others by `njit(**EXACT)` and the like. What to know of numba here:
+
+- A function costs about a tenth of a second of compilation. Those that are called in one place are
+  put into their callers (`INLINE`).
+- `if x is None: ... else: ...` compiles to one branch where `x` is an argument and None. With a
+  value both branches are compiled, so their results need one type.
+- An array that is sliced or handed on has its references counted, at some 10 ns each; a record, or
+  an array within one, has not. So arrays stay in the function that Python calls.
+- A record is told from another by its fields in order: none may begin with all fields of another
+  (`tests/compiled/test_records.py`). No field may be called like an attribute of numpy's records.
+- A literal number as an argument (`f(x, 1)`) compiles a version of its own.
+- A function that is compiled by itself cannot return a tuple that holds a record.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 """What is given of wheel, ground, sensors and task: frozen dataclasses in SI units, and presets.
 
 Presets with their sources: configs/soils.yaml, configs/wheels.yaml, configs/scenarios/*.yaml and
-configs/rovers/*.yaml. `SoilState` is the plain tuple in which the compiled kernels take a soil.
+configs/rovers/*.yaml. `SoilState` is the plain tuple in which compiled code takes a soil.
 """
 
 from soil_env._io.loading import ParameterError, config_dir, to_dict

@@ -1,6 +1,6 @@
 """Parameters of a soil, how soils of a kind scatter, and the presets of configs/soils.yaml.
 
-`SoilState` is the plain tuple of floats in which the compiled kernels take a soil.
+`SoilState` is the plain tuple of floats in which compiled code takes a soil.
 """
 
 import math
@@ -14,7 +14,7 @@ from soil_env.parameters.presets import library
 
 
 class SoilState(NamedTuple):
-    """Parameters of a soil under a given wheel, as the kernels take them; see `Soil`."""
+    """Parameters of a soil under a given wheel, as compiled code takes them; see `Soil`."""
 
     tan_phi: float  # [-]
     cohesion: float  # [Pa]
@@ -83,7 +83,7 @@ class Soil(Checked):
         return lumped_coefficient(self.k_c, self.k_phi, width)
 
     def state(self, width: float) -> SoilState:
-        """The soil as the compiled kernels take it, under a wheel of width b [m]."""
+        """The soil as compiled code takes it, under a wheel of width b [m]."""
         return SoilState(
             self.tan_phi,
             self.cohesion,

@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from soil_env._compiled.elementary import exp, log, smooth_step
+from soil_env._compiled.elementary import exp, log
 from soil_env._compiled.flags import EXACT
 from soil_env.parameters import SoilState
 
@@ -60,13 +60,3 @@ def blend(a, b, share):
         rest * a.dig_gain + share * b.dig_gain,
         rest * a.dig_recovery + share * b.dig_recovery,
     )
-
-
-@njit(**EXACT)
-def share_of_next(distance):
-    """(share of the next soil on a border, its derivative) at a distance from its middle, in
-    lengths of the border.
-
-    A cubic from 0 half a length before the middle to 1 half a length behind it.
-    """
-    return smooth_step(distance + 0.5)

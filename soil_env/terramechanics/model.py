@@ -116,7 +116,7 @@ class WheelSoilModel(Checked):
 
     @property
     def numbers(self) -> Effects:
-        """The effects as the kernels take them."""
+        """The effects as compiled code takes them."""
         return pack_effects(self.effects)
 
     def predict(self, conditions: Any | Mapping[str, ArrayLike]) -> Prediction:

@@ -71,7 +71,7 @@ class ResidualTerm(Checked):
 
 
 class ResidualLaw(NamedTuple):
-    """Terms as the kernels take them."""
+    """Terms as compiled code takes them."""
 
     channel: np.ndarray  # [T] index into CHANNELS
     coefficient: np.ndarray  # [T]
@@ -81,7 +81,7 @@ class ResidualLaw(NamedTuple):
 
 
 def residual_law(terms: Sequence[ResidualTerm]) -> ResidualLaw:
-    """Pack terms for the kernels."""
+    """Pack terms for compiled code."""
     count = len(terms)
     law = ResidualLaw(
         np.array([CHANNELS.index(t.channel) for t in terms], dtype=np.int64),

@@ -24,7 +24,7 @@ from soil_env.simulation.world.passability import (
 )
 from soil_env.terramechanics.ground import put_soil, soil_of
 
-REDRAWS = 30  # attempts at the soil of a class
+CLASS_REDRAWS = 30  # attempts at the soil of a class
 
 
 @njit(**EXACT)
@@ -39,14 +39,14 @@ def draw_classes(course, lines, load, numbers, nodes):
         spec = numbers.drawn.spec
         for c in range(spec.classes):
             tries = 0
-            while tries < REDRAWS:
+            while tries < CLASS_REDRAWS:
                 soil = draw_soil(course, numbers.drawn)
                 _, pull = steepest(load, soil, spec.margin[1], numbers, nodes)
                 if pull > IMPASSABLE:
                     put_soil(course.library[c], soil)
                     break
                 tries += 1
-            if tries == REDRAWS:
+            if tries == CLASS_REDRAWS:
                 return False
         return True
 
