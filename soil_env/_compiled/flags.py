@@ -54,3 +54,9 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     """
     fields = [(name, "f8") for name in numbers] + [(name, *kind) for name, kind in others.items()]
     return np.dtype((np.record, fields))
+
+
+def names_of(dtype: np.dtype[Any]) -> tuple[str, ...]:
+    """Names of the fields of a record."""
+    assert dtype.names is not None
+    return dtype.names

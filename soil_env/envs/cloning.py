@@ -65,7 +65,7 @@ def _copy(a, wheels, b, places, count, into, name):
         columns = np.arange(each)
         here, there = ((each * rows[:, None] + columns).ravel() for rows in (wheels, places))
         b.data[:, there] = a.data[:, here]
-    elif isinstance(a, tuple):
+    elif hasattr(a, "_fields"):
         for field in a._fields:
             if field == "notes":  # written anew by every step
                 continue

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from soil_env._compiled.flags import names_of
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
 from soil_env.identification import Status
@@ -35,9 +36,10 @@ _STATE = (
     "motor_torque",
     "grade",
 )
+assert WHEEL.fields is not None
 _TERMS_AT = WHEEL.fields["terms"][1] // 8  # place of the reward terms among the numbers of a wheel
 _TERMS_END = _TERMS_AT + len(REWARD_TERMS)
-assert WHEEL.names[: len(_STATE)] == _STATE
+assert names_of(WHEEL)[: len(_STATE)] == _STATE
 _WARNING = (
     "best_slip",
     "drawbar_margin",
@@ -174,6 +176,7 @@ class Infos:
 
     def _foreseen(self, worlds: Any, rows: np.ndarray) -> np.ndarray:
         """Probabilities [n, 2] of immobilisation within `HORIZONS` of the wheels `rows` [n]."""
+        assert self._foresight is not None
         return self._foresight.probabilities(
             rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd
         )
@@ -183,6 +186,7 @@ class Infos:
         rows = rows[self._stale[rows]]
         if rows.size:
             ids = worlds.ids
+            assert self._simulation.belief is not None and self._assess is not None
             numbers = self._simulation.belief.identifier.filter
             self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
             self._stale[rows] = False

@@ -1,6 +1,6 @@
 """Many rovers under one scenario, stepped by compiled calls: the core of their environments."""
 
-from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import Image, Record, SensorReading, Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
-    RoverWorlds,
     lay_rovers,
     new_rover_scratch,
     new_rover_worlds,
@@ -21,14 +20,25 @@ from soil_env.simulation.rover.rovers import (
 from soil_env.simulation.rover.task import first_soil, rover_layout
 from soil_env.terramechanics.model import WheelSoilModel
 
-_OF_ESTIMATOR = ("ids", "known")  # `identification.online.rover_on_board.RoverEstimator`
-#: Arrays of many rovers, one row a rover: those of `RoverWorlds`, results of the last step, and
-#: those of the estimator, None without one, one row a wheel.
-Worlds = namedtuple(
-    "Worlds",
-    (*RoverWorlds._fields, "terms", "reward", "cause", *_OF_ESTIMATOR),
-    defaults=(None,) * len(_OF_ESTIMATOR),
-)
+
+class Worlds(NamedTuple):
+    """Arrays of many rovers, one row a rover.
+
+    Those of `RoverWorlds`, results of the last step, and those of the estimator
+    (`identification.online.rover_on_board.RoverEstimator`), one row a wheel, None without one.
+    """
+
+    state: np.ndarray
+    ruts: np.ndarray
+    courses: np.ndarray
+    readings: np.ndarray
+    notes: np.ndarray
+    observation: np.ndarray
+    terms: np.ndarray  # [rovers, 4] of the reward
+    reward: np.ndarray  # [rovers]
+    cause: np.ndarray  # [rovers] `Cause`
+    ids: Any = None
+    known: Any = None
 
 
 class RoverSimulation(Vehicles):

@@ -1,10 +1,10 @@
 """Many wheels under one scenario, stepped by compiled calls: the core of their environments."""
 
-from collections import namedtuple
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from soil_env._compiled.flags import names_of
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import Image, Record, SensorReading, Shown
@@ -12,7 +12,6 @@ from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
     NOTE,
     WheelNumbers,
-    WheelWorlds,
     lay_wheels,
     new_setting,
     new_wheel_worlds,
@@ -24,14 +23,25 @@ from soil_env.simulation.wheels import (
 from soil_env.simulation.world.courses import course_numbers
 from soil_env.terramechanics.model import WheelSoilModel
 
-OF_ESTIMATOR = ("ids", "memory", "changed", "recent")  # `identification.online.on_board.Estimator`
-#: Arrays of many wheels, one row a wheel: those of `WheelWorlds`, results of the last step, and
-#: those of the estimator, None without one.
-Worlds = namedtuple(
-    "Worlds",
-    (*WheelWorlds._fields, "terms", "reward", "cause", *OF_ESTIMATOR),
-    defaults=(None,) * len(OF_ESTIMATOR),
-)
+
+class Worlds(NamedTuple):
+    """Arrays of many wheels, one row a wheel.
+
+    Those of `WheelWorlds`, results of the last step, and those of the estimator
+    (`identification.online.on_board.Estimator`), None without one.
+    """
+
+    state: np.ndarray
+    courses: np.ndarray
+    notes: np.ndarray
+    observation: np.ndarray
+    terms: np.ndarray  # [wheels, 4] of the reward
+    reward: np.ndarray  # [wheels]
+    cause: np.ndarray  # [wheels] `Cause`
+    ids: Any = None
+    memory: Any = None
+    changed: Any = None
+    recent: Any = None
 
 
 class Simulation(Vehicles):
@@ -78,8 +88,8 @@ class Simulation(Vehicles):
 
     def _read(self) -> Record:
         notes = self._world.notes
-        numbers = notes.view(np.float64).reshape(*notes.shape, len(NOTE.names))
-        images = NOTE.names.index(Image._fields[0])
+        numbers = notes.view(np.float64).reshape(*notes.shape, len(names_of(NOTE)))
+        images = names_of(NOTE).index(Image._fields[0])
         return Record(
             self._heads["periods"],
             numbers[..., images - len(SensorReading._fields) : images],
