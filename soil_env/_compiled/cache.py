@@ -31,6 +31,8 @@ SOURCES = ("_compiled", "parameters", "terramechanics", "simulation", "envs", "s
 FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT
+COMPILING = "compiling, at the first use only: up to half a minute for each environment"
+PATIENCE = 3.0  # [s] that a first call may take before the line above explains it
 
 
 @cache
@@ -99,7 +101,8 @@ class Kept:
                 return self._function(*arguments)
             with self._alone():
                 self._check()
-                result = self._call(arguments)
+                with _explained():
+                    result = self._call(arguments)
                 self._opened = True
                 self._note()
         return result
@@ -138,7 +141,7 @@ class Kept:
             self._function = _compiled(self.py_func, self._folder)
             known = {}
         if not known:
-            tell("compiling, at the first use only: up to half a minute for each environment")
+            tell(COMPILING)
 
     def _note(self) -> None:
         """Write the checksums of the files that numba has written."""
@@ -225,6 +228,18 @@ def tell(line: str) -> None:
     if multiprocessing.parent_process() is None:
         _told.add(line)
         print(f"soil_env: {line}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _explained():
+    """Say what takes so long, if it does: other versions are kept, but not for these types."""
+    timer = threading.Timer(PATIENCE, tell, [COMPILING])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def place() -> str:

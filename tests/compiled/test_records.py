@@ -13,7 +13,7 @@ PARTS = ("soil_env._compiled", "soil_env.terramechanics", "soil_env.simulation")
 
 def records():
     """{name: fields with their types and offsets} of all records."""
-    found = {"COURSE": course_dtype(1, 1, 0), "COURSE of classes": course_dtype(1, 1, 3)}
+    found = {"COURSE": course_dtype(1, 1, False), "COURSE of classes": course_dtype(1, 1, True)}
     for module in pkgutil.walk_packages(soil_env.__path__, "soil_env."):
         if module.name.startswith(PARTS):
             for name, value in vars(import_module(module.name)).items():

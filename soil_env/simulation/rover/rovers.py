@@ -48,7 +48,6 @@ from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.reaction import Acting
 
-LEAST_CELLS = 1024  # that a course has room for: as many as those of any shipped rover need
 DEEPEST_ALONE = 0.5  # [of the limit] sinkage of a wheel by itself on the ground of a course
 
 
@@ -144,7 +143,7 @@ def new_rover_worlds(
     """Worlds for so many rovers, to be restarted; `recorded`: keep each step's sensor record."""
     axles = scenario.axles
     held = scenario.control.held
-    courses = new_courses(rovers, _with_front(scenario), LEAST_CELLS)
+    courses = new_courses(rovers, _with_front(scenario))
     kept_rovers = rovers if recorded else 0
     return RoverWorlds(
         np.zeros(rovers, ROVER),

@@ -9,7 +9,7 @@ from numba import njit
 from soil_env._compiled.cache import kept
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import EXACT, HUGE, record
-from soil_env.parameters import Scenario, SoilState
+from soil_env.parameters import MOST_CLASSES, Scenario, SoilState
 from soil_env.terramechanics.ground import blend, put_soil, soil_of
 
 CELL = 0.05  # [m] length of one cell of the rut
@@ -60,13 +60,12 @@ FORK = record(
 )
 
 
-LEAST_PATCHES = 32  # that a course has room for
-LEAST_CELLS = 256  # that a course has room for
+LEAST_PATCHES = 64  # that a course has room for
+LEAST_CELLS = 1024  # that a course has room for: 50 m, enough for any shipped scenario
 
 
-def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
-    """Dtype of a course with room for so many patches and cells, and of terrain classes where there
-    are any.
+def course_dtype(patches: int, cells: int, classes: bool) -> np.dtype[Any]:
+    """Dtype of a course with room for so many patches and cells, with terrain `classes` or without.
 
     Only the first `drawn` patches are drawn, and the cells below them cleared. Room is a power of
     two, since compiled code is compiled anew for each dtype.
@@ -78,7 +77,7 @@ def course_dtype(patches: int, cells: int, classes: int) -> np.dtype[Any]:
         lines = {
             "forks": (FORK, patches),
             "lines": (LINE, (patches, 2)),
-            "library": (SOIL, classes),  # soils of the classes
+            "library": (SOIL, MOST_CLASSES),  # soils of the classes
         }
     return record(
         "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
@@ -95,12 +94,12 @@ def _room(count: int, least: int) -> int:
     return 1 << (max(count, least) - 1).bit_length()
 
 
-def new_courses(wheels: int, scenario: Scenario, least_cells: int = LEAST_CELLS) -> np.ndarray:
+def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     """Empty courses, `course_dtype` [wheels]."""
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
-    cells = max(CELLS_BEHIND + math.ceil(spec.length / CELL) + 2, least_cells)
-    courses = np.zeros(wheels, course_dtype(patches, cells, spec.classes))
+    cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
+    courses = np.zeros(wheels, course_dtype(patches, cells, spec.classes > 0))
     courses["ready"] = HUGE
     courses["patches"]["start"] = HUGE
     courses["patches"]["end"] = HUGE

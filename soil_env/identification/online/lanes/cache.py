@@ -8,6 +8,7 @@ Where nothing can be written, every process compiles for itself, and says so.
 import hashlib
 import multiprocessing
 import os
+import pickle
 import sys
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
@@ -32,16 +33,36 @@ def _sources() -> str:
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
 
+#: What reading a damaged file, or one whose types are gone, raises.
+_UNREADABLE = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    TypeError,
+    ValueError,
+    pickle.UnpicklingError,
+)
+
+
 class _Index(IndexDataCacheFile):
-    """Index of the cached code of one function; one of earlier sources, whose types may be gone,
-    counts as empty.
+    """Index of the cached code of one function; one that is damaged, or of earlier sources, counts
+    as empty.
     """
 
     def _load_index(self):
         try:
             return super()._load_index()
-        except (AttributeError, ImportError, TypeError):
+        except _UNREADABLE:
             return {}
+
+    def load(self, key):
+        try:
+            return super().load(key)
+        except _UNREADABLE:
+            return None
 
     def save(self, key, data):
         try:
