@@ -1,13 +1,13 @@
 """Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their
 composition.
 
-How to add an effect, in two files:
+How to add an effect, in three files:
 
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves,
-   `EffectParameter`s, and for each published form its equation as text and its source. Set `varies`
-   to the condition that shows the effect. A constant of the source that is not fitted is a
-   parameter `reference_speed` with scale 0. Another form of a listed mechanism is a `Form`, no
-   effect.
+   `EffectParameter`s, and for each published form its equation as text and its source. In the text
+   a space multiplies and names have no dash. Set `varies` to the condition that shows the effect.
+   A constant of the source that is not fitted is a parameter `reference_speed` with scale 0.
+   Another form of a listed mechanism is a `Form`, no effect.
 2. Write its law there as a function under `@njit(**EXACT)`. `fx.<name>_<parameter>` are its
    numbers; at the neutral values the law changes nothing.
 3. Add the module to `_MODULES` below, and the law to the function below that composes the laws of
@@ -15,10 +15,12 @@ How to add an effect, in two files:
    stress peak), `soil_resistance` (force against the travel) or `drive_friction` (between motor and
    axle); a law of speed to `depends_on_speed` too. Model files, the simulated world,
    `WheelSoilModel.predict`, the discrepancy workflow, its report and the table of `text.markdown`
-   have it from there.
-4. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, and the law as its source
-   writes it to `reference.py` and `test_equations.py` there. Run `pytest tests/terramechanics
-   tests/simulation/test_worlds.py tests/discrepancy/test_search.py`. `HIDDEN` in
+   have it from there. Where two laws change one quantity, the later takes what the earlier left.
+4. Add a sentence for readers of a report to `EXPLAINED` in `discrepancy/report/words.py`.
+5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
+   writes it to `reference.py` and `test_equations.py` there, and its units to
+   `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
+   tests/terramechanics tests/simulation/test_worlds.py tests/discrepancy`. `HIDDEN` in
    `agents/environment.py` lists the effects that hidden training worlds draw from.
 
 Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
