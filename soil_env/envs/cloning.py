@@ -26,7 +26,7 @@ def clone(
 
     Both simulations are of one scenario, observation and model; reward and time limit may differ. A
     wheel may be cloned to many places. Raises `ParameterError` where the numbers of wheels and
-    places differ, or the simulations' memories.
+    places differ, or the simulations' courses or memories.
     """
     wheels = np.asarray(wheels, dtype=np.intp)
     places = np.asarray(places, dtype=np.intp)
@@ -34,6 +34,8 @@ def clone(
         raise ParameterError(
             f"clone: {wheels.shape} wheels for {places.shape} places: expected one for each"
         )
+    if source.scenario.course != target.scenario.course:
+        raise ParameterError("clone: courses differ: expected the same scenario")
     _copy(
         source.worlds,
         wheels,
