@@ -486,7 +486,8 @@ def test_traversability_is_that_of_the_estimate():
             soil = env.estimate().state(wheel.width)
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
             assert found["best_slip"] == best.slip
-            assert found["torque_required"] == pytest.approx(best.torque, rel=1e-9)
+            # by the identifier's own code, rounded in another order
+            assert found["torque_required"] == pytest.approx(best.torque, rel=1e-13)
             estimate = info["estimate"]
             assert found["drawbar_margin"] == pytest.approx(
                 estimate["best_pull"] - math.tan(observation[7])

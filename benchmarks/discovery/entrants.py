@@ -12,13 +12,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.discovery.forms import MECHANISMS
 from benchmarks.discovery.unlisted import INSTRUMENTS
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy import run
 from soil_env.discrepancy.report import content
+from soil_env.terramechanics.effects import CATALOGUE
 
-NAMES = (*MECHANISMS, *INSTRUMENTS)
+#: What an answer may name: every effect of the catalogue, and errors of the instrument.
+NAMES = tuple(dict.fromkeys((*CATALOGUE, *INSTRUMENTS)))
 VERDICTS = ("named", "partly", "ambiguous", "unlisted", "none", "undetermined", "error")
 
 

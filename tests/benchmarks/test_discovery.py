@@ -126,7 +126,7 @@ def test_groups_are_balanced_and_a_beginning_is_a_fair_sample():
     first = [t.group for t in tasks(90)]
     count = sum(g.count for g in known)
     assert all(abs(first.count(g.name) - 90 * g.count / count) <= 1.0 for g in known)
-    assert set(MECHANISMS) <= set(CATALOGUE)
+    assert set(MECHANISMS) <= set(CATALOGUE) <= {*MECHANISMS, *INSTRUMENTS}
     assert not {f.effect for f in UNLISTED} & set(CATALOGUE)
     assert all(t == task_of(t.name) for t in tasks(held_out=True))
     with pytest.raises(ValueError, match="one-rich-11"):

@@ -35,7 +35,7 @@ def test_patches_cover_the_course(drawn, scenario):
         assert patches["end"][-1] >= scenario.course.length > patches["start"][-1]
         np.testing.assert_array_equal(patches["start"][1:], patches["end"][:-1])
         lengths = patches["end"] - patches["start"]
-        assert np.all(lengths >= low - 1e-9) and np.all(lengths <= high + 1e-9)
+        assert np.all(lengths >= low) and np.all(lengths <= high)
         assert np.all(one.courses["patches"][0, one.count :]["start"] == HUGE)
         payload = one.mass - scenario.wheel.body_mass
         assert scenario.course.payload[0] <= payload <= scenario.course.payload[1]
@@ -123,7 +123,7 @@ def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
             highest = max(pulls, default=-math.inf)
             assert best.drawbar_pull == pytest.approx(highest, abs=1e-6 * load)
             assert best.torque <= torque
-        assert best_working_point(load, soil, *size, 0.0).drawbar_pull < -1e9
+        assert best_working_point(load, soil, *size, 0.0).drawbar_pull == -math.inf
 
 
 def test_ground_is_continuous(drawn, scenario):

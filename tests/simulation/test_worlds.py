@@ -176,7 +176,8 @@ def test_multipass_acts_in_the_track_only():
     base, found = runs
     assert base[59, 0] > 0.5
     turned = int(np.argmax(base[:, 0]))
-    np.testing.assert_allclose(base[:turned], found[:turned], rtol=1e-9)
+    # Code with effects is compiled anew, and may round its sums in another order.
+    np.testing.assert_allclose(base[:turned], found[:turned], rtol=1e-12)
     assert np.all(found[90:, 1] < 0.95 * base[90:, 1])
 
 

@@ -22,7 +22,7 @@ from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
-from soil_env.terramechanics.effects import acting_effects
+from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
 from soil_env.terramechanics.effects.slip_sinkage import digging_ratio, excavation_rate, onto_fresh
 from soil_env.terramechanics.model import WheelSoilModel
@@ -161,6 +161,10 @@ class Path(NamedTuple):
     duration: float  # [s]
 
 
+#: `Effects` of a world: compiled functions hand on the address of a record, and copy a tuple.
+EFFECTS = record(*NO_EFFECTS._fields)
+
+
 def rig_of(scenario: Scenario, model: WheelSoilModel | None = None) -> np.ndarray:
     """Pack the constants of a scenario, `RIG` [1]; `model` gives lugs and effects."""
     w = scenario.wheel
@@ -199,7 +203,10 @@ def acting_in(model: WheelSoilModel | None) -> Acting:
     if model is None:
         return BASE
     law = residual_law(model.residual) if model.residual else None
-    return acting_on(acting_effects(model.numbers), law)
+    acting = acting_on(acting_effects(model.numbers), law)
+    if acting.effects is None:
+        return acting
+    return acting._replace(effects=np.array(acting.effects, EFFECTS)[()])
 
 
 @njit(**INLINE)

@@ -1,7 +1,7 @@
 """Named effects that the base model of Eqs. (1)-(10) lacks, one file an effect, and their
 composition.
 
-How to add an effect, in three files:
+How to add an effect, in four files beside tests and pages:
 
 1. Write `effects/<name>.py` with `EFFECT = Effect(...)`: title, channels it moves,
    `EffectParameter`s, and for each published form its equation as text and its source. In the text
@@ -17,11 +17,19 @@ How to add an effect, in three files:
    `WheelSoilModel.predict`, the discrepancy workflow, its report and the table of `text.markdown`
    have it from there. Where two laws change one quantity, the later takes what the earlier left.
 4. Add a sentence for readers of a report to `EXPLAINED` in `discrepancy/report/words.py`.
-5. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
+5. Let the blind benchmark hide it: published forms of others in `benchmarks/discovery/forms.py`,
+   which draws other cases from then on, so that `docs/results/discovery.json` is made anew.
+6. Add ranges of the parameters to `cases.py` in `tests/terramechanics`, the law as its source
    writes it to `reference.py` and `test_equations.py` there, and its units to
    `test_units_do_not_matter`; bounds must hold in those units too. Run `pytest
-   tests/terramechanics tests/simulation/test_worlds.py tests/discrepancy`. `HIDDEN` in
-   `agents/environment.py` lists the effects that hidden training worlds draw from.
+   tests/terramechanics tests/simulation/test_worlds.py tests/discrepancy
+   tests/benchmarks/test_discovery.py`. `HIDDEN` in `agents/environment.py` lists the effects that
+   hidden training worlds draw from.
+
+A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
+of `reaction.py` and in `steady.py`. A law of the grade also needs `slopes_weaken` of
+`simulation/world/passability.py`. `varies` stays None where only slip shows the effect. The source
+of an assumption of your own is "own assumption".
 
 Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
 other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the

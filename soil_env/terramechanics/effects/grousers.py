@@ -79,6 +79,8 @@ def blades_at(thrust, slip):
     """(what acts of the `blade_thrust` [N] at this slip, its derivative): none where the wheel
     rolls freely.
     """
+    if thrust == 0.0:
+        return 0.0, 0.0
     share = math.tanh(slip / BLADE_SLIP)
     return thrust * share, thrust * (1.0 - share * share) / BLADE_SLIP
 
