@@ -111,14 +111,9 @@ def api_pages() -> dict[str, tuple[str, str]]:
 
 @cache
 def definitions() -> dict[str, list[str]]:
-    """Modules of soil_env and agents that define a function or class of each name.
-
-    The lanes of the identifier have a copy of the physics, which no page means.
-    """
+    """Modules of soil_env and agents that define a function or class of each name."""
     found = defaultdict(list)
     for module, path in modules().items():
-        if ".lanes" in module:
-            continue
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
                 found[node.name].append(module)

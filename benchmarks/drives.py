@@ -1,7 +1,9 @@
 """Drives of wheels and rovers with the true soil along them, for judging what is identified."""
 
 import math
+from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,13 @@ from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env.envs.rovers import RoverSimulation
-from soil_env.identification.online.identifier import identifier_numbers
+from soil_env.identification.online.identifier import prior_pull
+from soil_env.identification.online.on_board import WheelsOnBoard
+from soil_env.identification.online.prior import setting_of
+from soil_env.identification.online.rover_on_board import RoversOnBoard
 from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
-from soil_env.parameters.readings import IDLE, STEP
+from soil_env.parameters.readings import IDLE, RESTART, STEP, Shown, reading_units
+from soil_env.parameters.sensors import calibrated
 from soil_env.simulation.task import Cause
 from soil_env.simulation.world.terrain import places_on
 from soil_env.terramechanics.model import WheelSoilModel
@@ -25,7 +31,8 @@ QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of 
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
-_READ = [*range(8), 11, 12]  # entries of the observation in the order of `SensorReading`
+UNKNOWN = 1e2  # [of its unit] white noise of a sensor that does not measure
+ERROR_SEED = 5  # of zeros and gains
 
 
 def _grounds(courses: np.ndarray, x: np.ndarray, border: float) -> np.ndarray:
@@ -61,66 +68,149 @@ def controller_of(name: str, scenario: Scenario) -> Any:
     return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
 
 
+#: Standard deviations of the zeros and gains that data sheets of force-torque sensors, range
+#: finders and visual odometry state, in the units of `Noise`; both sensors of a quantity have the
+#: same draw.
+ERRORS = {
+    "drawbar_pull_zero": 0.02,
+    "torque_gain": 0.03,
+    "torque_zero": 0.01,
+    "sinkage_zero": 0.003,
+    "speed_gain": 0.02,
+    "load_gain": 0.02,
+}
+_ALIKE = {"motor_torque_gain": "torque_gain", "motor_torque_zero": "torque_zero"}
+_NO_OTHERS = ("drawbar_pull_gain", "acceleration_gain", "pitch_zero")
+
+
+def with_errors(scenario: Scenario) -> Any:
+    """The scenario whose sensors have the zeros and gains of `ERRORS`, as the identifier believes
+    too.
+    """
+    noise = dict(ERRORS) | {name: ERRORS[of] for name, of in _ALIKE.items()}
+    noise["acceleration_zero"] = ERRORS["drawbar_pull_zero"] * scenario.gravity
+    noise |= dict.fromkeys(_NO_OTHERS, 0.0)
+    return replace(scenario, noise=replace(scenario.noise, **noise))
+
+
+class Shadow:
+    """Identifiers that run beside a drive on readings with errors of their own.
+
+    `size`: of the zeros and gains, in the standard deviations of `ERRORS`; `drifts`: they go from
+    nothing to twice their size over a course; `missing`: sensors that do not measure.
+    """
+
+    def __init__(
+        self,
+        scenario: Any,
+        courses: int,
+        size: float = 1.0,
+        drifts: bool = False,
+        missing: tuple[str, ...] = (),
+    ) -> None:
+        believed = with_errors(scenario)
+        self.scenario = believed
+        bounds = np.zeros((2, 1), dtype=np.float32)
+        if isinstance(scenario, RoverScenario):
+            self.board: Any = RoversOnBoard(courses, believed, Shown(False, 0, *bounds))
+        else:
+            self.board = WheelsOnBoard(courses, believed, Shown(False, 0, *bounds), False)
+        white = self.board.setting["board"]["identifier"][0, 0]["white"]
+        units = reading_units(believed)
+        for name in missing:
+            white[name] = UNKNOWN * getattr(units, name)
+        self.missing = missing
+        rng = np.random.default_rng(ERROR_SEED)
+        self.errors = {n: size * sd * rng.normal(size=(courses, 1)) for n, sd in ERRORS.items()}
+        self.errors = {name: error[:, None] for name, error in self.errors.items()}
+        self.drifts = drifts
+        self.begun = False
+
+    def follow(self, sim: Any, alive: np.ndarray, share: float) -> None:
+        """Read the sensors of a control period, at a `share` of the longest drive."""
+        state, readings, observation = sim._noted
+        world = (state, self._misread(readings, 2.0 * share if self.drifts else 1.0), observation)
+        if not self.begun:
+            self.begun = True
+            self.board.follow(world, np.full(len(alive), RESTART), 0, len(alive))
+        self.board.follow(world, np.where(alive, STEP, IDLE), 0, len(alive))
+
+    def _misread(self, readings: np.ndarray, size: float) -> np.ndarray:
+        """The readings with zeros and gains, and without the sensors that are missing."""
+        seen = readings.copy()
+        e = {
+            name: size * error.reshape(-1, *[1] * (seen.ndim - 1))
+            for name, error in self.errors.items()
+        }
+        weight = self.scenario.weight
+        radius = self.scenario.wheel.radius
+        twist = weight * radius
+        seen["drawbar_pull"] += e["drawbar_pull_zero"] * weight
+        seen["acceleration"] += e["drawbar_pull_zero"] * self.scenario.gravity
+        for name in ("torque", "motor_torque"):
+            seen[name] = (1.0 + e["torque_gain"]) * seen[name] + e["torque_zero"] * twist
+        seen["sinkage"] += e["sinkage_zero"]
+        seen["load"] *= 1.0 + e["load_gain"]
+        seen["speed"] *= 1.0 + e["speed_gain"]
+        noise = self.scenario.noise
+        slow = max(3.0 * math.hypot(noise.speed, noise.wheel_speed * radius), 1e-3)
+        rim = seen["rim_speed"]
+        scale = np.maximum(np.maximum(np.abs(rim), np.abs(seen["speed"])), slow)
+        slip = np.clip((rim - seen["speed"]) / scale, -1.0, 1.0)
+        seen["slip"] = np.where(rim + seen["speed"] < -slow, -slip, slip)
+        instead = {"load": weight * np.cos(seen["pitch"])}
+        for name in self.missing:
+            seen[name] = instead.get(name, 0.0)
+        return seen
+
+    def known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Estimates and standard deviations [..., 6] of `QUANTITIES` now, and the status."""
+        views = self.board.views()
+        known = views.get("known", views["ids"])
+        estimate = np.concatenate([known.estimate, known.best_pull[..., :1]], axis=-1)
+        sd = np.concatenate([known.sd, known.best_pull[..., 1:]], axis=-1)
+        return estimate, sd, known.status.copy()
+
+
 def record(
     controller: Any,
     scenario: Scenario,
     courses: int,
     seed: int,
+    shadows: dict[str, Shadow],
     model: WheelSoilModel | None = None,
-) -> list[dict[str, np.ndarray]]:
-    """Drive courses of a seed; return of each a log of T control periods.
+) -> dict[str, np.ndarray]:
+    """Drive courses of a seed with calibrated sensors, beside `shadows`; arrays [T, courses, ...].
 
-    `readings` [T, 10] in the order of `SensorReading`; `estimate`, `sd` [T, 6] of `QUANTITIES` as
-    the environment had them; `truth` [T, 6]: of the ground under the wheel, ln S at exponent of the
-    belief and true bearing sinkage; `halt_left` [T] s.
+    "truth" [6]: `QUANTITIES` of the ground under the wheel, ln S at the exponent of the belief and
+    the true bearing sinkage; "driven": neither ended nor in a halt; "alive"; "readings", a record;
+    of each shadow "NAME estimate", "NAME sd" [6] and "NAME status".
     """
-    wheel = scenario.wheel
-    weight = scenario.weight
-    r = wheel.radius
-    top = wheel.radius * wheel.no_load_speed
-    twist = weight * r
-    scale = np.array([1.0, r, weight, weight, twist, top, top, 1.0, twist, scenario.gravity])
-    true = []
-    halts = []
-    readings = []
-    known = []
-    running = []
-    for sim, alive in drive(controller, scenario, seed, 0, courses, model=model, warnings=True):
+    scenario = replace(scenario, noise=calibrated(scenario.noise))
+    log: dict[str, list[np.ndarray]] = defaultdict(list)
+    for t, (sim, alive) in enumerate(
+        drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
+    ):
         w = sim.worlds
         soil = _grounds(w.courses, w.state["x"][:, None], scenario.course.border)[:, 0, :7]
         load = np.array(w.state["mass"]) * scenario.gravity
-        true.append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
-        halts.append(np.array(w.state["halt_left"]))
-        readings.append(w.observation[:, _READ] * scale)
-        known.append(
-            np.column_stack(
-                [w.ids.estimate, w.ids.best_pull[:, 0], w.ids.sd, w.ids.best_pull[:, 1]]
-            )
-        )
-        running.append(alive.copy())
-    columns = {
-        "truth": np.array(true),
-        "halt_left": np.array(halts),
-        "readings": np.array(readings, float),
-    }
-    columns["estimate"], columns["sd"] = np.split(np.array(known), 2, axis=2)
-    steps = np.sum(running, axis=0)
-    return [
-        {name: rows[: steps[k], k].copy() for name, rows in columns.items()} for k in range(courses)
-    ]
+        log["truth"].append(truth(soil, np.array(w.state["bearing_sinkage"]), load, scenario))
+        log["driven"].append(alive & (w.state["halt_left"] == 0.0))
+        log["alive"].append(alive.copy())
+        log["readings"].append(sim._noted[1][:, 0].copy())
+        for name, shadow in shadows.items():
+            shadow.follow(sim, alive, t / scenario.periods)
+            estimate, sd, status = shadow.known()
+            log[f"{name} estimate"].append(estimate)
+            log[f"{name} sd"].append(sd)
+            log[f"{name} status"].append(status)
+    return {name: np.array(rows) for name, rows in log.items()}
 
 
-def judged(logs: list[dict[str, np.ndarray]], scenario: Scenario) -> tuple[np.ndarray, ...]:
-    """Errors, standard deviations and errors of the prior [N, 6], course [N] of logs of `record`,
-    halts left out.
-    """
-    driven = np.concatenate([log["halt_left"] == 0.0 for log in logs])
-    course = np.repeat(np.arange(len(logs)), [len(log["halt_left"]) for log in logs])[driven]
-    true, estimate, sd = (
-        np.concatenate([log[name] for log in logs])[driven] for name in ("truth", "estimate", "sd")
-    )
-    numbers = identifier_numbers(scenario)
-    return estimate - true, sd, np.append(numbers.prior, numbers.prior_pull[0]) - true, course
+def prior_of(scenario: Scenario) -> np.ndarray:
+    """`QUANTITIES` [6] of the prior."""
+    setting = setting_of(scenario)
+    return np.append(setting["prior"][0], prior_pull(setting)[0])
 
 
 def truth(
@@ -187,39 +277,35 @@ def constant_speeds(scenario: RoverScenario) -> Callable[[np.ndarray], np.ndarra
 
 
 def record_rover(
-    scenario: RoverScenario, courses: int, seed: int, control: Any
+    scenario: RoverScenario, courses: int, seed: int, control: Any, shadows: dict[str, Shadow]
 ) -> dict[str, np.ndarray]:
-    """Drive courses of a seed; return arrays [T, courses, axles, ...].
-
-    "soil": phi, ln K, c, number of the patch, distance behind its beginning [m]; "driven": no halt,
-    not ended; "alone" and "pooled" with "alone_sd" and "pooled_sd": estimates of a wheel's own
-    filter, and of all wheels.
+    """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth" of phi, ln K
+    and c.
     """
+    scenario = replace(scenario, noise=calibrated(scenario.noise))
     simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
     simulation.restart_where(np.ones(courses, dtype=bool))
     w = simulation.worlds
-    rows = simulation.wheels
     going = np.ones(courses, dtype=bool)
-    log = []
+    log: dict[str, list[np.ndarray]] = defaultdict(list)
+    t = 0
     while going.any():
         simulation.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
         places = w.state["wheels"]["x"][:, : scenario.axles]
-        ground = _grounds(w.courses, places, scenario.course.border)
-        soil = ground[..., [0, 2, 1, 7, 8]]
+        soil = _grounds(w.courses, places, scenario.course.border)[..., [0, 2, 1]]
         soil[..., 0] = np.arctan(soil[..., 0])
         soil[..., 1] = np.log(soil[..., 1])
+        log["truth"].append(soil)
         driven = going & (w.state["halt_left"] == 0.0)
-        log.append(
-            {
-                "soil": soil,
-                "driven": np.repeat(driven[:, None], rows.shape[1], 1),
-                "alone": w.ids.estimate[rows],
-                "alone_sd": w.ids.sd[rows],
-                "pooled": w.known.estimate[rows],
-                "pooled_sd": w.known.sd[rows],
-            }
-        )
-        going &= w.cause == Cause.RUNNING.value
-    return {name: np.array([row[name] for row in log]) for name in log[0]}
+        log["driven"].append(np.repeat(driven[:, None], scenario.axles, 1))
+        for name, shadow in shadows.items():
+            shadow.follow(simulation, going, t / scenario.periods)
+            estimate, sd, status = shadow.known()
+            log[f"{name} estimate"].append(estimate[..., SHARED])
+            log[f"{name} sd"].append(sd[..., SHARED])
+            log[f"{name} status"].append(status)
+        going = going & (w.cause == Cause.RUNNING.value)
+        t += 1
+    return {name: np.array(rows) for name, rows in log.items()}

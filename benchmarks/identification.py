@@ -5,8 +5,11 @@
     python -m benchmarks.identification --only two_lines  rows of this scenario anew, the others as
                                                           they are
 
-A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Errors
-are those of the ground under the wheel at all steps but halts, whatever the status of the estimate.
+A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Beside
+the drive run identifiers on its readings: with perfect sensors, with the zeros and gains of
+`drives.ERRORS`, with twice those, with some that drift, and without some of the sensors. All
+believe in zeros and gains of the sizes of `ERRORS`. Errors are those of the ground under the wheel
+at all steps but halts, whatever the status of the estimate.
 """
 
 import sys
@@ -23,31 +26,41 @@ from soil_env._io.document import Table
 from soil_env._io.files import write_json
 from soil_env._io.loading import read_json
 from soil_env.cli.running import WholeNumber, leave, run
-from soil_env.identification.online.identifier import identifier_numbers
+from soil_env.identification import Status
 from soil_env.parameters import config_dir, load_scenario
 from soil_env.terramechanics.model import load_model
 
 NAME = "identification"
-SEED = 20261126  # nothing was chosen on its courses, nor changed after they were seen
-#: Scenarios with the laws of the filter.
-OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle")
-OTHERS = {
-    "unseen": [""],
-    "mixed": ["grousers", "shear_softening", "bulldozing", "law_errors", "two_effects"],
-}
+SEED = 20261127  # nothing was chosen on its courses, nor changed after they were seen
+#: Scenarios with the laws of the identifier.
+OWN = ("two_lines", "mixed", "loose_slopes", "sticky", "field_vehicle", "unseen")
+ONE_SOIL = "mixed, one soil"  # a course
+ONE = {"course": {"patch_length": [12.0, 14.0]}}
+EFFECTS = ("grousers", "shear_softening", "bulldozing", "law_errors", "two_effects")
 ROVERS = ("field_rover", "mars_rover", "lunar_micro_rover")
 ROVER_DRIVES = {"swinging slip": drives.SwingingSlip, "constant speed": drives.constant_speeds}
 EVERY = (*(name for name in CONTROLLERS if name != "best_slip_true"), "swinging_speed", "ramp")
 ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start", "wheel_speed"))
-#: Drives of OTHERS.
+#: Drives of other worlds and of one soil.
 FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
-SHOWN = (0, 1, 5)  # of `QUANTITIES`: friction angle, ln K, best pull
-#: Asked of a row: shares in 68 %, in 95 % and beyond 3 sd [%], bias over the mean sd.
-ASKED = {
-    "holds_68": (63.0, 73.0),
-    "holds_95": (92.0, 97.0),
-    "far": (0.0, 1.0),
-    "bias_over_sd": (-0.25, 0.25),
+JUDGED = 3  # of `QUANTITIES`: friction angle, ln K, ln S
+#: Identifiers beside a drive: arguments of `drives.Shadow`.
+SENSORS: dict[str, dict[str, Any]] = {
+    "perfect": {"size": 0.0},
+    "errors": {},
+    "twice": {"size": 2.0},
+    "drift": {"drifts": True},
+}
+_FORCES = ("drawbar_pull", "torque", "load", "motor_torque", "acceleration")
+#: Sensors that are missing in further ones, on `mixed`.
+SUBSETS = {
+    "no torque": ("torque", "motor_torque"),
+    "no pull": ("drawbar_pull", "acceleration"),
+    "no sinkage": ("sinkage",),
+    "no load": ("load",),
+    "no torque, no load": ("torque", "motor_torque", "load"),
+    "motor torque and acceleration": ("torque", "drawbar_pull"),
+    "speeds and sinkage": _FORCES,
 }
 
 
@@ -55,7 +68,7 @@ class Case(NamedTuple):
     """Drive of a row."""
 
     scenario: str
-    world: str  # of configs/worlds; "" for the laws of the filter
+    world: str  # of configs/worlds; "" for the laws of the identifier
     drive: str
     action: str = ""  # "" for that of the scenario
 
@@ -63,9 +76,8 @@ class Case(NamedTuple):
 def cases() -> dict[str, Case]:
     """Return all rows by their names in identification.json."""
     found = [Case(s, "", *drive) for s in OWN for drive in (*((name,) for name in EVERY), *ACTIONS)]
-    found += [
-        Case(s, world, name) for s, worlds in OTHERS.items() for world in worlds for name in FEW
-    ]
+    found += [Case(ONE_SOIL, "", name) for name in FEW]
+    found += [Case("mixed", world, name) for world in EFFECTS for name in FEW]
     found += [Case(rover, "", name) for rover in ROVERS for name in ROVER_DRIVES]
     return {"/".join(part or "-" for part in case): case for case in found}
 
@@ -78,98 +90,104 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
     if case.scenario in ROVERS:
         rover = drives.rover_scenario(case.scenario)
         units = units[drives.SHARED]
-        log = drives.record_rover(rover, courses, seed, ROVER_DRIVES[case.drive](rover))
-        here = log["driven"]
-        estimate, sd = (log[name][here][:, drives.SHARED] for name in ("pooled", "pooled_sd"))
-        true = log["soil"][here][:, :3]
-        prior = identifier_numbers(rover).prior[drives.SHARED]
-        found = estimate - true, sd, prior - true, np.nonzero(here)[1]
+        shadows = {name: drives.Shadow(rover, courses, **kind) for name, kind in SENSORS.items()}
+        control = ROVER_DRIVES[case.drive](rover)
+        log = drives.record_rover(rover, courses, seed, control, shadows)
+        prior = drives.prior_of(rover)[drives.SHARED]
     else:
-        scenario = load_scenario(
-            case.scenario, {"control": {"action": case.action}} if case.action else {}
-        )
+        changes = dict(ONE) if case.scenario == ONE_SOIL else {}
+        if case.action:
+            changes["control"] = {"action": case.action}
+        scenario = load_scenario("mixed" if case.scenario == ONE_SOIL else case.scenario, changes)
         model = load_model(config_dir() / "worlds" / f"{case.world}.yaml") if case.world else None
+        kinds = dict(SENSORS)
+        if case.scenario == "mixed" and not case.world and not case.action:
+            kinds |= {name: {"missing": missing} for name, missing in SUBSETS.items()}
+        shadows = {name: drives.Shadow(scenario, courses, **kind) for name, kind in kinds.items()}
         controller = drives.controller_of(case.drive, scenario)
-        found = drives.judged(drives.record(controller, scenario, courses, seed, model), scenario)
-    return short(case._asdict() | {"courses": courses} | statistics(*found, units))
+        log = drives.record(controller, scenario, courses, seed, shadows, model)
+        prior = drives.prior_of(scenario)
+    here = log["driven"]
+    course = np.nonzero(here)[1]
+    true = log["truth"][here]
+    row: dict[str, Any] = case._asdict() | {"courses": courses, "steps": len(true)}
+    row["prior_rms"] = np.sqrt(((prior - true) ** 2).mean(0)) * units
+    for name in shadows:
+        found = (log[f"{name} {what}"][here] for what in ("estimate", "sd", "status"))
+        row[name] = statistics(true, *found, course, units)
+    return short(row)
 
 
-def statistics(
-    error: np.ndarray, sd: np.ndarray, prior: np.ndarray, course: np.ndarray, units
-) -> dict[str, Any]:
-    """Statistics of errors, standard deviations and errors of the prior [N, q]; `course` [N]
-    numbers the courses.
-    """
+def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
+    """Statistics of errors and standard deviations [N, q]; `course` [N] numbers the courses."""
+    error = estimate - true
     z = np.abs(error) / sd
-    off = (z < 1.0) - (z < 1.0).mean(0)
-    spread = np.linalg.norm([off[course == k].sum(0) for k in np.unique(course)], axis=0) / len(
-        error
-    )
+    held = z < 1.0
+    off = held - held.mean(0)
+    spread = np.linalg.norm([off[course == k].sum(0) for k in np.unique(course)], axis=0)
+    misfit = status == Status.MISFIT
     return {
-        "steps": len(error),
-        "bias": error.mean(0) * units,
-        "bias_over_sd": error.mean(0) / sd.mean(0),
         "rms": np.sqrt((error**2).mean(0)) * units,
-        "prior_rms": np.sqrt((prior**2).mean(0)) * units,
+        "bias": error.mean(0) * units,
         "sd": sd.mean(0) * units,
-        "holds_68": 100.0 * (z < 1.0).mean(0),
-        "holds_68_error": 100.0 * 1.96 * spread,
+        "holds_68": 100.0 * held.mean(0),
+        "holds_68_error": 196.0 * spread / len(error),
         "holds_95": 100.0 * (z < 1.96).mean(0),
         "far": 100.0 * (z > 3.0).mean(0),
-        "farthest": z.max(0),
+        "misfit": 100.0 * misfit.mean(),
+        "misfit_courses": 100.0 * np.mean([misfit[course == k].any() for k in np.unique(course)]),
     }
 
 
-def tables(result: dict) -> dict[str, Table]:
-    """Return the tables of the page: medians by scenario, and rows that hold what an interval
-    promises.
-    """
-    groups: dict[str, list[dict]] = {}
-    for row in (row for row in result["rows"].values() if not row.get("noise")):
-        groups.setdefault(" with ".join(filter(None, (row["scenario"], row["world"]))), []).append(
-            row
-        )
-    forms = {"prior_rms": ".3g", "rms": ".3g", "holds_68": ".0f", "holds_95": ".0f", "far": ".1f"}
-    medians = []
-    asked = []
-    for name, rows in groups.items():
-        middle = {key: np.median([row[key] for row in rows], axis=0) for key in forms}
-        cells = (
-            " / ".join(format(v[j], forms[key]) for j in SHOWN if j < len(v))
-            for key, v in middle.items()
-        )
-        medians.append((name, len(rows), *cells))
-    if own := [row for name in OWN for row in groups.get(name, [])]:
-        of = {
-            key: np.array([row[key] for row in own]) for key in (*forms, "bias_over_sd", "farthest")
-        }
-        held = [(low <= of[key]) & (of[key] <= high) for key, (low, high) in ASKED.items()]
-        held += [of["rms"] < of["prior_rms"]]
-        counts = np.sum([*held, np.all(held, axis=0)], axis=1).T
-        for name, count, far in zip(
-            drives.QUANTITIES, counts, of["farthest"].max(axis=0), strict=True
-        ):
-            asked.append((name, len(own), *count, f"{far:.0f}"))
-    return {
-        "Medians over drives: friction angle [deg] / ln K / best pull [of load]": Table(
-            ("scenario", "drives", "prior RMS", "RMS", "68 % hold", "95 % hold", "beyond 3 sd [%]"),
-            medians,
-        ),
-        "Rows of the filter's own laws that hold what an interval promises": Table(
-            (
-                "quantity",
-                "rows",
-                "68 % hold 63 to 73 %",
-                "95 % hold 92 to 97 %",
-                "at most 1 % beyond 3 sd",
-                "bias below 0.25 sd",
-                "better than the prior",
-                "all five",
-                "farthest [sd]",
-            ),
-            asked,
-        ),
-    }
+def _triple(values: list[Any], form: str) -> str:
+    middle = np.median(np.array(values), axis=0)
+    return " / ".join(format(v, form) for v in middle[:JUDGED])
+
+
+def _by_scenario(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        name = " with ".join(filter(None, (row["scenario"], row["world"])))
+        groups.setdefault(name, []).append(row)
+    return groups
+
+
+def tables(result: dict[str, Any]) -> dict[str, Table]:
+    """Return the tables of the page."""
+    groups = _by_scenario(list(result["rows"].values()))
+    out = {}
+    for kind in SENSORS:
+        rows = []
+        for name, members in groups.items():
+            of = [row[kind] for row in members]
+            held = [np.array(x["holds_68"][:JUDGED]) for x in of]
+            rows.append(
+                (
+                    name,
+                    len(of),
+                    _triple([row["prior_rms"] for row in members], ".3g"),
+                    _triple([x["rms"] for x in of], ".3g"),
+                    _triple([x["holds_68"] for x in of], ".0f"),
+                    f"{np.min(held):.0f} to {np.max(held):.0f}",
+                    _triple([x["far"] for x in of], ".1f"),
+                    f"{np.median([x['misfit'] for x in of]):.1f}",
+                    f"{np.median([x['misfit_courses'] for x in of]):.0f}",
+                )
+            )
+        heads = ("scenario", "drives", "prior RMS", "RMS", "68 % hold", "in any drive")
+        heads += ("beyond 3 sd [%]", "MISFIT [% of steps]", "[% of courses]")
+        title = f"{kind}: friction angle [deg] / ln K / ln S (rovers: / c [kPa]), medians of drives"
+        out[title] = Table(heads, rows)
+    with_subsets = [row for row in result["rows"].values() if "no torque" in row]
+    if with_subsets:
+        rows = []
+        for kind in ("errors", *SUBSETS):
+            of = [row[kind] for row in with_subsets]
+            cells = (_triple([x[key] for x in of], ".3g") for key in ("sd", "rms"))
+            rows.append((kind, *cells, _triple([x["holds_68"] for x in of], ".0f")))
+        heads = ("sensors", "mean sd", "RMS", "68 % hold")
+        out["Without some sensors, `mixed` with errors"] = Table(heads, rows)
+    return out
 
 
 @click.command(NAME)
@@ -190,7 +208,7 @@ def tables(result: dict) -> dict[str, Table]:
 )
 @click.option(
     "--only",
-    type=click.Choice(list(dict.fromkeys((*OWN, *OTHERS, *ROVERS)))),
+    type=click.Choice([*OWN, ONE_SOIL, *ROVERS]),
     multiple=True,
     metavar="SCENARIO",
     help="Measure only rows of this scenario again; repeatable.",
@@ -215,7 +233,7 @@ def command(smoke: bool, out: Path, courses: int, seed: int, only: tuple[str, ..
     text = (
         f"Errors of the online identifier, {settings['courses']} courses a drive of seed {seed}, "
         f"by `python -m benchmarks.{NAME}` on {machine_text(result['machine'])}. Rovers: friction "
-        "angle and ln K, pooled."
+        "angle, ln K and cohesion, pooled."
     )
     write(out, NAME, "Identification, measured", text, tables(result))
 

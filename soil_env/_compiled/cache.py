@@ -27,7 +27,15 @@ from numba import config, njit
 
 PACKAGE = Path(__file__).resolve().parents[1]
 #: Folders and files of the package whose sources and constants compiled code is made of.
-SOURCES = ("_compiled", "parameters", "terramechanics", "simulation", "envs", "slip.py")
+SOURCES = (
+    "_compiled",
+    "parameters",
+    "terramechanics",
+    "simulation",
+    "identification/online",
+    "envs",
+    "slip.py",
+)
 FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT

@@ -50,7 +50,7 @@ def record(*numbers: str, **others: tuple[Any, ...]) -> np.dtype[Any]:
     """Dtype of a record: float64 fields by name, then others by name with their types and shapes.
 
     `array[k].name` reads a field in Python as in compiled code, `array["name"]` the field of all
-    records.
+    records. Fields are of eight bytes, or of two of four, so that all are aligned.
     """
     fields = [(name, "f8") for name in numbers] + [(name, *kind) for name, kind in others.items()]
     return np.dtype((np.record, fields))

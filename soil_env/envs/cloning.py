@@ -8,12 +8,14 @@ the stream of the course and stays as it is.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.envs.wheels import Simulation
+
+#: Arrays of `Worlds` with all that is kept of a wheel; notes are written anew by every step.
+KEPT = ("state", "courses", "observation", "on_board")
 
 
 def clone(
@@ -36,47 +38,12 @@ def clone(
         )
     if source.scenario.course != target.scenario.course:
         raise ParameterError("clone: courses differ: expected the same scenario")
-    _copy(
-        source.worlds,
-        wheels,
-        target.worlds,
-        places,
-        _wheels(source.worlds),
-        _wheels(target.worlds),
-        "worlds",
-    )
-
-
-def _wheels(worlds: Any) -> int:
-    return worlds.cause.size
-
-
-def _copy(a, wheels, b, places, count, into, name):
-    """Copy the rows of `wheels` in `a`, which holds `count` wheels, to `places` in `b`, which holds
-    `into`.
-    """
-    if a is None or b is None:
-        return  # no estimator
-    if hasattr(type(a), "NAMES"):  # rows of the identifier
-        each = a.count // count  # columns of a wheel
-        if b.count // into != each:
+    for name in KEPT:
+        here, there = getattr(source.worlds, name), getattr(target.worlds, name)
+        if here is None or there is None:
+            continue  # no estimator
+        if here.shape[1:] != there.shape[1:] or here.dtype != there.dtype:
             raise ParameterError(
-                f"clone: {name} has {each} columns a wheel in one simulation and "
-                f"{b.count // into} in the other: expected the same scenario"
+                f"clone: {name} has not one shape in both simulations: expected the same scenario"
             )
-        columns = np.arange(each)
-        here, there = ((each * rows[:, None] + columns).ravel() for rows in (wheels, places))
-        b.data[:, there] = a.data[:, here]
-    elif hasattr(a, "_fields"):
-        for field in a._fields:
-            if field == "notes":  # written anew by every step
-                continue
-            _copy(
-                getattr(a, field), wheels, getattr(b, field), places, count, into, f"{name}.{field}"
-            )
-    elif a.shape[1:] != b.shape[1:] or a.dtype != b.dtype:
-        raise ParameterError(
-            f"clone: {name} has not one shape in both simulations: expected the same scenario"
-        )
-    elif len(a) and len(b):  # averages are kept only where something asks for them
-        b[places] = a[wheels]
+        there[places] = here[wheels]

@@ -116,10 +116,10 @@ class Infos:
         self._assess = None
         self._foresight = None
         if simulation.belief is not None:
-            from soil_env.identification.online.estimate import ground_assessment
+            from soil_env.identification.online.ground import assess_ground
             from soil_env.identification.online.immobilisation import ImmobilisationWarning
 
-            self._assess = ground_assessment()
+            self._assess = assess_ground
             self._foresight = ImmobilisationWarning(self.scenario)
         # load [of weight] and pitch [rad] when the estimate last changed
         self._seen = np.zeros((wheels, 2))
@@ -130,7 +130,7 @@ class Infos:
         """Note which estimates a step has changed; `reset` [wheels] bool: wheels it has reset."""
         changed = self._simulation.worlds.changed
         if changed is not None and (asks(self.kind) or len(self._simulation.worlds.recent)):
-            which = changed | reset
+            which = (changed > 0) | reset
             if which.any():
                 self.renew(which)
 
@@ -187,8 +187,8 @@ class Infos:
         if rows.size:
             ids = worlds.ids
             assert self._simulation.belief is not None and self._assess is not None
-            numbers = self._simulation.belief.identifier.filter
-            self._assess(rows, ids.estimate, ids.best_pull, self._seen, numbers, self._warnings)
+            setting = self._simulation.belief
+            self._assess(rows, ids.estimate, ids.best_pull, self._seen, setting, self._warnings)
             self._stale[rows] = False
         return self._warnings
 
@@ -244,8 +244,9 @@ class Infos:
 
 
 def estimates(known: Any, scenario: Scenario) -> dict[str, np.ndarray]:
-    """Estimates of the soil under each wheel, arrays [wheels], from the arrays of `known`."""
-    mean, sd, pull = (array.T.copy() for array in (known.estimate, known.sd, known.best_pull))
+    """Estimates of the soil under each wheel, arrays [wheels] or [rovers, axles], of `known`."""
+    arrays = (known.estimate, known.sd, known.best_pull)
+    mean, sd, pull = (np.moveaxis(array, -1, 0).copy() for array in arrays)
     found = published(mean, sd, pull, scenario.belief.dig_gain, np)
     return found | {"status": known.status.copy()}
 

@@ -38,7 +38,7 @@ class RoverInfos:
         return _one_of(self.many(), j, self.kind in ("full", "state"))
 
     def _estimates(self) -> dict[str, np.ndarray]:
-        """Estimates of the soil under each wheel, arrays [wheels]; empty if not asked for."""
+        """Estimates of the soil under each wheel [rovers, axles]; empty if not asked for."""
         w = self._simulation.worlds
         return (
             estimates(w.known, self._simulation.scenario)
@@ -62,8 +62,7 @@ class RoverInfos:
             wheels = w.state["wheels"][:, a]
             info[axle] = {"state": {name: wheels[name].copy() for name in _OF_WHEEL}}
             if known:
-                rows = self._simulation.wheels[:, a]
-                info[axle]["estimate"] = {name: values[rows] for name, values in known.items()}
+                info[axle]["estimate"] = {name: values[:, a] for name, values in known.items()}
         return info if self.kind != "numeric" else flat(info)
 
     def follow(self, reset: np.ndarray) -> None:

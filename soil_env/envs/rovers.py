@@ -6,7 +6,7 @@ import numpy as np
 
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import RoverScenario
-from soil_env.parameters.readings import Image, Record, SensorReading, Shown
+from soil_env.parameters.readings import Shown
 from soil_env.simulation.rover.rovers import (
     RoverNumbers,
     lay_rovers,
@@ -25,7 +25,7 @@ class Worlds(NamedTuple):
     """Arrays of many rovers, one row a rover.
 
     Those of `RoverWorlds`, results of the last step, and those of the estimator
-    (`identification.online.rover_on_board.RoverEstimator`), one row a wheel, None without one.
+    (`identification.online.rover_on_board.RoversOnBoard.views`), None without one.
     """
 
     state: np.ndarray
@@ -37,6 +37,7 @@ class Worlds(NamedTuple):
     terms: np.ndarray  # [rovers, 4] of the reward
     reward: np.ndarray  # [rovers]
     cause: np.ndarray  # [rovers] `Cause`
+    on_board: Any = None
     ids: Any = None
     known: Any = None
 
@@ -64,8 +65,6 @@ class RoverSimulation(Vehicles):
         identifies = estimates or asks_for_estimates(scenario, variant)
         self.numbers: RoverNumbers = rover_numbers(scenario, variant, model)
         self._actions = np.zeros((rovers, axles))
-        #: [rovers, axles] the row of each wheel in the arrays of the estimator
-        self.wheels: np.ndarray = np.arange(rovers * axles).reshape(rovers, axles)
         worlds = new_rover_worlds(rovers, scenario, self.numbers, identifies)
         drawn = rover_course_numbers(scenario, model)
         courses = (drawn, float(drawn.drawn.spec.ahead) + scenario.vehicle.base)
@@ -73,25 +72,16 @@ class RoverSimulation(Vehicles):
         self._begin((lay_rovers, step_rovers), worlds, worlds.state, courses, scratch)
         on_board = None
         if identifies:
-            from soil_env.identification.online.rover_on_board import rovers_on_board
+            from soil_env.identification.online.rover_on_board import RoversOnBoard
 
             shown = Shown(variant == "identified", first_soil(axles), *self.numbers.bounds)
-            on_board = rovers_on_board(self.wheels.size, scenario, shown)
+            on_board = RoversOnBoard(rovers, scenario, shown)
         self._board(on_board)
         trial = new_rover_worlds(1, scenario, self.numbers, False)
         self._check_passable(trial, trial.state)
 
-    def _read(self) -> Record:
-        notes = self._world.notes
-        held = notes.shape[1]
-        readings = self._world.readings.view(np.float64)
-        return Record(
-            self._heads["periods"],
-            readings.reshape(-1, held, len(SensorReading._fields)),
-            notes["halted"],
-            notes["place"],
-            np.zeros((0, held, len(Image._fields))),
-        )
+    def _notes(self) -> tuple[np.ndarray, ...]:
+        return self._heads, self._world.readings, self._world.observation
 
     def true_soil(self) -> np.ndarray:
         """Observations of the variant `true_soil` now, in its units [rovers, D] float32."""

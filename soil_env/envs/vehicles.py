@@ -17,13 +17,11 @@ from soil_env.parameters.readings import (
     RESTART,
     STEP,
     TRY,
-    Record,
-    Results,
 )
 
 TRIAL_COURSES = 8  # drawn before a scenario is accepted
 SHARES = 4  # of the vehicles, for each thread: those that are done early take another
-VIEWS = ("_x", "_ready", "_record", "_results", "worlds", "_order")  # attributes of `Vehicles`
+VIEWS = ("_x", "_ready", "_noted", "worlds", "_order")  # attributes of `Vehicles`
 LEAST = 32  # vehicles that a thread takes at a time, at least
 
 
@@ -93,15 +91,13 @@ class Vehicles:
         heads = self._heads
         self._x = heads["x"]
         self._ready = self._world.courses["ready"]
-        self._record = self._read()
-        self._results = Results(
-            self._world.observation, heads["terms"], heads["reward"], heads["cause"]
-        )
-        memory = () if self._on_board is None else self._on_board.memory
-        self.worlds = self._arrays(*self._world, *self._results[1:], *memory)
+        self._noted = self._notes()
+        results = {name: heads[name] for name in ("terms", "reward", "cause")}
+        known = {} if self._on_board is None else self._on_board.views()
+        self.worlds = self._arrays(**self._world._asdict(), **results, **known)
 
-    def _read(self) -> Record:
-        """Return what the last step hands to those on board, on the memory of the world."""
+    def _notes(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the world that those on board read, and write what they know into."""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
@@ -114,10 +110,9 @@ class Vehicles:
     def _board(self, on_board: Any) -> None:
         """Take the estimators on board, None where nothing is identified."""
         self._on_board = on_board
+        #: `SETTING` of the identifier
+        self.belief = None if on_board is None else on_board.identifier
         self._view()
-        self.belief = None if on_board is None else on_board.numbers
-        if on_board is not None:
-            on_board.prepare(self._record, self._results, self._orders)
 
     def _check_passable(self, trial: Any, vehicles: np.ndarray) -> None:
         """Refuse a scenario whose soils this vehicle cannot pass, before a training begins."""
@@ -219,7 +214,7 @@ class Vehicles:
         """Follow the orders for vehicles `first` to `end` - 1: the world, then what is on board."""
         self._move(orders, scratch, first, end)
         if self._on_board is not None:
-            self._on_board.follow(self._record, self._results, orders, first, end)
+            self._on_board.follow(self._noted, orders, first, end)
 
     def _move(self, orders: np.ndarray, scratch: Any, first: int, end: int) -> None:
         """Follow the orders in the world."""

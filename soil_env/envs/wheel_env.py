@@ -144,10 +144,10 @@ class SoilWheelEnv(CourseEnv):
     | 12 | acceleration | of gravity, accelerometer: of travel, and sin(grade) | -10 | 10 |
     | 13 | rim_command | of top rim speed, which the drive follows; 0 with "torque" | -1 | 1 |
 
-    Odometry integrates the readings of the speed sensor, noise and all, times a scale drawn once an
-    episode (`noise={"odometry_scale": ...}`, 1.5 %): its difference over an action is the mean of
-    the readings in it, of which `speed` is the last. With `repeat` 1 both are the same reading,
-    which gives the scale away.
+    Each sensor has white noise, and a zero and a gain drawn once an episode (`noise`). Slip follows
+    from the two speeds that were read. Odometry integrates the readings of the speed sensor, noise,
+    gain and all: its difference over an action is the mean of the readings in it, of which `speed`
+    is the last.
 
     `observation="blind"` ends here. `"identified"` (default) adds the identifier's estimate from
     those readings:

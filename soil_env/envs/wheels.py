@@ -4,13 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soil_env._compiled.flags import names_of
 from soil_env.envs.vehicles import Vehicles, asks_for_estimates
 from soil_env.parameters import Scenario
-from soil_env.parameters.readings import Image, Record, SensorReading, Shown
+from soil_env.parameters.readings import Shown
 from soil_env.simulation.task import layout, truth
 from soil_env.simulation.wheels import (
-    NOTE,
     WheelNumbers,
     lay_wheels,
     new_setting,
@@ -28,7 +26,7 @@ class Worlds(NamedTuple):
     """Arrays of many wheels, one row a wheel.
 
     Those of `WheelWorlds`, results of the last step, and those of the estimator
-    (`identification.online.on_board.Estimator`), None without one.
+    (`identification.online.on_board.WheelsOnBoard.views`), None without one.
     """
 
     state: np.ndarray
@@ -38,6 +36,7 @@ class Worlds(NamedTuple):
     terms: np.ndarray  # [wheels, 4] of the reward
     reward: np.ndarray  # [wheels]
     cause: np.ndarray  # [wheels] `Cause`
+    on_board: Any = None
     ids: Any = None
     memory: Any = None
     changed: Any = None
@@ -77,26 +76,17 @@ class Simulation(Vehicles):
         self._begin((lay_wheels, step_wheels), worlds, worlds.state, courses, settings)
         on_board = None
         if identifies:
-            from soil_env.identification.online.on_board import wheels_on_board  # takes a while
+            from soil_env.identification.online.on_board import WheelsOnBoard  # takes a while
 
             first = len(layout("blind"))
             shown = Shown(variant == "identified", first, *self.numbers.bounds)
-            on_board = wheels_on_board(wheels, scenario, shown, warnings)
+            on_board = WheelsOnBoard(wheels, scenario, shown, warnings)
         self._board(on_board)
         trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
         self._check_passable(trial, trial.state)
 
-    def _read(self) -> Record:
-        notes = self._world.notes
-        numbers = notes.view(np.float64).reshape(*notes.shape, len(names_of(NOTE)))
-        images = names_of(NOTE).index(Image._fields[0])
-        return Record(
-            self._heads["periods"],
-            numbers[..., images - len(SensorReading._fields) : images],
-            notes["halted"],
-            notes["place"],
-            numbers[..., images:],
-        )
+    def _notes(self) -> tuple[np.ndarray, ...]:
+        return self._heads, self._world.notes, self._world.observation
 
     def _view(self) -> None:
         super()._view()

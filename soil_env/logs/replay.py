@@ -17,7 +17,9 @@ from soil_env.parameters import Soil
 
 #: Numbers of an estimate, in the order of the columns of estimates.csv.
 ESTIMATED = tuple(
-    n for n in Estimate.__dataclass_fields__ if n not in ("status", "renewed", "borders")
+    name
+    for name in Estimate.__dataclass_fields__
+    if name not in ("status", "renewed", "borders", "instruments", "refused")
 )
 COLUMNS = (*ESTIMATED, "drawbar_margin", "drawbar_margin_sd", "torque_required")
 #: Standard deviation of each parameter of the soil, by its name.

@@ -49,28 +49,6 @@ class Image(NamedTuple):
     grade_1: float
 
 
-class Record(NamedTuple):
-    """Sensor record of the last step, for what runs on board; no rows if nothing does.
-
-    After a restart it holds one set of readings.
-    """
-
-    periods: np.ndarray  # [vehicles] control periods of the last step
-    readings: np.ndarray  # [wheels, repeat, 10] `SensorReading`
-    halted: np.ndarray  # [vehicles, repeat] True in a commanded halt
-    places: np.ndarray  # [vehicles, repeat] odometry [m]
-    images: np.ndarray  # [wheels, repeat, 12] `Image`; no rows without a camera
-
-
-class Results(NamedTuple):
-    """Arrays of the world to which an estimator adds what it knows, a row a vehicle."""
-
-    observation: np.ndarray  # [vehicles, D] float32
-    terms: np.ndarray  # [vehicles, 4] reward terms
-    reward: np.ndarray  # [vehicles]
-    cause: np.ndarray  # [vehicles] `task.Cause`
-
-
 class Shown(NamedTuple):
     """Where an observation has the estimate of the soil."""
 
@@ -80,22 +58,35 @@ class Shown(NamedTuple):
     high: np.ndarray
 
 
-def sensor_noise(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of a `SensorReading` [10], in its units."""
-    noise = scenario.noise
-    radius = scenario.wheel.radius
+def reading_errors(scenario: Scenario) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Standard deviations of white noise, zeros and gains of a `SensorReading` [10] each."""
+    units = reading_units(scenario)
+    of = vars(scenario.noise)
+    names = ["wheel_speed" if name == "rim_speed" else name for name in units._fields]
+    white = np.array([of[name] for name in names])
+    zero = np.array([of.get(f"{name}_zero", 0.0) for name in names])
+    gain = np.array([of.get(f"{name}_gain", 0.0) for name in names])
+    return white * units, zero * units, gain
+
+
+def reading_units(scenario: Scenario) -> SensorReading:
+    """Units of `Noise` in those of a `SensorReading`."""
     weight = scenario.weight
-    return np.array(
-        [
-            noise.slip,
-            noise.sinkage,
-            noise.drawbar_pull * weight,
-            noise.load * weight,
-            noise.torque * weight * radius,
-            noise.speed,
-            noise.wheel_speed * radius,
-            noise.pitch,
-            noise.motor_torque * weight * radius,
-            noise.acceleration,
-        ]
+    twist = weight * scenario.wheel.radius
+    return SensorReading(
+        slip=1.0,
+        sinkage=1.0,
+        drawbar_pull=weight,
+        load=weight,
+        torque=twist,
+        speed=1.0,
+        rim_speed=scenario.wheel.radius,
+        pitch=1.0,
+        motor_torque=twist,
+        acceleration=1.0,
     )
+
+
+def sensor_noise(scenario: Scenario) -> np.ndarray:
+    """Standard deviations of the white noise of a `SensorReading` [10], in its units."""
+    return reading_errors(scenario)[0]

@@ -1,4 +1,4 @@
-"""Noise of the sensors of a wheel."""
+"""Errors of the sensors of a wheel: white noise, zeros and gains."""
 
 from dataclasses import dataclass
 
@@ -7,30 +7,56 @@ from soil_env._io.loading import Checked, quantity
 
 @dataclass(frozen=True)
 class Noise(Checked):
-    """Standard deviations of the sensors, white and Gaussian.
+    """Errors of the sensors, all Gaussian: reading = (1 + gain) x truth + zero + white noise.
 
-    Forces are shares of the unloaded wheel's weight.
+    `NAME` is the standard deviation of the white noise of a sensor, `NAME_zero` that of its zero
+    and `NAME_gain` that of its relative gain. Zero and gain are drawn once a course, for each
+    sensor by itself. Forces are shares of the unloaded wheel's weight.
 
-    Odometry integrates the readings of the speed sensor, with their noise, times a scale that is
-    drawn once a course. The scale is of the order of errors of visual odometry (Maimone, Cheng &
-    Matthies 2007, J. Field Robotics 24:169-186). The speed sensor has no such scale. An agent that
-    sees all its readings (`repeat` 1) can find the scale.
+    No rover measures slip: it follows from travel speed and rim speed, unless `slip` gives the
+    noise of a sensor of its own. Travel speed is that of visual odometry, whose white errors are a
+    few per cent of the distance between two images and whose gain errs by 1 to 2 % (Maimone, Cheng
+    & Matthies 2007, J. Field Robotics 24:169-186). Zeros and gains of forces and torques are of the
+    order that data sheets of multi-axis sensors state, 1 to 2 % of full scale; that of a motor's
+    torque is the spread of its torque constant with temperature; those of pitch and acceleration
+    are biases of MEMS sensors (0.3 deg, 5 mg).
     """
 
-    slip: float = quantity("", 0.0, 1.0, default=0.01)
+    slip: float = quantity("", 0.0, 1.0, default=0.0, doc="of a slip sensor; 0: there is none")
     sinkage: float = quantity("m", 0.0, 1.0, default=0.001)
+    sinkage_zero: float = quantity("m", 0.0, 1.0, default=0.002)
+    sinkage_gain: float = quantity("", 0.0, 0.3, default=0.0)
     drawbar_pull: float = quantity("of weight", 0.0, 1.0, default=0.01)
+    drawbar_pull_zero: float = quantity("of weight", 0.0, 1.0, default=0.01)
+    drawbar_pull_gain: float = quantity("", 0.0, 0.3, default=0.01)
     torque: float = quantity("of weight x radius", 0.0, 1.0, default=0.01)
+    torque_zero: float = quantity("of weight x radius", 0.0, 1.0, default=0.005)
+    torque_gain: float = quantity("", 0.0, 0.3, default=0.02)
     load: float = quantity("of weight", 0.0, 1.0, default=0.01)
+    load_zero: float = quantity("of weight", 0.0, 1.0, default=0.0)
+    load_gain: float = quantity("", 0.0, 0.3, default=0.01)
     speed: float = quantity("m/s", 0.0, 10.0, default=0.005)
+    speed_zero: float = quantity("m/s", 0.0, 10.0, default=0.0)
+    speed_gain: float = quantity("", 0.0, 0.3, default=0.01)
     wheel_speed: float = quantity("rad/s", 0.0, 10.0, default=0.01)
+    wheel_speed_zero: float = quantity("rad/s", 0.0, 10.0, default=0.0)
+    wheel_speed_gain: float = quantity("", 0.0, 0.3, default=0.0)
     pitch: float = quantity("rad", 0.0, 1.0, default=0.003)
-    odometry_scale: float = quantity(
-        "", 0.0, 0.3, default=0.015, doc="scale error of odometry, constant on a course"
-    )
+    pitch_zero: float = quantity("rad", 0.0, 1.0, default=0.005)
+    pitch_gain: float = quantity("", 0.0, 0.3, default=0.0)
     motor_torque: float = quantity(
         "of weight x radius", 0.0, 1.0, default=0.01, doc="from the motor's current"
     )
+    motor_torque_zero: float = quantity("of weight x radius", 0.0, 1.0, default=0.005)
+    motor_torque_gain: float = quantity("", 0.0, 0.3, default=0.05)
     acceleration: float = quantity(
         "m/s2", 0.0, 10.0, default=0.03, doc="accelerometer along the course"
     )
+    acceleration_zero: float = quantity("m/s2", 0.0, 10.0, default=0.05)
+    acceleration_gain: float = quantity("", 0.0, 0.3, default=0.005)
+
+
+def calibrated(noise: Noise) -> Noise:
+    """Return the same sensors without zeros and gains."""
+    constant = {name: 0.0 for name in vars(noise) if name.endswith(("_zero", "_gain"))}
+    return Noise(**{**vars(noise), **constant})

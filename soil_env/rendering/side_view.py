@@ -56,12 +56,12 @@ def shown_wheels(simulation: Any, j: int) -> list[dict[str, Any]]:
     worlds = simulation.worlds
     if isinstance(simulation.scenario, RoverScenario):
         known = worlds.known
-        rows = simulation.wheels[j].tolist()
-        names = axle_names(len(rows))
+        axles = simulation.scenario.axles
+        rows: list[Any] = [(j, a) for a in range(axles)]
+        names = axle_names(axles)
         rover = worlds.state[j]
         wheels = [
-            by_name(rover.wheels[a]) | {"rut": float(rover.axles[a].floor)}
-            for a in range(len(rows))
+            by_name(rover.wheels[a]) | {"rut": float(rover.axles[a].floor)} for a in range(axles)
         ]
     else:
         known = worlds.ids

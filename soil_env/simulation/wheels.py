@@ -41,12 +41,14 @@ from soil_env.simulation.world.courses import (
 from soil_env.simulation.world.dynamics import control_period
 from soil_env.simulation.world.sensors import (
     READING,
+    SENSOR_NOISE,
     SensorErrors,
+    mount_sensors,
+    read_slip,
     roll_odometer,
     sense,
-    sensor_deviations,
     sensor_errors,
-    start_odometry,
+    sensors_of,
 )
 from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import RIG, WHEEL, World, acting_in, rig_of, settle_at
@@ -85,7 +87,7 @@ class WheelNumbers(NamedTuple):
     acting: Acting
     task: np.ndarray  # [1] `TASK`
     bounds: np.ndarray  # [2, D] float32 of the observation
-    sd: np.ndarray  # [1] `READING` of the noise
+    sensors: np.ndarray  # [1] `SENSOR_NOISE`
     errors: SensorErrors | None
     camera: np.ndarray | None  # [1] `CAMERA`
 
@@ -100,7 +102,7 @@ def wheel_numbers(
         acting_in(model),
         task_of(scenario, variant),
         np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
-        sensor_deviations(scenario),
+        sensors_of(scenario),
         sensor_errors(model),
         camera_of(scenario) if scenario.course.classes else None,
     )
@@ -111,10 +113,10 @@ MOST_ENTRIES = 128  # of an observation
 SETTING = record(
     rig=(RIG, 1),
     task=(TASK, 1),
-    sd=(READING, 1),
+    sensors=(SENSOR_NOISE, 1),
     camera=(CAMERA, 1),
     bounds=("f4", (2, MOST_ENTRIES)),  # of the observation, in the first columns
-    recorded=("?",),  # True if each step is noted for what runs on board
+    recorded=("i8",),  # 1 if each step is noted for what runs on board
     share=("i8",),  # number of the thread's share of the wheels
     nodes=(ARC_NODES, 1),
     normals=(NORMALS, 1),
@@ -142,7 +144,7 @@ def new_setting(numbers: WheelNumbers, recorded: bool, share: int) -> np.ndarray
     setting = np.zeros(1, SETTING)
     setting["rig"] = numbers.rig
     setting["task"] = numbers.task
-    setting["sd"] = numbers.sd
+    setting["sensors"] = numbers.sensors
     setting["recorded"] = recorded
     setting["share"] = share
     if numbers.camera is not None:
@@ -176,7 +178,7 @@ class Setting(NamedTuple):
     rig: Any  # `RIG`
     acting: Acting
     task: Any  # `TASK`
-    sd: Any  # `READING`
+    sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors | None
     nodes: Any  # `ARC_NODES`
     normals: Any  # `NORMALS`
@@ -240,7 +242,8 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
 def _sense(wheel, note, course, setting, camera):
     """Fill the `NOTE` of a wheel after a control period; return its camera's `Sight`, if any."""
     task = setting.task
-    sense(wheel, note, setting.normals, setting.sd, setting.errors, task.radius)
+    sense(wheel, note, setting.normals, setting.sensors, setting.errors, task.radius)
+    read_slip(wheel, note, setting.sensors, setting.errors)
     if wheel.steps > 0:  # not at the start of a course
         roll_odometer(wheel, note.speed, task.period)
     note.halted = 1.0 if wheel.halt_left > 0.0 else 0.0
@@ -268,7 +271,7 @@ def _observe(wheel, note, course, setting, camera, sight, out):
 @njit(**FINITE)
 def _restart(wheel, note, course, setting, camera, out):
     """Observe a wheel at the start of its course."""
-    start_odometry(wheel, setting.task.odometry_scale)
+    mount_sensors(wheel, setting.normals, setting.sensors)
     wheel.cause = RUNNING
     wheel.periods = 1
     sight = _sense(wheel, note, course, setting, camera)
@@ -315,7 +318,7 @@ def step_wheels(state, courses, notes, observation, setting, options, span):
         rig,
         Acting(options.effects, options.law, options.residual),
         own.task[0],
-        own.sd[0],
+        own.sensors[0],
         options.errors,
         own.nodes[0],
         own.normals[0],
@@ -326,7 +329,7 @@ def step_wheels(state, courses, notes, observation, setting, options, span):
         if wheel.order != STEP and wheel.order != RESTART:
             continue
         course = courses[k]
-        own_notes = notes[k if own.recorded else own.share]
+        own_notes = notes[k if own.recorded > 0 else own.share]
         out = observation[k]
         if wheel.order == STEP:
             _step(wheel, wheel.action, course, records, camera, own_notes, out)

@@ -18,7 +18,8 @@ from agents.evaluate.driving import drive as evaluation_drive, run_courses
 from soil_env._io.loading import ParameterError
 from soil_env.cli import main
 from soil_env.envs.wheels import Simulation
-from soil_env.parameters import load_scenario, soils
+from soil_env.parameters import Noise, load_scenario, soils
+from soil_env.parameters.sensors import calibrated
 from soil_env.simulation.task import Cause, layout
 from soil_env.terramechanics.steady import steady_state
 from soil_env.terramechanics.traversability import SLIPS, best_working_point
@@ -30,9 +31,8 @@ from tests.simulation.wheels import started
 NAMES = tuple(CONTROLLERS)
 BY_RIM_SPEED = tuple(name for name in NAMES if name not in ("full_throttle", "constant_torque"))
 ACTIONS = ("torque", "wheel_speed", "rim_acceleration")
-QUIET = dict.fromkeys(
-    ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch"), 0.0
-)
+WITHOUT_NOISE = ("sinkage", "drawbar_pull", "torque", "load", "speed", "wheel_speed", "pitch")
+QUIET = vars(calibrated(Noise(**dict.fromkeys(WITHOUT_NOISE, 0.0))))
 SEED = 2_000_029
 TORQUE = {"control": {"action": "torque"}}
 BLIND = [entry.name for entry in layout("blind")]
@@ -149,14 +149,14 @@ def test_best_slip_identified_does_not_see_the_true_soil():
 def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the
     slip to hold, until it is as fast as the motor lets it be."""
-    easy = uniform(noise={})
+    easy = uniform()
     wheel = easy.wheel
     soil = soils()["lete_sand"].state(easy.wheel.width)
     pull = (
         steady_state(slip - 0.05, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull
         / easy.weight
     )
-    scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0, noise={})
+    scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0)
     out, cause, _ = drive(
         make_controller("fixed_slip", scenario, slip=slip), scenario, scenario.steps
     )
@@ -305,11 +305,11 @@ def test_planning_changes_nothing_in_the_world_and_foresees_no_noise():
     with pytest.raises(ParameterError, match="before attach"):
         oracle.predict(sim.worlds.observation)
     oracle.attach(sim, 1, None)
-    before = [memory(sim.worlds, k, 3) for k in range(3)]
+    before = [memory(sim.worlds, k) for k in range(3)]
     action, _ = oracle.predict(sim.worlds.observation)
     assert action.shape == (3, 1) and np.isfinite(action).all()
     for k in range(3):
-        assert memory(sim.worlds, k, 3) == before[k]
+        assert memory(sim.worlds, k) == before[k]
     clones = oracle.clones.worlds
     assert (clones.state["x"] != 0.0).any()  # they have driven
     assert not np.isin(clones.state["stream"], sim.worlds.state["stream"]).any()

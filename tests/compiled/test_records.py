@@ -8,7 +8,10 @@ import numpy as np
 import soil_env
 from soil_env.simulation.world.terrain import course_dtype
 
-PARTS = ("soil_env._compiled", "soil_env.terramechanics", "soil_env.simulation")
+PARTS = tuple(
+    f"soil_env.{part}"
+    for part in ("_compiled", "terramechanics", "simulation", "identification.online")
+)
 
 
 def records():
@@ -20,6 +23,20 @@ def records():
                 if isinstance(value, np.dtype) and value.names:
                     found[name] = value
     return {name: [(n, *dtype.fields[n][:2]) for n in dtype.names] for name, dtype in found.items()}
+
+
+def test_no_field_is_an_attribute_of_records():
+    """Uncompiled code would read that."""
+    for name, fields in records().items():
+        for field, _, _ in fields:
+            assert not hasattr(np.record, field), (name, field)
+
+
+def test_fields_are_aligned():
+    """Compiled code on a field that is not takes more instructions."""
+    for name, fields in records().items():
+        for field, dtype, offset in fields:
+            assert offset % min(dtype.base.itemsize, 8) == 0 or dtype.base.names, (name, field)
 
 
 def test_no_record_begins_like_another():

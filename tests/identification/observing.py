@@ -1,35 +1,317 @@
-"""Simulations and single readings for the tests of the identifier."""
+"""Parts of the online identifier as Python calls them, one wheel with its identifier, readings by
+the laws that it knows, and simulations of identified wheels.
+"""
 
 import math
 
 import numpy as np
 
-from soil_env.identification.online.identifier import observe_values
+from soil_env._compiled.cache import kept
+from soil_env.identification.online import (
+    best_pull,
+    borders,
+    cells,
+    class_memory,
+    fit,
+    forces,
+    immobilisation,
+    library,
+    linear,
+    pooling,
+    residuals as of_cell,
+)
+from soil_env.identification.online.identifier import new_memory, new_work, observe_all, start
+from soil_env.identification.online.memory import (
+    ALL,
+    COHESION,
+    EXPONENT,
+    GAIN,
+    LN_K,
+    PRESSURE,
+    READING,
+    SOIL,
+    TANGENT,
+)
+from soil_env.identification.online.prior import setting_of
+from soil_env.parameters.readings import SensorReading
 from tests.simulation import wheels
 
-
-def observe(ids, wheel, reading, numbers):
-    """Outcome of `reading` for the estimate of a wheel of `ids`: `HELD`, `MOVED` or `RENEWED`."""
-    return observe_values(ids, wheel, np.array(reading, dtype=float), numbers)
+#: Columns of `react`: value and derivatives by tan phi, c, n, ln K, sinkage and slip.
+SLOPES = len(forces.Slopes._fields)
 
 
-def numbers_of(ids):
-    """All that identifiers remember, in one row."""
-    banks = ids.banks
-    arrays = (
-        ids.estimate,
-        ids.sd,
-        ids.covariance,
-        ids.best_pull,
-        ids.status,
-        ids.borders,
-        banks.nodes,
-        banks.known,
-        banks.sinkage,
-        banks.candidates,
-        banks.point.data,
-    )
-    return np.concatenate([np.ravel(x) for x in arrays])
+@kept
+def _react(rows, work, out):
+    for k in range(len(rows)):
+        row = rows[k]
+        ground = forces.Ground(row[0], row[1], row[2], row[3])
+        f = forces.reaction(work[0].slope_nodes[0], ground, row[4], row[5], row[6], row[7], row[8])
+        for i in range(7):
+            out[k, 0, i] = f.pull[i]
+            out[k, 1, i] = f.torque[i]
+            out[k, 2, i] = f.ln_s[i]
+
+
+def react(rows):
+    """`forces.reaction` of rows (tan phi, c, n, ln K, sinkage, slip, load, r, b): [n, 3, SLOPES] of
+    pull, torque and ln s.
+    """
+    rows = np.atleast_2d(np.asarray(rows, dtype=float))
+    out = np.empty((len(rows), 3, SLOPES))
+    _react(rows, new_work(), out)
+    return out
+
+
+@kept
+def solve_system(a, n, m, right, factor, half, x, scratch, inverse):
+    """All of `linear` for one system."""
+    linear.factorise(a, n, factor)
+    linear.solve_half(factor, n, right, half)
+    linear.solve(factor, n, right, x)
+    linear.invert(factor, m, scratch, inverse)
+
+
+@kept
+def _residuals(memory, setting, work, k, out):
+    e = of_cell.residuals(memory[0].cells[k], memory[0], setting[0], work[0])
+    for i in range(7):
+        out[i] = e[i]
+
+
+@kept
+def _renew(memory, setting, work):
+    fit.renew(memory[0], setting[0], work[0])
+
+
+@kept
+def _mix(memory, setting, work):
+    library.take_information(memory[0], work[0])
+    library.mix(memory[0], memory[0].u, setting[0], work[0])
+    library.lean(memory[0], setting[0], work[0])
+
+
+@kept
+def _remember(memory):
+    cells.remember(memory[0])
+
+
+@kept
+def _begin_border(memory, setting, work, place, variance):
+    borders.begin_border(memory[0], setting[0], work[0], place, variance)
+
+
+@kept
+def _put_on_border(memory, k, setting):
+    borders.put_on_border(memory[0], memory[0].cells[k], setting[0])
+
+
+@kept
+def _blend(memory, setting):
+    borders.blend_estimates(memory[0], memory[0], setting[0])
+
+
+@kept
+def _best_pull(memory, load, setting, work):
+    best_pull.renew_best_pull(memory[0], load, setting[0], work[0])
+
+
+@kept
+def shares_at(behind, length, out):
+    """`borders.share_at` of many distances, into `out` [n, 2]."""
+    for k in range(behind.size):
+        out[k, 0], out[k, 1] = borders.share_at(behind[k], length)
+
+
+@kept
+def forget_classes(classes, setting):
+    """`class_memory.forget_classes` of the first wheel."""
+    class_memory.forget_classes(classes[0], setting[0])
+
+
+@kept
+def remember_class(classes, c, patch, memory, setting):
+    """`class_memory.remember_class` of the first wheel."""
+    class_memory.remember_class(classes[0], c, patch, memory[0], setting[0])
+
+
+@kept
+def clear_of_borders(since, left, setting):
+    """`class_memory.clear_of_borders`."""
+    return class_memory.clear_of_borders(since, left, setting[0])
+
+
+@kept
+def forget_pool(pools, a, memory):
+    """`pooling.forget_pool` of axle a."""
+    pooling.forget_pool(pools[a], memory[a])
+
+
+@kept
+def tell(pools, a, memory, setting, work):
+    """`pooling.tell` of axle a."""
+    pooling.tell(pools[a], memory[a], setting[0], work[0])
+
+
+@kept
+def pool_with(pools, own, memory, setting, work):
+    """`pooling.pool_with` of the axle `own`."""
+    pooling.pool_with(pools, len(memory), own, memory[own], setting[0], work[0])
+
+
+@kept
+def hand_over_border(pools, a, memory, behind, setting, work):
+    """`pooling.hand_over_border` from the front wheel to that on axle a."""
+    pooling.hand_over_border(pools[0], memory[a], behind, setting[0], work[0])
+
+
+@kept
+def follow_averages(recent, readings, halted, setting):
+    """Averages [MEMORY] of `readings` [T], the first of them at the start of a course."""
+    immobilisation.begin(recent, readings[0], setting[0])
+    for k in range(1, len(readings)):
+        immobilisation.follow(recent, readings[k], halted[k], setting[0])
+
+
+def readings_of(rows):
+    """`READING` [n] of `SensorReading`s."""
+    return np.array([tuple(map(float, row)) for row in rows], dtype=READING)
+
+
+class Identified:
+    """One wheel with its identifier."""
+
+    def __init__(self, scenario):
+        self.scenario = scenario
+        self.setting = setting_of(scenario)
+        self.memory = new_memory(1)
+        self.work = new_work()
+        self.start()
+
+    def start(self):
+        start(self.memory, self.setting, self.work)
+
+    def observe(self, rows):
+        """Outcomes of `SensorReading`s, one after another."""
+        readings = readings_of(rows)
+        out = np.zeros(len(readings), dtype=np.int64)
+        observe_all(self.memory, readings, self.setting, self.work, out)
+        return out.tolist()
+
+    @property
+    def now(self):
+        """Its record."""
+        return self.memory[0]
+
+    @property
+    def set(self):
+        """Constants."""
+        return self.setting[0]
+
+    @property
+    def cells(self):
+        """The cells that it keeps."""
+        return self.memory["cells"][0, : self.memory["cells_kept"][0]]
+
+    def take(self, soil, covariance):
+        """Take unknowns [SOIL] of the soil and their covariance for known."""
+        now = self.memory
+        now["u"][0, :SOIL] = soil
+        now["soil"][0] = soil
+        now["covariance"][0] = covariance
+        now["spread"][0] = covariance
+
+    @property
+    def errors(self):
+        """Standard deviations of the white noise."""
+        return self.setting["white"][0, 0]
+
+    @property
+    def covariance(self):
+        """Covariance of all unknowns, by the factor of the last fit."""
+        size = ALL if self.now.behind else 2 * SOIL
+        factor = np.triu(self.now.factor[:size, :size])
+        return np.linalg.inv(factor @ factor.T)
+
+    def residuals(self, k=0):
+        """(`Residuals` of cell k at the unknowns, slopes [RESIDUALS, ALL])."""
+        out = np.empty(7)
+        _residuals(self.memory, self.setting, self.work, k, out)
+        return of_cell.Residuals(*out), self.work["slopes"][0].copy()
+
+    def renew(self, times=1):
+        for _ in range(times):
+            _renew(self.memory, self.setting, self.work)
+
+    def remember(self, cell):
+        """Take a cell as the newest."""
+        self.memory["cells"][0, self.now.cells_kept] = cell
+        _remember(self.memory)
+
+    def mix(self):
+        """Mean and covariance under the library by the last fit, and the prior of the next one."""
+        _mix(self.memory, self.setting, self.work)
+
+    def begin_border(self, place, variance):
+        _begin_border(self.memory, self.setting, self.work, float(place), float(variance))
+
+    def put_on_border(self, k):
+        _put_on_border(self.memory, k, self.setting)
+
+    def blend(self):
+        _blend(self.memory, self.setting)
+
+    def renew_best_pull(self, load, times=1):
+        for _ in range(times):
+            _best_pull(self.memory, float(load), self.setting, self.work)
+        return tuple(self.now.fresh_pull)
+
+
+def unknowns_of(soil, setting):
+    """The unknowns [SOIL] of a `SoilState`."""
+    u = np.zeros(SOIL)
+    u[TANGENT] = soil.tan_phi
+    u[COHESION] = soil.cohesion
+    u[EXPONENT] = soil.sinkage_exponent
+    u[LN_K] = math.log(soil.shear_modulus)
+    u[PRESSURE] = math.log(soil.sinkage_coefficient) + u[EXPONENT] * math.log(setting.depth)
+    u[GAIN] = math.log(soil.dig_gain / setting.dig_gain)
+    return u
+
+
+def reactions(soil, sinkage, slip, load, wheel):
+    """(pull [N], torque [N m], ln s) on a soil, its own arrays [n] where there are several."""
+    of = (soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus))
+    columns = np.broadcast_arrays(*of, sinkage, slip, load, wheel.radius, wheel.width)
+    return react(np.stack(columns, axis=-1).reshape(-1, 9))[:, :, 0].T
+
+
+def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20):
+    """Noise-free `SensorReading`s of a steady rim speed [m/s] at the `slips` [T] of its periods, by
+    the laws of the identifier: forces at slip and sinkage, sinkage by the law of slip-sinkage.
+    """
+    wheel = scenario.wheel
+    load = scenario.weight if load is None else load
+    length = scenario.relaxation * wheel.radius
+    step = scenario.control.period / substeps
+    sinkage = 0.1 * wheel.radius
+    ln_S = math.log(soil.sinkage_coefficient)
+    rows = []
+    for slip in slips:
+        travel = speed * (1.0 - slip) if slip >= 0.0 else speed / (1.0 + slip)
+        slide = abs(speed - travel)
+        for _ in range(substeps if rows else 200 * substeps):
+            (ln_s,) = reactions(soil, sinkage, slip, load, wheel)[2]
+            bearing = sinkage * math.exp((ln_s - ln_S) / soil.sinkage_exponent)
+            a = travel + soil.dig_recovery * slide
+            sinkage += step / length * ((a + soil.dig_gain * slide) * bearing - a * sinkage)
+        ((pull,), (torque,), _) = reactions(soil, sinkage, slip, load, wheel)
+        acceleration = pull / (load / scenario.gravity)
+        rows.append(
+            SensorReading(
+                slip, sinkage, pull, load, torque, travel, speed, 0.0, torque, acceleration
+            )
+        )
+    return rows
 
 
 def started(scenario, *seeds):
@@ -37,11 +319,3 @@ def started(scenario, *seeds):
     course.
     """
     return wheels.started(scenario, "identified", seeds)
-
-
-def symmetric(triangle):
-    """Symmetric matrix of a lower triangle, row by row."""
-    n = round((math.sqrt(8 * len(triangle) + 1) - 1) / 2)
-    out = np.zeros((n, n))
-    out[np.tril_indices(n)] = triangle
-    return out + np.tril(out, -1).T

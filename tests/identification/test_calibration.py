@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.controllers import make_controller
-from benchmarks.drives import QUANTITIES, judged, record
+from benchmarks.drives import QUANTITIES, Shadow, prior_of, record
 from soil_env.parameters import load_scenario
 
 SEED = 5
@@ -13,10 +13,15 @@ COURSES = 40
 
 @pytest.fixture(scope="module")
 def errors():
-    """Errors, their sd and errors of the prior [N, 6] of `QUANTITIES`, halts left out."""
+    """Errors, their sd and errors of the prior [N, 6] of `QUANTITIES`, halts left out, by sensors
+    with zeros and gains.
+    """
     scenario = load_scenario("two_lines")
     controller = make_controller("best_slip_identified", scenario)
-    return judged(record(controller, scenario, COURSES, SEED), scenario)[:3]
+    log = record(controller, scenario, COURSES, SEED, {"wheel": Shadow(scenario, COURSES)})
+    here = log["driven"]
+    true = log["truth"][here]
+    return log["wheel estimate"][here] - true, log["wheel sd"][here], prior_of(scenario) - true
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)

@@ -5,25 +5,28 @@ import math
 import numpy as np
 import pytest
 
-from soil_env.identification.online import class_memory as memory
-from soil_env.identification.online.identifier import new_identifiers
-from soil_env.identification.online.lanes.steady import best_working_point
+from soil_env.identification.online import class_memory
+from soil_env.identification.online.identifier import new_memory, prior_pull
+from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import SoilState, load_scenario
+from soil_env.terramechanics.traversability import best_working_point
+from tests.identification import observing
 from tests.identification.observing import started
 
 SCENARIO = load_scenario("two_lines")
-NUMBERS = memory.memory_numbers(SCENARIO)
-PRIOR = NUMBERS.prior
-WIDE = NUMBERS.precision**-0.5
+IDENTIFIER = setting_of(SCENARIO)
+SETTING = class_memory.class_setting(IDENTIFIER, prior_pull(IDENTIFIER))
+PRIOR = SETTING["prior"][0]
+WIDE = SETTING["prior_precision"][0] ** -0.5
 ESTIMATE = PRIOR + 0.4 * WIDE
 SD = WIDE * np.array([0.3, 0.4, 0.3, 0.7, 0.5, 0.2])
 
 
 @pytest.fixture
 def kept():
-    """The memory of one wheel, of three classes."""
-    kept = memory.new_memory(1, 3)
-    memory.forget_classes(kept, 0, NUMBERS)
+    """The memory of one wheel."""
+    kept = np.zeros(1, class_memory.CLASSES)
+    observing.forget_classes(kept, SETTING)
     return kept
 
 
@@ -31,12 +34,11 @@ def remember(kept, c, patch, estimate, sd):
     """Remember an estimate [6] with sd [6] of a class and a patch; the best drawbar pull is the
     last of them.
     """
-    ids = new_identifiers(1)
-    sd = sd / np.array([1.0] * 5 + [memory.WIDER])
-    ids.estimate[0] = estimate[:5]
-    ids.sd[0] = sd[:5]
-    ids.best_pull[0] = (estimate[5], sd[5])
-    memory.remember(kept, 0, c, patch, ids, NUMBERS)
+    memory = new_memory(1)
+    memory["estimate"] = estimate[:5]
+    memory["sd"] = sd[:5]
+    memory["best_pull"] = estimate[5], sd[5] / class_memory.WIDER
+    observing.remember_class(kept, c, patch, memory, SETTING)
 
 
 def combined(posteriors):
@@ -50,7 +52,8 @@ def combined(posteriors):
 
 
 def check(kept, c, mean, sd):
-    np.testing.assert_allclose((kept.estimate[0, c], kept.sd[0, c]), (mean, sd), rtol=1e-9)
+    known = kept["of"][0, c]
+    np.testing.assert_allclose((known["estimate"], known["sd"]), (mean, sd), rtol=1e-9)
 
 
 def test_precisions_of_patches_add_up_and_the_prior_counts_once(kept):
@@ -64,8 +67,8 @@ def test_precisions_of_patches_add_up_and_the_prior_counts_once(kept):
     check(kept, 2, *combined([(ESTIMATE, SD)] * 3))
     remember(kept, 0, 3, PRIOR - 5.0 * WIDE, 1.2 * WIDE)
     check(kept, 0, *combined(posteriors))
-    assert kept.patches.tolist() == [[4, 0, 3]]
-    memory.forget_classes(kept, 0, NUMBERS)  # a new course
+    assert kept["of"]["patches"][0, :3].tolist() == [4, 0, 3]
+    observing.forget_classes(kept, SETTING)  # a new course
     check(kept, 0, PRIOR, WIDE)
     remember(kept, 0, 0, ESTIMATE, SD)
     check(kept, 0, ESTIMATE, SD)
@@ -77,6 +80,18 @@ def test_patches_that_differ_by_more_than_they_allow_are_less_sure(kept):
         remember(kept, 0, patch, *posterior)
     mean, sd = combined(posteriors)
     check(kept, 0, mean, 3.0 * sd)
+
+
+def test_an_estimate_near_a_border_is_not_of_one_soil():
+    """Behind half a border and some way in which it is found, and before half of the next."""
+    length = SCENARIO.belief.border
+    behind = (0.5 + class_memory.FOUND) * length
+    for since, left, clear in (
+        (1.01 * behind, 0.51 * length, True),
+        (0.99 * behind, 0.51 * length, False),
+        (1.01 * behind, 0.49 * length, False),
+    ):
+        assert observing.clear_of_borders(since, left, SETTING) == clear
 
 
 def test_what_was_learnt_of_a_class_is_near_its_soil():
@@ -103,22 +118,18 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
     kept = sim.worlds.memory
     library = sim.worlds.courses["library"]
     wheel = scenario.wheel
+    pull = class_memory.BEST_PULL
     rows = []
     for k in range(wheels):
-        for c in np.flatnonzero(kept.patches[k]):
+        for c in np.flatnonzero(kept["patches"][k]):
             load = sim.worlds.state["mass"][k] * scenario.gravity
             soil = SoilState(*library[k, c])
             best = best_working_point(load, soil, wheel.radius, wheel.width, wheel.stall_torque)
-            rows.append(
-                (
-                    best.drawbar_pull / load,
-                    kept.estimate[k, c, memory.PULL],
-                    kept.sd[k, c, memory.PULL],
-                )
-            )
+            known = kept[k, c]
+            rows.append((best.drawbar_pull / load, known["estimate"][pull], known["sd"][pull]))
     true, found, sds = np.transpose(rows)
     error = found - true
-    without = PRIOR[memory.PULL] - true
+    without = PRIOR[pull] - true
     assert len(error) > 150 and np.std(true) > 0.08
     assert abs(error.mean()) < 0.03 and error.std() < 0.25 * np.std(true)
     assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(without**2))

@@ -7,9 +7,10 @@ import pytest
 
 from soil_env.envs.wheel_env import SoilWheelEnv
 from soil_env.identification.online import immobilisation as im
-from soil_env.identification.online.identifier import SensorReading
 from soil_env.parameters import load_scenario
+from soil_env.parameters.readings import SensorReading
 from soil_env.simulation.task import layout
+from tests.identification.observing import follow_averages, readings_of
 
 SCENARIO = load_scenario("mixed")
 READING = SensorReading(0.3, 0.03, 10.0, 150.0, 5.0, 0.1, 0.15, 0.1, 6.0, 1.2)
@@ -19,12 +20,10 @@ def follow(readings, halted=None, scenario=SCENARIO):
     """Memory of one wheel [MEMORY] after the first of `readings` at the start and the others in a
     period each.
     """
-    numbers = im.warning_numbers(scenario)
-    recent = np.zeros((1, im.MEMORY))
-    im.begin(recent, 0, readings[0], numbers)
-    for i, reading in enumerate(readings[1:]):
-        im.follow(recent, 0, reading, bool(halted and halted[i]), numbers)
-    return recent[0]
+    recent = np.zeros(im.MEMORY)
+    stands = np.zeros(len(readings)) if halted is None else np.array([0.0, *map(float, halted)])
+    follow_averages(recent, readings_of(readings), stands, im.warning_setting(scenario))
+    return recent
 
 
 AVERAGES = len(im.SCALES) * len(im.Channels._fields)

@@ -16,6 +16,7 @@ from soil_env.logs.mapping import TimeColumn
 from soil_env.parameters import load_scenario
 
 #: In the order of `SensorReading`.
+SLIP_SD = 0.01  # in a log, of the slip that follows from the speeds
 READINGS = (
     "slip",
     "sinkage",
@@ -44,7 +45,7 @@ class SteppedSpeed(ConstantSpeed):
 
 def log_of(driven, scenario):
     """A drive of `benchmarks.drives.record` as a log with its map."""
-    rows = driven["readings"]
+    rows = driven["readings"][driven["alive"]]
     wheel = scenario.wheel
     period = scenario.control.period
     twist = scenario.weight * wheel.radius
@@ -54,11 +55,14 @@ def log_of(driven, scenario):
         "torque": twist,
         "motor_torque": twist,
     }
-    readings = {name: rows[:, k].copy() for k, name in enumerate(READINGS)}
+    fields = {"wheel_speed": "rim_speed"}
+    readings = {name: rows[fields.get(name, name)].astype(float) for name in READINGS}
     readings["wheel_speed"] /= wheel.radius
     readings["sinkage"][np.abs(readings["sinkage"]) > wheel.radius] = math.nan  # as of a recording
     sources = {
-        name: Source(column=name, sd=getattr(scenario.noise, name) * unit.get(name, 1.0))
+        name: Source(
+            column=name, sd=(getattr(scenario.noise, name) or SLIP_SD) * unit.get(name, 1.0)
+        )
         for name in readings
     }
     log_map = LogMap(
@@ -85,9 +89,9 @@ def logs():
         ("field_vehicle", SteppedSpeed),
     ):
         scenario = load_scenario(name)
-        out[name] = [
-            log_of(driven, scenario) for driven in record(controller(scenario), scenario, 3, 11)
-        ]
+        log = record(controller(scenario), scenario, 3, 11, {})
+        courses = ({key: rows[:, k] for key, rows in log.items()} for k in range(3))
+        out[name] = [log_of(driven, scenario) for driven in courses]
     return out
 
 

@@ -16,7 +16,6 @@ from soil_env.identification import Status
 from soil_env.identification.online.board import knowledge
 from soil_env.identification.online.on_board import show_estimate
 from soil_env.parameters import Belief, SoilState, load_scenario, soils
-from soil_env.parameters.readings import Results
 from soil_env.simulation.rover.task import rover_layout
 from soil_env.simulation.task import REWARD_TERMS, VARIANTS, Cause, layout
 from soil_env.simulation.task.scaling import Scaling
@@ -83,12 +82,19 @@ def test_all_variants_share_the_first_entries(variant):
 @kept
 def _write(worlds, note, setting, rows, sensed):
     own = setting[0]
-    records = Setting(own.rig[0], BASE, own.task[0], own.sd[0], None, own.nodes[0], own.normals[0])
+    records = Setting(
+        own.rig[0], BASE, own.task[0], own.sensors[0], None, own.nodes[0], own.normals[0]
+    )
     for i in range(len(rows)):
         if sensed:
             _sense(worlds.state[0], note[0], worlds.courses[0], records, None)
         sight = Sight(0, 0.0, 0.0)
         _observe(worlds.state[0], note[0], worlds.courses[0], records, None, sight, rows[i])
+
+
+@kept
+def _show(known, notes, setting, out):
+    show_estimate(known[0], notes[0, 0], setting[0].board[0], out)
 
 
 def written(sim, count=1, note=None):
@@ -105,14 +111,12 @@ def written(sim, count=1, note=None):
 
 def observed_again(sim, estimate=None):
     """The observation written anew from the present state, the random stream untouched."""
-    worlds = sim.worlds
     out = written(sim)[0]
     if sim.belief is not None:
-        known = sim._on_board.memory
+        known = sim.worlds.on_board.copy()
         if estimate is not None:
-            known = known._replace(ids=known.ids._replace(estimate=known.ids.estimate + estimate))
-        results = Results(out[None], worlds.terms, worlds.reward, worlds.cause)
-        show_estimate(known, sim.belief, sim._record, results, 0, 0)
+            known["identifier"]["estimate"] += estimate
+        _show(known, sim._world.notes, sim._on_board.setting, out)
     return out
 
 
@@ -167,9 +171,14 @@ def test_estimate_in_the_observation():
     np.testing.assert_array_equal(np.flatnonzero(changed) - SENSORS, [0, 1, 2, 7, 8])
 
 
-def test_readings_scatter_as_stated():
-    """Mean and deviation of 20 000 readings of one state, in the units of the observation."""
-    sim = simulation("blind")
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("slip", [0.0, 0.02])
+def test_readings_scatter_as_stated(seed, slip):
+    """Mean and deviation of 20 000 readings of one state, in the units of the observation, about
+    what zeros and gains of the course make of the state; slip of a sensor of its own or, without
+    one, of the speeds.
+    """
+    sim = simulation("blind", seed, {"noise": {"slip": slip}})
     for name, value in {
         "slip": 0.4,
         "speed": 0.3,
@@ -183,28 +192,34 @@ def test_readings_scatter_as_stated():
     n = sim.scenario.noise
     radius = sim.scenario.wheel.radius
     weight = sim.scenario.weight
+    gravity = sim.scenario.gravity
+    twist = weight * radius
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
     rows = written(sim, 20_000)[:, [*range(8), 11, 12]].astype(float)
-    truth, sd = np.array(
-        [
-            (w["slip"], n.slip),
-            (w["sinkage"] / radius, n.sinkage / radius),
-            (w["drawbar_pull"] / weight, n.drawbar_pull),
-            (w["load"] / weight, n.load),
-            (w["torque"] / weight / radius, n.torque),
-            (w["speed"] / top, n.speed / top),
-            (w["wheel_speed"] * radius / top, n.wheel_speed * radius / top),
-            (w["grade"], n.pitch),
-            (w["motor_torque"] / weight / radius, n.motor_torque),
-            (
-                w["drawbar_pull"] / w["mass"] / sim.scenario.gravity,
-                n.acceleration / sim.scenario.gravity,
-            ),
-        ]
-    ).T
-    assert np.all(np.abs(np.mean(rows, axis=0) - truth) < 4.5 * sd / math.sqrt(20_000))
-    np.testing.assert_allclose(np.std(rows, axis=0), sd, rtol=0.03)
-    assert np.abs(np.corrcoef(np.transpose(rows)) - np.eye(10)).max() < 0.04
+    names, truth, sd, unit = zip(
+        ("slip", w["slip"], n.slip, 1.0),
+        ("sinkage", w["sinkage"], n.sinkage, radius),
+        ("drawbar_pull", w["drawbar_pull"], n.drawbar_pull * weight, weight),
+        ("load", w["load"], n.load * weight, weight),
+        ("torque", w["torque"], n.torque * twist, twist),
+        ("speed", w["speed"], n.speed, top),
+        ("rim_speed", w["wheel_speed"] * radius, n.wheel_speed * radius, top),
+        ("pitch", w["grade"], n.pitch, 1.0),
+        ("motor_torque", w["motor_torque"], n.motor_torque * twist, twist),
+        ("acceleration", w["drawbar_pull"] / w["mass"], n.acceleration, gravity),
+        strict=True,
+    )
+    state = sim.worlds.state[0]
+    zero, gain = (np.array([of[0][name] for name in names]) for of in (state.zero, state.gain))
+    read = ((1.0 + gain) * truth + zero) / unit
+    own = slice(0 if slip else 1, None)  # readings of sensors, not of other readings
+    sd = np.array(sd) / unit
+    off = np.abs(np.mean(rows, axis=0) - read)
+    assert np.all(off[own] < 4.5 * sd[own] / math.sqrt(20_000))
+    np.testing.assert_allclose(np.std(rows, axis=0)[own], sd[own], rtol=0.03)
+    assert np.abs(np.corrcoef(np.transpose(rows[:, own])) - np.eye(10)[own, own]).max() < 0.04
+    if not slip:
+        np.testing.assert_allclose(rows[:, 0], 1.0 - rows[:, 5] / rows[:, 6], atol=1e-6)
 
 
 def test_the_observation_follows_from_readings_alone():
@@ -230,22 +245,33 @@ def test_the_observation_follows_from_readings_alone():
 
 
 def test_odometry_is_off_as_stated():
-    """Scale and noise of the odometry over many courses; its difference is the reading of the
-    speed.
+    """Its difference is the reading of the speed, so that its scale is the gain of that: over many
+    courses, of the stated deviation.
     """
-    changes = {"noise": {"odometry_scale": 0.03}, "control": {"action": "torque"}}
-    sim = started(load_scenario("mixed", changes), "blind", range(400))
+    wheels = 400
+    changes = {"noise": {"speed_gain": 0.03}, "control": {"action": "torque"}}
+    sim = started(load_scenario("mixed", changes), "blind", range(wheels))
     length = sim.scenario.course.length
     top = sim.scenario.wheel.radius * sim.scenario.wheel.no_load_speed
+    period = sim.scenario.control.period
     assert not sim.worlds.observation[:, 9].any()
-    moved = by_speed = 0.0
-    for _ in range(3):
+    by_speed = travelled = 0.0
+    for _ in range(30):
         before = sim.worlds.observation[:, 9].astype(float)
-        sim.step_all(np.full(400, 0.4), np.zeros(400, dtype=np.int8))
-        moved += (sim.worlds.observation[:, 9] - before) * length
-        by_speed += sim.worlds.observation[:, 5] * top * sim.scenario.control.period
-    assert np.mean(moved / by_speed) == pytest.approx(1.0, abs=4.0 * 0.03 / 20.0)
-    assert np.std(moved / by_speed) == pytest.approx(0.03, rel=0.15)
+        sim.step_all(np.full(wheels, 0.4), np.zeros(wheels, dtype=np.int8))
+        step = sim.worlds.observation[:, 5].astype(float) * top * period
+        moved = (sim.worlds.observation[:, 9] - before) * length
+        np.testing.assert_allclose(moved, step, atol=1e-6)
+        by_speed += step
+        travelled += sim.worlds.state["speed"] * period
+    noise = sim.scenario.noise.speed * period * math.sqrt(30)
+    fast = travelled > 40.0 * noise  # so that white noise hardly counts
+    assert fast.sum() > 300
+    off = (by_speed / travelled - 1.0)[fast]
+    gain = sim.worlds.state["gain"]["speed"][fast, 0]
+    assert np.all(np.abs(off - gain) < 4.5 * noise / travelled[fast])
+    assert abs(np.mean(off)) < 4.0 * 0.03 / math.sqrt(fast.sum())
+    assert np.std(off) == pytest.approx(0.03, rel=0.15)
 
 
 def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
@@ -294,13 +320,16 @@ def test_reward_is_the_sum_of_its_terms_and_each_follows_its_formula():
         ([7.0, 0.5, 1.0], math.log(2.0)),
         ([0.0, 1.0, 1.0], math.log(1e6)),
         ([math.inf, 1.0, 0.1], math.log(10.0)),
+        ([1.0, 1.0, 1.0, 0.5, 0.25], math.log(8.0)),
     ],
 )
 def test_knowledge_is_the_fall_of_the_entropy_and_bounded(shares, nats):
-    ids = simulation().worlds.ids
-    precision = np.array([4.0, 1.0, 0.01])
-    ids.sd[0, :3] = np.array(shares) / np.sqrt(precision)
-    assert knowledge(ids, 0, precision) == pytest.approx(nats, abs=1e-12)
+    sim = simulation()
+    sd = sim.worlds.ids.sd[0]
+    sd[:] = sim.belief["prior_sd"][0]
+    sd[: len(shares)] *= shares
+    found = knowledge(sim.worlds.on_board["identifier"][0, 0], sim.belief[0])
+    assert found == pytest.approx(nats, abs=1e-12)
 
 
 ROW = re.compile(r"^\s*\| (\S+) \| (\S+) \| ([\w, ]+) \|$", re.MULTILINE)

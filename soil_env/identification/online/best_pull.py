@@ -1,163 +1,108 @@
 """Best steady drawbar pull of the ground under the wheel, of the load, with its standard deviation.
 
-At the slips `SLIPS`, a lane each, the steady sinkage z is the root of ln s(z) + n ln(ratio z_b) =
-ln p_b. s(z) is the sinkage coefficient that the load mobilises, p_b the pressure that the soil
-bears at the bearing sinkage z_b so far, ratio that of digging (`effects.digging_ratio`). A step of
-Newton's method a point follows it. Friction, cohesion, K and stiffness err together, so the pull is
-known better than any of them: its variance is by the whole covariance.
+At each of `SLIP` the steady sinkage z is the root of ln s(z) + n ln q - ln S: s is the sinkage
+coefficient that the load mobilises, q the ratio of slip-sinkage. A step of Newton's method a point
+follows it. Friction, cohesion, K and stiffness err together, so the pull is known better than any
+of them: its variance is by their whole covariance.
 """
 
 import math
 
 import numpy as np
+from numba import njit
 
-from soil_env.identification.online.contact_slopes import GroundSoil, reaction
-from soil_env.identification.online.lanes.compiling import compiled_inline, compiled_part
-from soil_env.identification.online.lanes.contact import digging_ratio
-from soil_env.identification.online.lanes.elementary import exp, larger, log, smaller
-from soil_env.identification.online.lanes.lanes import COUNT, fill, from_array, scratch, to_array
-from soil_env.identification.online.lanes.steady import best_points
-from soil_env.identification.online.soil_nodes import SOIL, below_diagonal
-from soil_env.parameters import Scenario, SoilState
+from soil_env._compiled.flags import EXACT
+from soil_env.identification.online.forces import LEAST_COEFFICIENT, Ground, reaction
+from soil_env.identification.online.memory import (
+    COHESION,
+    EXPONENT,
+    GAIN,
+    LN_K,
+    LOAD_GAIN,
+    PRESSURE,
+    SLIPS,
+    SOIL,
+    TANGENT,
+)
+from soil_env.identification.online.residuals import LEAST_TANGENT
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 
-#: Slips at which the drawbar pull is compared.
-SLIPS = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])
-_FIRST_STEPS = 4
-_FAR = 0.7  # largest step of ln z
-_LEAST = 1e-3  # [radii] of the sinkage
-_DEEPEST = 1.5
-_rows = scratch(8 * COUNT)
-_STEP = 0.03  # of finite differences, of the sd of the prior
-
-
-@compiled_inline
-def _newton(x, soil, y, gain, ln_bearing, load, numbers):
-    """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ln of ratio z_b, share
-    of digging).
-    """
-    slip = from_array(numbers.slips, 0)
-    r = numbers.radius
-    z = exp(x)
-    found = reaction(soil, z, slip, load, r, numbers.width)
-    ratio = digging_ratio(slip, 1.0 - slip, gain, numbers.dig_recovery)
-    deep = log(ratio) + ln_bearing
-    slope = smaller(found.ln_s.by_sinkage * z, -0.1)
-    step = (y - found.ln_s.value - soil.exponent * deep) / slope
-    after = x + smaller(larger(step, -_FAR), _FAR)
-    return (
-        larger(smaller(after, math.log(_DEEPEST * r)), math.log(_LEAST * r)),
-        found,
-        slope,
-        deep,
-        1.0 - 1.0 / ratio,
-    )
+SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
+assert len(SLIP) == SLIPS
+FLOORED = math.log(2.0 * LEAST_COEFFICIENT)  # ln of a mobilised coefficient that counts as none
+STEPS = 1  # of Newton's method before the last
+FIRST_STEPS = 12  # of Newton's method, from a first guess
+FAR = 0.7  # largest step of ln z
+SHALLOWEST = 1e-5  # [radii]
+DEEPEST = 1.5  # [radii]
+FLATTEST = -0.1  # slope of the condition by ln z, at least
 
 
-@compiled_part
-def best_pull(steady, g, slopes, y, ln_gain, of_sinkage, bearing, load, along, numbers):
-    """(best drawbar pull [of load], its variance, its derivative `along` [6]) of a soil.
-
-    g: Gaussian of (tan phi, c, n, ln K).
-
-    `steady` [COUNT]: ln of the steady sinkages, renewed; 0 before the first time. y: ln of the
-    pressure that the soil bears at the sinkage `bearing` [m], `slopes` [4] its derivatives by
-    these. `of_sinkage`: variances and covariance (yy, yg, gg) of what the sinkage adds to y and to
-    the ln of the gain. `along`: a change of these six.
-    """
-    soil = GroundSoil(fill(g[0]), fill(g[1]), fill(g[2]), fill(g[3]))
-    gain = numbers.dig_gain * math.exp(ln_gain)
-    ln_bearing = math.log(bearing)
-    rows = _rows()
-    x = from_array(steady, 0)
-    if steady[0] == 0.0:
-        slip = from_array(numbers.slips, 0)
-        x = ln_bearing + log(digging_ratio(slip, 1.0 - slip, gain, numbers.dig_recovery)) * (
-            g[2] / (g[2] + 0.5)
-        )
-        for _ in range(_FIRST_STEPS):
-            x = _newton(x, soil, y, gain, ln_bearing, load, numbers)[0]
-    after, found, slope, deep, digs = _newton(x, soil, y, gain, ln_bearing, load, numbers)
-    to_array(after, steady, 0)
-    by_x = found.pull.by_sinkage * exp(x)
-    moves = -1.0 * by_x / slope  # of the pull by the condition
-    to_array(found.pull.value + by_x * (after - x), rows, 0)
-    to_array(found.torque.value, rows, COUNT)
-    to_array(found.pull.by_tangent + moves * (found.ln_s.by_tangent - slopes[0]), rows, 2 * COUNT)
-    to_array(found.pull.by_cohesion + moves * (found.ln_s.by_cohesion - slopes[1]), rows, 3 * COUNT)
-    to_array(
-        found.pull.by_exponent + moves * (found.ln_s.by_exponent + deep - slopes[2]),
-        rows,
-        4 * COUNT,
-    )
-    to_array(found.pull.by_ln_K + moves * (found.ln_s.by_ln_K - slopes[3]), rows, 5 * COUNT)
-    to_array(-1.0 * moves, rows, 6 * COUNT)
-    to_array(moves * (g[2] * digs), rows, 7 * COUNT)
-    best = -1
-    for j in range(COUNT):
-        if rows[COUNT + j] <= numbers.stall_torque and (best < 0 or rows[j] > rows[best]):
-            best = j
-    if best < 0:
-        return -1.0, 1.0, 0.0
-    variance = 0.0
-    rate = 0.0
-    k = 2 * COUNT + best
-    for i in range(SOIL):
-        rate += rows[k + i * COUNT] * along[i]
-        for j in range(SOIL):
-            variance += (
-                rows[k + i * COUNT]
-                * rows[k + j * COUNT]
-                * g[SOIL + below_diagonal(max(i, j), min(i, j))]
-            )
-    by_y = rows[6 * COUNT + best]
-    by_gain = rows[7 * COUNT + best]
-    variance += (
-        by_y * by_y * of_sinkage[0]
-        + 2.0 * by_y * by_gain * of_sinkage[1]
-        + by_gain * by_gain * of_sinkage[2]
-    )
-    rate += by_y * along[SOIL] + by_gain * along[SOIL + 1]
-    if not math.isfinite(rows[best] + variance + rate):
-        # readings that no soil explains: begun anew
-        steady[0] = 0.0
-        return -1.0, 1.0, 0.0
-    return max(rows[best] / load, -1.0), variance / (load * load), rate / load
+@njit(**EXACT)
+def _newton(x, slip, load, memory, setting, work):
+    """(ln z after a step, `Reaction` at x, slope of the condition by ln z, ratio q)."""
+    u = memory.soil
+    ground = Ground(max(u[TANGENT], LEAST_TANGENT), u[COHESION], u[EXPONENT], u[LN_K])
+    z = math.exp(x)
+    f = reaction(work.slope_nodes[0], ground, z, slip, load, setting.radius, setting.width)
+    gain = setting.dig_gain * math.exp(u[GAIN])
+    ratio = slip_sinkage_ratio(slip, gain, setting.dig_recovery)
+    ln_S = u[PRESSURE] - u[EXPONENT] * math.log(setting.depth)
+    slope = min(f.ln_s.sinkage * z, FLATTEST)
+    step = -(f.ln_s.value + u[EXPONENT] * math.log(ratio) - ln_S) / slope
+    if f.ln_s.value <= FLOORED:  # cohesion alone bears the load
+        step = -FAR
+    after = x + min(max(step, -FAR), FAR)
+    low = math.log(SHALLOWEST * setting.radius)
+    high = math.log(DEEPEST * setting.radius)
+    return min(max(after, low), high), f, slope, ratio
 
 
-def prior_pull(
-    mean: np.ndarray, covariance: np.ndarray, depth: float, scenario: Scenario
-) -> tuple[float, float]:
-    """(best drawbar pull of the weight, its variance) of a Gaussian [6] of the unknowns of
-    `soil_prior`.
-    """
-    b = scenario.belief
-    wheel = scenario.wheel
-    points = np.tile(mean, (13, 1))
-    steps = _STEP * np.sqrt(np.diag(covariance))
-    points[1:7] += np.diag(steps)
-    points[7:] -= np.diag(steps)
-    tangent, c, n, ln_K, y, ln_gain = points.T
-    soils = SoilState(
-        tangent,
-        np.maximum(c, 0.0),
-        np.exp(ln_K),
-        np.exp(y - n * math.log(depth)),
-        n,
-        b.dig_gain * np.exp(ln_gain),
-        np.full(13, b.dig_recovery),
-    )
-    slip, pull = np.empty((2, 13))
-    load = np.full(13, scenario.weight)
-    best_points(
-        np.arange(13),
-        np.column_stack(soils),
-        load,
-        wheel.radius,
-        wheel.width,
-        wheel.stall_torque,
-        slip,
-        pull,
-    )
-    pull = np.maximum(pull / scenario.weight, -1.0)
-    slopes = (pull[1:7] - pull[7:]) / (2.0 * steps)
-    return float(pull[0]), float(slopes @ covariance @ slopes)
+@njit(**EXACT)
+def _slopes(x, f, slope, ratio, memory, setting, work):
+    """Slopes of the steady pull by the soil, S keeping the condition, into `work.step`."""
+    u = memory.soil
+    through = -f.pull.sinkage * math.exp(x) / slope
+    deeper = math.log(ratio) + math.log(setting.depth)
+    by = work.step
+    by[TANGENT] = f.pull.tan_phi + through * f.ln_s.tan_phi
+    by[COHESION] = f.pull.cohesion + through * f.ln_s.cohesion
+    by[EXPONENT] = f.pull.exponent + through * (f.ln_s.exponent + deeper)
+    by[LN_K] = f.pull.ln_K + through * f.ln_s.ln_K
+    by[PRESSURE] = -through
+    by[GAIN] = through * u[EXPONENT] * (1.0 - 1.0 / ratio)
+
+
+@njit(**EXACT)
+def renew_best_pull(memory, load, setting, work):
+    """Renew `memory.fresh_pull` under a measured `load` [N]."""
+    load *= 1.0 - memory.u[LOAD_GAIN]
+    best = -math.inf
+    variance = 1.0
+    for k in range(SLIPS):
+        x = memory.steady[k]
+        steps = STEPS
+        if x == 0.0:
+            x = math.log(setting.depth)
+            steps = FIRST_STEPS
+        for _ in range(steps):
+            x, _, _, _ = _newton(x, SLIP[k], load, memory, setting, work)
+        after, f, slope, ratio = _newton(x, SLIP[k], load, memory, setting, work)
+        memory.steady[k] = after
+        pull = f.pull.value + f.pull.sinkage * math.exp(x) * (after - x)
+        if f.torque.value > setting.stall_torque or pull <= best:
+            continue
+        best = pull
+        _slopes(x, f, slope, ratio, memory, setting, work)
+        variance = 0.0
+        for i in range(SOIL):
+            for j in range(SOIL):
+                variance += work.step[i] * work.step[j] * memory.spread[i, j]
+    if math.isfinite(best) and math.isfinite(variance):
+        memory.fresh_pull[0] = max(best / load, -1.0)
+        memory.fresh_pull[1] = math.sqrt(max(variance, 0.0)) / load
+    else:
+        memory.fresh_pull[0] = -1.0
+        memory.fresh_pull[1] = 1.0
+        for k in range(SLIPS):
+            memory.steady[k] = 0.0

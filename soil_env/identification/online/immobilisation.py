@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
-from soil_env.identification.online.class_memory import PULL
-from soil_env.identification.online.lanes.compiling import FastCall, compiled_inline, compiled_root
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT, record
+from soil_env.identification.online.class_memory import BEST_PULL
 from soil_env.identification.published import HORIZONS
 from soil_env.parameters import Scenario
 
@@ -95,20 +97,20 @@ MEMORY = _SEEN + len(_VIEW)
 _PITCH, _LOAD = (2 * _CHANNELS + Channels._fields.index(name) for name in ("pitch", "load"))
 
 
-class WarningNumbers(NamedTuple):
-    """Numbers of a `Scenario` that the inputs need."""
-
-    radius: float
-    weight: float
-    gravity: float
-    stall_torque: float
-    no_load_speed: float
-    period: float
-    shares: np.ndarray  # [4] of a new reading in each moving average
-    area: float  # radius x width [m2]
-    log_radius: float
-    sinkage_exponent: float
-    log_dig_gain: float
+#: Constants of a scenario that the inputs need.
+WARNING_SETTING = record(
+    "radius",
+    "weight",
+    "gravity",
+    "stall_torque",
+    "no_load_speed",
+    "period",
+    "area",  # radius x width [m2]
+    "log_radius",
+    "sinkage_exponent",
+    "log_dig_gain",
+    shares=("f8", len(SCALES)),  # of a new reading in each moving average
+)
 
 
 class Network(NamedTuple):
@@ -124,27 +126,27 @@ class Network(NamedTuple):
     last_bias: np.ndarray
 
 
-def warning_numbers(scenario: Scenario) -> WarningNumbers:
-    """Pack the numbers of a scenario."""
+def warning_setting(scenario: Scenario) -> np.ndarray:
+    """Pack `WARNING_SETTING` [1] of a scenario."""
     wheel = scenario.wheel
     belief = scenario.belief
     period = scenario.control.period
-    return WarningNumbers(
-        wheel.radius,
-        scenario.weight,
-        scenario.gravity,
-        wheel.stall_torque,
-        wheel.no_load_speed,
-        period,
-        np.array([-math.expm1(-period / scale) for scale in SCALES]),
-        wheel.radius * wheel.width,
-        math.log(wheel.radius),
-        belief.sinkage_exponent,
-        math.log(max(belief.dig_gain, 1e-3)),
-    )
+    numbers = np.zeros(1, WARNING_SETTING)
+    numbers["radius"] = wheel.radius
+    numbers["weight"] = scenario.weight
+    numbers["gravity"] = scenario.gravity
+    numbers["stall_torque"] = wheel.stall_torque
+    numbers["no_load_speed"] = wheel.no_load_speed
+    numbers["period"] = period
+    numbers["area"] = wheel.radius * wheel.width
+    numbers["log_radius"] = math.log(wheel.radius)
+    numbers["sinkage_exponent"] = belief.sinkage_exponent
+    numbers["log_dig_gain"] = math.log(max(belief.dig_gain, 1e-3))
+    numbers["shares"] = [-math.expm1(-period / scale) for scale in SCALES]
+    return numbers
 
 
-@compiled_inline
+@njit(**EXACT)
 def _channels(reading, numbers):
     """`Channels` of one set of readings."""
     load = max(reading.load, _LEAST_LOAD * numbers.weight)
@@ -166,64 +168,61 @@ def _channels(reading, numbers):
     )
 
 
-@compiled_inline
-def begin(recent, k, reading, numbers):
-    """Start the averages of wheel k, at rest at the start of a course, with its first readings."""
+@njit(**EXACT)
+def begin(recent, reading, numbers):
+    """Start the averages of a wheel, at rest at the start of a course, with its first readings."""
     values = _channels(reading, numbers)
     for s in range(numbers.shares.size):
         for c in range(_CHANNELS):
-            recent[k, s * _CHANNELS + c] = values[c]
-    recent[k, _AVERAGES] = 0.0
+            recent[s * _CHANNELS + c] = values[c]
+    recent[_AVERAGES] = 0.0
 
 
-@compiled_inline
-def follow(recent, k, reading, halted, numbers):
-    """Take the readings of a control period of wheel k into its averages, which stand still in
-    halts.
-    """
-    if halted:
-        recent[k, _AVERAGES] = 0.0
+@njit(**EXACT)
+def follow(recent, reading, halted, numbers):
+    """Take the readings of a control period into the averages, which stand still in halts."""
+    if halted > 0.0:
+        recent[_AVERAGES] = 0.0
         return
     values = _channels(reading, numbers)
     for s in range(numbers.shares.size):
         share = numbers.shares[s]
         for c in range(_CHANNELS):
             i = s * _CHANNELS + c
-            recent[k, i] += share * (values[c] - recent[k, i])
-    recent[k, _AVERAGES] += numbers.period
+            recent[i] += share * (values[c] - recent[i])
+    recent[_AVERAGES] += numbers.period
 
 
-@compiled_inline
-def see(recent, k, image, memory, sight, numbers):
-    """Store the view of a control period of wheel k, by an `Image` and its `ClassMemory`; `sight`
+@njit(**EXACT)
+def see(recent, image, classes, sight, numbers):
+    """Store the view of a control period by an image and what is known of the `CLASSES`; `sight`
     [m] of the camera.
     """
-    out = recent[k, _SEEN:]
-    sine = recent[k, _PITCH]
-    here = int(image.here)
-    line = int(image.label_0)
-    beside = int(image.label_1)
+    sine = recent[_PITCH]
+    here = classes.of[int(image.here)]
+    line = classes.of[int(image.label_0)]
+    beside = classes.of[int(image.label_1)]
     grade = image.grade_0
     grade_beside = image.grade_1
     if image.taken > 0.0:
         line, beside, grade, grade_beside = beside, line, grade_beside, grade
     tangent = sine / math.sqrt(max(1.0 - sine * sine, 0.01))
     seen = image.seen
-    out[0] = 1.0
-    out[1] = min(max(image.since / numbers.radius, 0.0), _BEHIND)
-    out[2] = max(min(image.left, sight) / numbers.radius, 0.0)
-    out[3] = memory.estimate[k, here, PULL] - tangent
-    out[4] = min(float(memory.patches[k, here]), _OFTEN)
-    out[5] = seen
-    out[6] = seen * image.chosen
-    out[7] = seen * (math.sin(grade) - sine)
-    out[8] = seen * (memory.estimate[k, line, PULL] - math.tan(grade))
-    out[9] = seen * min(float(memory.patches[k, line]), _OFTEN)
-    out[10] = seen * (memory.estimate[k, beside, PULL] - math.tan(grade_beside))
-    out[11] = seen * min(float(memory.patches[k, beside]), _OFTEN)
+    recent[_SEEN] = 1.0
+    recent[_SEEN + 1] = min(max(image.since / numbers.radius, 0.0), _BEHIND)
+    recent[_SEEN + 2] = max(min(image.left, sight) / numbers.radius, 0.0)
+    recent[_SEEN + 3] = here.estimate[BEST_PULL] - tangent
+    recent[_SEEN + 4] = min(float(here.patches), _OFTEN)
+    recent[_SEEN + 5] = seen
+    recent[_SEEN + 6] = seen * image.chosen
+    recent[_SEEN + 7] = seen * (math.sin(grade) - sine)
+    recent[_SEEN + 8] = seen * (line.estimate[BEST_PULL] - math.tan(grade))
+    recent[_SEEN + 9] = seen * min(float(line.patches), _OFTEN)
+    recent[_SEEN + 10] = seen * (beside.estimate[BEST_PULL] - math.tan(grade_beside))
+    recent[_SEEN + 11] = seen * min(float(beside.patches), _OFTEN)
 
 
-@compiled_inline
+@njit(**EXACT)
 def _write_inputs(recent, x, sd, numbers, out):
     """Write `INPUTS` of a wheel: `recent` [MEMORY], its estimate and sd [5] of (phi, ln K, ln S, c,
     ln of the gain).
@@ -249,7 +248,7 @@ def _write_inputs(recent, x, sd, numbers, out):
         soil[i - _SEEN + len(_SOIL)] = recent[i]
 
 
-@compiled_inline
+@njit(**EXACT)
 def _layer(x, weights, bias, squashed, out):
     """`out` = x weights + bias, or tanh of it."""
     for j in range(out.size):
@@ -262,8 +261,8 @@ def _layer(x, weights, bias, squashed, out):
             out[j] = math.tanh(out[j])
 
 
-@compiled_root(nogil=True)
-def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
+@kept
+def _assess(rows, recent, estimate, sd, setting, net, inputs, hidden, out):
     """`INPUTS` [n, inputs] and probabilities [n, 2] of the wheels `rows` [n]; `hidden` [inputs +
     both layers].
     """
@@ -274,7 +273,7 @@ def _assess(rows, recent, estimate, sd, numbers, net, inputs, hidden, out):
     second = hidden[b:]
     for n in range(rows.size):
         k = rows[n]
-        _write_inputs(recent[k], estimate[k], sd[k], numbers, inputs[n])
+        _write_inputs(recent[k], estimate[k], sd[k], setting[0], inputs[n])
         for i in range(x.size):
             x[i] = min(max((inputs[n, i] - net.mean[i]) * net.scale[i], -LARGEST), LARGEST)
         _layer(x, net.first, net.first_bias, True, first)
@@ -308,9 +307,8 @@ class ImmobilisationWarning:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self.numbers: WarningNumbers = warning_numbers(scenario)
+        self.setting: np.ndarray = warning_setting(scenario)
         self._net = shipped_network()
-        self._assess = FastCall(_assess)
         self._hidden = np.zeros(
             self._net.mean.size + self._net.first_bias.size + self._net.second_bias.size
         )
@@ -322,7 +320,7 @@ class ImmobilisationWarning:
         """
         inputs = np.empty((len(rows), len(INPUTS)))
         out = np.empty((len(rows), len(HORIZONS)))
-        self._assess(rows, *known, self.numbers, self._net, inputs, self._hidden, out)
+        _assess(rows, *known, self.setting, self._net, inputs, self._hidden, out)
         return inputs, out
 
     def inputs(self, rows: np.ndarray, *known: np.ndarray) -> np.ndarray:

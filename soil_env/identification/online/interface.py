@@ -20,26 +20,35 @@ from typing import NamedTuple
 import numpy as np
 
 from soil_env._io.loading import ParameterError
-from soil_env.identification.online.estimate import ground_assessment
+from soil_env.identification.online.ground import assess_ground
 from soil_env.identification.online.identifier import (
     HELD,
-    IdentifierNumbers,
-    Identifiers,
-    SensorReading,
-    forget,
-    identifier_numbers,
-    new_identifiers,
-    observe_values,
+    instruments,
+    new_memory,
+    new_work,
+    observe_all,
+    start,
 )
-from soil_env.identification.online.lanes.compiling import FastCall, compiled_root
-from soil_env.identification.online.lanes.steady import steady_state
+from soil_env.identification.online.memory import (
+    LOAD_GAIN,
+    PULL_ZERO,
+    READING,
+    SINKAGE_ZERO,
+    SPEED_GAIN,
+    TORQUE_GAIN,
+    TORQUE_ZERO,
+)
+from soil_env.identification.online.prior import setting_of
 from soil_env.identification.published import published, soil_of_numbers
 from soil_env.identification.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
+from soil_env.parameters.readings import reading_units
 from soil_env.slip import rim_speeds, travel_speeds
+from soil_env.terramechanics.steady import steady_state
 
 __all__ = [
     "Estimate",
+    "Instruments",
     "OnlineIdentifier",
     "Readings",
     "Status",
@@ -107,6 +116,26 @@ def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:
     return None
 
 
+class Instruments(NamedTuple):
+    """Zeros and gains of the instruments as identified with the soil, each a (mean, standard
+    deviation).
+
+    Of two sensors of one quantity it is that of their mean by precision.
+    """
+
+    load_gain: tuple[float, float]  # relative
+    pull_zero: tuple[float, float]  # [of weight]
+    torque_gain: tuple[float, float]  # relative
+    torque_zero: tuple[float, float]  # [of weight x radius]
+    sinkage_zero: tuple[float, float]  # [m]
+    speed_gain: tuple[float, float]  # relative
+
+
+assert (LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN) == tuple(
+    range(LOAD_GAIN, LOAD_GAIN + len(Instruments._fields))
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """The soil as identified so far, and how well."""
@@ -125,7 +154,9 @@ class Estimate:
     best_pull_sd: float  # from the whole covariance: known better than the soil
     status: Status
     renewed: bool  # whether this call changed it
-    borders: int  # to another soil that the filter has found
+    borders: int  # to another soil that have been found
+    instruments: Instruments
+    refused: int  # readings that no wheel gives, left out
 
     @property
     def valid(self) -> bool:
@@ -144,11 +175,6 @@ class Traversability(NamedTuple):
     torque_required: float  # [N m] there
     torque_available: float  # [N m]
     passable: bool
-
-
-@compiled_root(nogil=True)
-def _start(ids: Identifiers, numbers: IdentifierNumbers) -> None:
-    forget(ids, 0, numbers)
 
 
 def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
@@ -238,37 +264,23 @@ class OnlineIdentifier:
         wheel = scenario.wheel
         self._radius = wheel.radius
         self._weight = scenario.weight
-        twist = self._weight * wheel.radius
         if scenario.belief.method == "none":
             raise ParameterError("belief.method = 'none': expected 'filter'")
-        self._start = FastCall(_start)
-        self._observe = FastCall(observe_values)
-        self._assess = ground_assessment()
-        self._numbers = identifier_numbers(scenario)
-        self._sd = self._numbers.filter.noise.tolist()  # of `SensorReading` where it is measured
-        top = wheel.radius * wheel.no_load_speed
-        units = (
-            1.0,
-            wheel.radius,
-            self._weight,
-            self._weight,
-            twist,
-            top,
-            top,
-            1.0,
-            twist,
-            scenario.gravity,
-        )
-        self._unknown = [_UNKNOWN * unit for unit in units]
+        self._setting = setting_of(scenario)
+        self._white = self._setting["white"][0, 0].copy()  # of sensors that measure
+        self._by_pitch = int(self._setting["by_pitch"][0])
+        self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
-        self._ids = new_identifiers(1)
-        self._values = np.zeros(len(SensorReading._fields))
+        self._memory = new_memory(1)
+        self._work = new_work()
+        self._reading = np.zeros(1, READING)
+        self._outcome = np.zeros(1, dtype=np.int64)
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings: back to the prior."""
-        self._start(self._ids, self._numbers)
+        start(self._memory, self._setting, self._work)
         self._time = _NAN
         self._estimate = self._published(False)
 
@@ -298,8 +310,9 @@ class OnlineIdentifier:
         outcome = HELD
         if rim == rim and speed == speed:
             self._put(readings, rim, speed)
-            numbers = self._numbers._replace(filter=self._numbers.filter._replace(period=period))
-            outcome = self._observe(self._ids, 0, self._values, numbers)
+            self._setting["period"] = period
+            observe_all(self._memory, self._reading, self._setting, self._work, self._outcome)
+            outcome = int(self._outcome[0])
         self._time = readings.time if readings.time == readings.time else self._time + period
         if outcome != HELD or self._estimate.renewed:
             self._estimate = self._published(outcome != HELD)
@@ -310,7 +323,7 @@ class OnlineIdentifier:
         """True where the ground under the wheel passes from one soil into the next, so far as is
         known.
         """
-        return bool(self._ids.banks.point.crossing[0] > 0.0)
+        return bool(self._memory["crossing"][0] > 0.0)
 
     def soil(self) -> Soil:
         """The identified soil, with the belief's exponent and recovery of digging; each number
@@ -334,11 +347,9 @@ class OnlineIdentifier:
         if abs(pitch) >= 0.5 * math.pi:
             raise ParameterError(f"pitch = {pitch!r}: expected radians, less than pi/2")
         seen = np.array([[math.cos(pitch) if load is None else load / self._weight, pitch]])
-        ids = self._ids
-        out = np.empty((1, 6))
-        self._assess(
-            np.zeros(1, np.int64), ids.estimate, ids.best_pull, seen, self._numbers.filter, out
-        )
+        out = np.empty((1, len(Traversability._fields)))
+        known = self._memory["estimate"], self._memory["best_pull"]
+        assess_ground(np.zeros(1, np.int64), *known, seen, self._setting, out)
         found = Traversability(*out[0].tolist())
         return found._replace(passable=found.passable > 0.0)
 
@@ -359,7 +370,7 @@ class OnlineIdentifier:
                 )
             return passed
         if passed != passed:
-            return self._numbers.filter.period
+            return self.scenario.control.period
         raise ValueError(
             f"time = {time!r} s: expected later than that of the last readings, {self._time!r} s"
         )
@@ -381,56 +392,48 @@ class OnlineIdentifier:
         return rim, speed
 
     def _put(self, r: Readings, rim: float, speed: float) -> None:
-        """Store readings and their standard deviations for the compiled code; missing ones have no
-        weight.
-        """
+        """Store readings and the white noise of each; missing ones have no weight."""
         pitch = 0.0 if r.pitch != r.pitch else r.pitch
-        load = self._weight * math.cos(pitch)
         slip = r.slip
         if slip != slip:
             slip = float(slips(np.array([rim]), np.array([speed]))[0])
-        given = (
-            r.slip,
-            r.sinkage,
-            r.drawbar_pull,
-            r.load,
-            r.torque,
-            r.speed,
-            r.wheel_speed,
-            0.0,
-            r.motor_torque,
-            r.acceleration,
-        )
-        instead = (
-            min(max(slip, -1.0), 1.0),
-            self._sinkage,
-            0.0,
-            load,
-            0.0,
-            speed,
-            rim,
-            pitch,
-            0.0,
-            0.0,
-        )
-        noise = self._numbers.filter.noise
-        values = self._values
-        for i, measured in enumerate(given):
+        reading = self._reading[0]
+        reading.slip = min(max(slip, -1.0), 1.0)
+        reading.speed = speed
+        reading.rim_speed = rim
+        reading.pitch = pitch
+        # without a pitch only forces show borders
+        self._setting["by_pitch"] = self._by_pitch if r.pitch == r.pitch else 0
+        instead = {
+            "sinkage": self._sinkage,
+            "drawbar_pull": 0.0,
+            "load": self._weight * math.cos(pitch),
+            "torque": 0.0,
+            "motor_torque": 0.0,
+            "acceleration": 0.0,
+        }
+        white = self._setting["white"][0, 0]
+        for name, value in instead.items():
+            measured = getattr(r, name)
             missing = measured != measured
-            values[i] = instead[i] if missing or i in _DERIVED else measured
-            noise[i] = self._unknown[i] if missing else self._sd[i]
+            reading[name] = value if missing else measured
+            unknown = _UNKNOWN * getattr(self._units, name)
+            white[name] = unknown if missing else self._white[name]
 
     def _published(self, renewed: bool) -> Estimate:
-        ids = self._ids
+        memory = self._memory[0]
         gain = self.scenario.belief.dig_gain
-        numbers = published(
-            ids.estimate[0].tolist(), ids.sd[0].tolist(), ids.best_pull[0].tolist(), gain
-        )
+        arrays = (memory.estimate, memory.sd, memory.best_pull)
+        numbers = published(*(array.tolist() for array in arrays), gain)
+        found = np.zeros((2, len(Instruments._fields)))
+        instruments(self._memory, self._setting, self._work, found)
         return Estimate(
             **numbers,
-            status=_STATUS[ids.status.item(0)],
+            status=_STATUS[int(memory.status)],
             renewed=renewed,
-            borders=int(ids.borders[0]),
+            borders=int(memory.borders),
+            instruments=Instruments(*zip(*found.tolist(), strict=True)),
+            refused=int(memory.refused),
         )
 
 
@@ -452,8 +455,7 @@ def _bearing_sinkage(scenario: Scenario) -> float:
         0.0,
         b.dig_recovery,
     )
-    return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width, 0.0).sinkage)
+    return float(steady_state(0.0, scenario.weight, soil, wheel.radius, wheel.width).sinkage)
 
 
-_DERIVED = (0, 5, 6, 7)  # of `SensorReading`: slip, speed, rim speed, pitch
 _STATUS = {status.value: status for status in Status}

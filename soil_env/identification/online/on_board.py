@@ -5,191 +5,199 @@ observation and the reward. The world never reads an estimate.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numba import njit
 
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT, record
 from soil_env.identification.online.board import (
+    BOARD_SETTING,
     OF_SOIL,
-    BoardNumbers,
-    OnBoard,
+    Known,
     add_information,
-    board_numbers,
+    board_setting,
     clip,
     knowledge,
-    load_image,
-    load_reading,
     sum_reward,
     write_estimate,
     write_moments,
 )
 from soil_env.identification.online.class_memory import (
-    PULL,
-    ClassMemory,
-    MemoryNumbers,
+    BEST_PULL,
+    CLASS_SETTING,
+    CLASSES,
+    class_setting,
     clear_of_borders,
     forget_classes,
-    memory_numbers,
-    new_memory,
-    remember,
+    remember_class,
 )
 from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
-    IdentifierNumbers,
-    Identifiers,
     forget,
-    identifier_numbers,
-    new_identifiers,
+    new_work,
     observe,
+    prior_pull,
 )
 from soil_env.identification.online.immobilisation import (
-    MEMORY,
-    WarningNumbers,
+    MEMORY as AVERAGES,
+    WARNING_SETTING,
     begin,
     follow,
     see,
-    warning_numbers,
+    warning_setting,
 )
-from soil_env.identification.online.lanes.compiling import (
-    compiled_inline,
-    compiled_part,
-    compiled_root,
-)
+from soil_env.identification.online.memory import MEMORY
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import RESTART, STEP, Shown
 
-
-class Estimator(NamedTuple):
-    """Memory of the estimators of many wheels, one row a wheel."""
-
-    ids: Identifiers
-    memory: ClassMemory
-    changed: np.ndarray  # [wheels] True if the last step changed the estimate
-    recent: np.ndarray  # [wheels, MEMORY] for warnings: averages and view; no rows if not asked for
-
-
-class EstimatorNumbers(NamedTuple):
-    """Numbers of the scenario that the estimator needs."""
-
-    identifier: IdentifierNumbers
-    memory: MemoryNumbers
-    warning: WarningNumbers
-    board: BoardNumbers
+#: Memory of the estimator of a wheel.
+ON_BOARD = record(
+    changed=("i8",),  # 1 if the last step changed the estimate
+    recent=("f8", AVERAGES),  # for warnings: averages and view
+    identifier=(MEMORY, 1),
+    classes=(CLASSES, 1),
+)
+#: Constants of the estimator.
+WHEEL_SETTING = record(
+    warns=("i8",),  # 1: averages are kept
+    board=(BOARD_SETTING, 1),
+    classes=(CLASS_SETTING, 1),
+    warning=(WARNING_SETTING, 1),
+)
 
 
-def wheels_on_board(wheels: int, scenario: Scenario, shown: Shown, warnings: bool) -> OnBoard:
-    """Estimators of so many wheels, to be restarted; `warnings`: keep averages of the sensors."""
-    memory = Estimator(
-        new_identifiers(wheels),
-        new_memory(wheels, scenario.course.classes),
-        np.zeros(wheels, dtype=np.bool_),
-        np.zeros((wheels if warnings else 0, MEMORY)),
-    )
-    numbers = EstimatorNumbers(
-        identifier_numbers(scenario),
-        memory_numbers(scenario),
-        warning_numbers(scenario),
-        board_numbers(scenario, shown),
-    )
-    return OnBoard(memory, numbers, estimate_wheels)
+class WheelsOnBoard:
+    """Estimators of many wheels; they follow the orders that the world has followed."""
+
+    def __init__(self, wheels: int, scenario: Scenario, shown: Shown, warns: bool) -> None:
+        self.memory = np.zeros(wheels, ON_BOARD)
+        self.setting = np.zeros(1, WHEEL_SETTING)
+        self.setting["warns"] = warns
+        self.setting["board"] = board_setting(scenario, shown)
+        self.identifier: np.ndarray = self.setting["board"]["identifier"][0, 0].copy()
+        pull = prior_pull(self.identifier)
+        self.setting["classes"] = class_setting(self.identifier, pull)
+        self.setting["warning"] = warning_setting(scenario)
+        self._warns = warns
+
+    def views(self) -> dict[str, Any]:
+        """What others read: all, published estimates, averages for warnings, what has changed."""
+        wheels = len(self.memory) if self._warns else 0
+        return {
+            "on_board": self.memory,
+            "ids": Known.of(self.memory["identifier"][:, 0]),
+            "changed": self.memory["changed"],
+            "recent": self.memory["recent"][:wheels],
+            "memory": self.memory["classes"][:, 0]["of"],
+        }
+
+    def follow(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
+        """Follow the `orders` [wheels] int8 of the wheels `first` to `end` - 1 in a `world` of
+        (state, notes, observation).
+        """
+        estimate_wheels(self.memory, *world, orders, self.setting, new_work(), (first, end))
 
 
-@compiled_inline
-def _look_ahead(estimator, numbers, image, k):
-    """Note the view of wheel k for the warning, where it is asked for."""
-    if estimator.recent.shape[0] > 0:
-        sight = numbers.board.sight
-        see(estimator.recent, k, image, estimator.memory, sight, numbers.warning)
+@njit(**EXACT)
+def _look_ahead(wheel, note, setting):
+    """Note the view for the warning, where it is asked for."""
+    if setting.warns > 0:
+        see(wheel.recent, note, wheel.classes[0], setting.board[0].sight, setting.warning[0])
 
 
-@compiled_part
-def _restart(estimator, numbers, record, results, k):
-    """Set estimator k to its prior, at the start of a course."""
-    forget(estimator.ids, k, numbers.identifier)
-    forget_classes(estimator.memory, k, numbers.memory)
-    estimator.changed[k] = False
-    if estimator.recent.shape[0] > 0:
-        begin(estimator.recent, k, load_reading(record.readings[k, 0]), numbers.warning)
-    if numbers.board.classes > 0:
-        _look_ahead(estimator, numbers, load_image(record.images[k, 0]), k)
-    show_estimate(estimator, numbers, record, results, k, 0)
+@njit(**EXACT)
+def _restart(wheel, note, setting, work):
+    """Set an estimator to its prior, at the start of a course."""
+    forget(wheel.identifier[0], setting.board[0].identifier[0], work)
+    forget_classes(wheel.classes[0], setting.classes[0])
+    wheel.changed = 0
+    if setting.warns > 0:
+        begin(wheel.recent, note, setting.warning[0])
+    if setting.board[0].classes > 0:
+        _look_ahead(wheel, note, setting)
 
 
-@compiled_inline
-def _after_period(estimator, numbers, record, results, k, period):
-    """Take the record of a control period of wheel k."""
-    reading = load_reading(record.readings[k, period])
-    board = numbers.board
-    if estimator.recent.shape[0] > 0:
-        follow(estimator.recent, k, reading, record.halted[k, period], numbers.warning)
+@njit(**EXACT)
+def _after_period(wheel, note, vehicle, period, setting, work):
+    """Take the record of a control period of a wheel."""
+    board = setting.board[0]
+    numbers = board.identifier[0]
+    memory = wheel.identifier[0]
+    if setting.warns > 0:
+        follow(wheel.recent, note, note.halted, setting.warning[0])
     paid = board.information > 0.0
-    prior = numbers.identifier.precision
-    before = knowledge(estimator.ids, k, prior) if paid and period == 0 else 0.0
-    outcome = observe(estimator.ids, k, reading, numbers.identifier)
-    estimator.changed[k] = estimator.changed[k] or outcome != HELD
+    before = knowledge(memory, numbers) if paid and period == 0 else 0.0
+    outcome = observe(memory, note, True, numbers, work)
+    if outcome != HELD:
+        wheel.changed = 1
     if board.classes > 0:
-        image = load_image(record.images[k, period])
-        if outcome == RENEWED and clear_of_borders(image.since, image.left, numbers.memory):
-            here = int(image.here)
-            remember(estimator.memory, k, here, int(image.patch), estimator.ids, numbers.memory)
-        _look_ahead(estimator, numbers, image, k)
+        classes = setting.classes[0]
+        if outcome == RENEWED and clear_of_borders(note.since, note.left, classes):
+            remember_class(wheel.classes[0], int(note.here), int(note.patch), memory, classes)
+        _look_ahead(wheel, note, setting)
     if paid:
-        after = knowledge(estimator.ids, k, prior) if period == board.repeat - 1 else 0.0
-        add_information(results, k, before, after, period == record.periods[k] - 1, board)
+        after = knowledge(memory, numbers) if period == board.held - 1 else 0.0
+        add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@compiled_part
-def _step(estimator, numbers, record, results, k):
-    """Take the record of a step of wheel k."""
-    estimator.changed[k] = False
-    for period in range(record.periods[k]):
-        _after_period(estimator, numbers, record, results, k, period)
-    if numbers.board.information > 0.0:
-        sum_reward(results, k)
-    show_estimate(estimator, numbers, record, results, k, record.periods[k] - 1)
-
-
-@compiled_inline
-def show_estimate(estimator, numbers, record, results, k, period):
-    """Fill what is identified into the observation of wheel k, if it has that."""
-    board = numbers.board
-    if not board.shown.on:
-        return
-    out = results.observation[k]
-    write_estimate(out[board.shown.first :], estimator.ids, k, board.dig_gain)
+@njit(**EXACT)
+def show_estimate(wheel, note, board, out):
+    """Fill what is identified into the observation of a wheel."""
+    dig_gain = board.identifier[0].dig_gain
+    write_estimate(out[board.first :], wheel.identifier[0], dig_gain)
     if board.classes > 0:
-        image = load_image(record.images[k, period])
         first = out.size - board.lines * OF_SOIL
         for line in range(board.lines):
             ahead = out[first + line * OF_SOIL :]
-            label = image.label_0 if line == 0 else image.label_1
-            grade = image.grade_0 if line == 0 else image.grade_1
-            if image.seen > 0.0 and line < image.lines:
-                _write_line(ahead, estimator.memory, k, int(label), grade, board.dig_gain)
+            label = note.label_0 if line == 0 else note.label_1
+            grade = note.grade_0 if line == 0 else note.grade_1
+            if note.seen > 0.0 and line < note.lines:
+                _write_line(ahead, wheel.classes[0].of[int(label)], grade, dig_gain)
             else:
                 for i in range(OF_SOIL):
                     ahead[i] = 0.0
-    clip(out, board.shown)
+    clip(out, board)
 
 
-@compiled_inline
-def _write_line(out, memory, k, label, grade, dig_gain):
+@njit(**EXACT)
+def _write_line(out, known, grade, dig_gain):
     """Fill `out` [13] with what is known of the soil of a line ahead.
 
     The margin is the best drawbar pull over the grade that is seen.
     """
-    out[0] = 1.0 if memory.patches[k, label] > 0 else 0.0
-    write_moments(out, 1, 7, memory.estimate[k, label], memory.sd[k, label], dig_gain)
-    out[11] = memory.estimate[k, label, PULL] - math.tan(grade)
-    out[12] = memory.sd[k, label, PULL]
+    out[0] = 1.0 if known.patches > 0 else 0.0
+    write_moments(out, 1, 7, known.estimate, known.sd, dig_gain)
+    out[11] = known.estimate[BEST_PULL] - math.tan(grade)
+    out[12] = known.sd[BEST_PULL]
 
 
-@compiled_root(nogil=True)
-def estimate_wheels(estimator, numbers, record, results, what, first, end):
-    """Follow the orders `what` [wheels] of the wheels `first` to `end` - 1."""
-    for k in range(first, end):
-        if what[k] == STEP:
-            _step(estimator, numbers, record, results, k)
-        elif what[k] == RESTART:
-            _restart(estimator, numbers, record, results, k)
+@kept
+def estimate_wheels(memory, state, notes, observation, orders, setting, work, span):
+    """Follow the `orders` of the wheels of a `span` (first, end): STEP or RESTART.
+
+    `memory` [wheels] `ON_BOARD`; `state`, `notes` and `observation` as the world's step has left
+    them.
+    """
+    numbers = setting[0]
+    board = numbers.board[0]
+    for k in range(span[0], span[1]):
+        order = orders[k]
+        if order != STEP and order != RESTART:
+            continue
+        wheel = memory[k]
+        vehicle = state[k]
+        last = 0
+        if order == RESTART:
+            _restart(wheel, notes[k, 0], numbers, work[0])
+        else:
+            wheel.changed = 0
+            last = vehicle.periods - 1
+            for period in range(vehicle.periods):
+                _after_period(wheel, notes[k, period], vehicle, period, numbers, work[0])
+            if board.information > 0.0:
+                sum_reward(vehicle)
+        if board.shown > 0:
+            show_estimate(wheel, notes[k, last], board, observation[k])

@@ -4,172 +4,164 @@ together.
 As `on_board`, it reads the record of a step after the world has made it.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numba import njit
 
-from soil_env.identification.online.axles import front_wheel, wheel_behind
+from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import EXACT, record
 from soil_env.identification.online.board import (
+    BOARD_SETTING,
     OF_SOIL,
-    BoardNumbers,
-    OnBoard,
+    Known,
     add_information,
-    board_numbers,
+    board_setting,
     clip,
     knowledge,
-    load_reading,
     sum_reward,
     write_estimate,
 )
-from soil_env.identification.online.identifier import (
-    HELD,
-    IdentifierNumbers,
-    Identifiers,
-    forget,
-    identifier_numbers,
-    new_identifiers,
-    observe,
-)
-from soil_env.identification.online.lanes.compiling import (
-    compiled_inline,
-    compiled_part,
-    compiled_root,
-)
-from soil_env.identification.online.pooling import share
-from soil_env.identification.online.stretches import (
-    PoolNumbers,
-    Pools,
-    forget_stretches,
-    new_pools,
-    note,
-    pool_numbers,
+from soil_env.identification.online.identifier import HELD, RENEWED, forget, new_work, observe
+from soil_env.identification.online.memory import MEMORY
+from soil_env.identification.online.pooling import (
+    POOL,
+    forget_pool,
+    hand_over_border,
+    pool_with,
+    tell,
 )
 from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import RESTART, STEP, Shown
+from soil_env.parameters.vehicle import MOST_AXLES
 
-_LOAD_DRIFT = 0.05  # 1-sigma, relative, of the load on a wheel from one point to the next
+UNKNOWN = 1e6  # [of its unit] white noise of what a sensor does not tell of a wheel
 
-
-class RoverEstimator(NamedTuple):
-    """Memory of the estimators of many rovers, one row a wheel (`axles`)."""
-
-    ids: Identifiers
-    known: Pools  # what all wheels of a rover have identified of the soil under each
-
-
-class RoverEstimatorNumbers(NamedTuple):
-    """Numbers of the scenario that the estimator needs."""
-
-    identifier: IdentifierNumbers
-    pool: PoolNumbers
-    board: BoardNumbers
-    places: np.ndarray  # [axles] behind the front axle [m]
+#: Memory of the estimators of a rover, from the front wheel on.
+ON_ROVER = record(identifiers=(MEMORY, MOST_AXLES), pools=(POOL, MOST_AXLES))
+#: Constants of the estimators.
+ROVER_SETTING = record(
+    axles=("i8",),
+    places=("f8", MOST_AXLES),  # [m] behind the front axle
+    board=(BOARD_SETTING, 1),
+)
 
 
-def rovers_on_board(wheels: int, scenario: RoverScenario, shown: Shown) -> OnBoard:
-    """Estimators of rovers with so many rows of wheels in all, to be restarted."""
-    numbers = RoverEstimatorNumbers(
-        rover_identifier_numbers(scenario),
-        pool_numbers(scenario),
-        board_numbers(scenario, shown),
-        np.array(scenario.vehicle.axles),
-    )
-    return OnBoard(
-        RoverEstimator(new_identifiers(wheels), new_pools(wheels)), numbers, estimate_rovers
-    )
+class RoversOnBoard:
+    """Estimators of many rovers; they follow the orders that the world has followed."""
+
+    def __init__(self, rovers: int, scenario: RoverScenario, shown: Shown) -> None:
+        self.memory = np.zeros(rovers, ON_ROVER)
+        self.setting = np.zeros(1, ROVER_SETTING)
+        axles = scenario.axles
+        self.setting["axles"] = axles
+        self.setting["places"][0, :axles] = scenario.vehicle.axles
+        self.setting["board"] = board_setting(scenario, shown)
+        limit_to_wheel(self.setting["board"]["identifier"][0, 0], scenario)
+        self.identifier: np.ndarray = self.setting["board"]["identifier"][0, 0].copy()
+
+    def views(self) -> dict[str, Any]:
+        """What others read: estimates [rovers x axles] of each wheel, alone and pooled."""
+        axles = int(self.setting["axles"][0])
+        alone = self.memory["identifiers"][:, :axles]
+        pooled = self.memory["pools"][:, :axles]
+        return {"on_board": self.memory, "ids": Known.of(alone), "known": Known.of(pooled)}
+
+    def follow(self, world: tuple[Any, ...], orders: np.ndarray, first: int, end: int) -> None:
+        """Follow the `orders` [rovers] int8 of the rovers `first` to `end` - 1 in a `world` of
+        (state, readings, observation).
+        """
+        estimate_rovers(self.memory, *world, orders, self.setting, new_work(), (first, end))
 
 
-def rover_identifier_numbers(scenario: RoverScenario) -> IdentifierNumbers:
-    """Numbers of an identifier a wheel.
+def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
+    """Leave out what the sensors of the body do not tell of one wheel.
 
-    The body's accelerometer says nothing of one wheel, nor does the body's pitch of the grade under
-    it, and the load on a wheel changes with the pull. Nor does the torque of a motor whose speed
-    loop turns the wheel faster or slower: that at the end of a period is not the mean over it.
+    The accelerometer says nothing of it, nor does the body's pitch of the grade under it, and the
+    load on a wheel changes with the pull. Nor does the torque of a motor whose speed loop turns the
+    wheel faster or slower: that at the end of a period is not the mean over it.
     """
-    numbers = identifier_numbers(scenario)
-    noise = numbers.filter.noise.copy()
-    noise[9] = 1e6 * scenario.gravity
+    setting["white"]["acceleration"] = UNKNOWN * scenario.gravity
     if scenario.control.action != "torque":
-        noise[8] = 1e6 * scenario.weight * scenario.wheel.radius
-    own = numbers.filter._replace(noise=noise, grade_change=0.0, load_drift=_LOAD_DRIFT)
-    return numbers._replace(filter=own)
+        setting["white"]["motor_torque"] = UNKNOWN * scenario.weight * scenario.wheel.radius
+    setting["by_pitch"] = 0
+    setting["load_varies"] = 1
 
 
-@compiled_part
-def _restart(estimator, numbers, results, j):
-    """Set the estimators of rover j to their prior, at the start of a course."""
-    axles = numbers.places.size
-    front = front_wheel(j, axles)
-    for a in range(axles):
-        k = wheel_behind(front, a)
-        forget(estimator.ids, k, numbers.identifier)
-        forget_stretches(estimator.known, estimator.ids, k)
-    _show(estimator, numbers, results, j)
+@njit(**EXACT)
+def _restart(rover, setting, work):
+    """Set the estimators of a rover to their prior, at the start of a course."""
+    for a in range(setting.axles):
+        memory = rover.identifiers[a]
+        forget(memory, setting.board[0].identifier[0], work)
+        forget_pool(rover.pools[a], memory)
 
 
-@compiled_inline
-def _knowledge(estimator, numbers, front):
-    """Mean of `knowledge` over the axles of the rover whose front wheel is in row `front`."""
-    axles = numbers.places.size
+@njit(**EXACT)
+def _knowledge(rover, setting):
+    """Mean of `knowledge` over the axles of a rover."""
     known = 0.0
-    for a in range(axles):
-        k = wheel_behind(front, a)
-        known += knowledge(estimator.known, k, numbers.identifier.precision)
-    return known / axles
+    for a in range(setting.axles):
+        known += knowledge(rover.pools[a], setting.board[0].identifier[0])
+    return known / setting.axles
 
 
-@compiled_inline
-def _after_period(estimator, numbers, record, results, j, period):
-    """Take the record of a control period of rover j."""
-    axles = numbers.places.size
-    front = front_wheel(j, axles)
-    board = numbers.board
-    furthest = HELD
+@njit(**EXACT)
+def _after_period(rover, readings, period, vehicle, setting, work):
+    """Take the readings [axles, held] of a control period of a rover."""
+    board = setting.board[0]
+    numbers = board.identifier[0]
+    axles = setting.axles
     paid = board.information > 0.0
-    before = _knowledge(estimator, numbers, front) if paid and period == 0 else 0.0
+    before = _knowledge(rover, setting) if paid and period == 0 else 0.0
+    furthest = HELD
     for a in range(axles):
-        k = wheel_behind(front, a)
-        reading = load_reading(record.readings[k, period])
-        outcome = observe(estimator.ids, k, reading, numbers.identifier)
-        place = record.places[j, period] - numbers.places[a]
-        note(estimator.known, estimator.ids, k, place, outcome, a > 0, numbers.pool)
+        memory = rover.identifiers[a]
+        if a > 0:
+            hand_over_border(rover.pools[0], memory, setting.places[a], numbers, work)
+        outcome = observe(memory, readings[a, period], a == 0, numbers, work)
+        if outcome == RENEWED:
+            tell(rover.pools[a], memory, numbers, work)
         furthest = max(furthest, outcome)
-    share(estimator.known, estimator.ids, front, axles, furthest, numbers.pool, numbers.identifier)
-    if paid:
-        after = _knowledge(estimator, numbers, front) if period == board.repeat - 1 else 0.0
-        add_information(results, j, before, after, period == record.periods[j] - 1, board)
-
-
-@compiled_part
-def _step(estimator, numbers, record, results, j):
-    """Take the record of a step of rover j."""
-    for period in range(record.periods[j]):
-        _after_period(estimator, numbers, record, results, j, period)
-    if numbers.board.information > 0.0:
-        sum_reward(results, j)
-    _show(estimator, numbers, results, j)
-
-
-@compiled_inline
-def _show(estimator, numbers, results, j):
-    """Fill what is identified into the observation of rover j, if it has that."""
-    board = numbers.board
-    if not board.shown.on:
-        return
-    out = results.observation[j]
-    axles = numbers.places.size
-    front = front_wheel(j, axles)
     for a in range(axles):
-        o = out[board.shown.first + OF_SOIL * a :]
-        write_estimate(o, estimator.known, wheel_behind(front, a), board.dig_gain)
-    clip(out, board.shown)
+        memory = rover.identifiers[a]
+        if furthest == RENEWED or memory.crossing > 0.0:
+            pool_with(rover.pools, axles, a, memory, numbers, work)
+    if paid:
+        after = _knowledge(rover, setting) if period == board.held - 1 else 0.0
+        add_information(vehicle, before, after, period == vehicle.periods - 1, board)
 
 
-@compiled_root(nogil=True)
-def estimate_rovers(estimator, numbers, record, results, what, first, end):
-    """Follow the orders `what` [rovers] of the rovers `first` to `end` - 1."""
-    for j in range(first, end):
-        if what[j] == STEP:
-            _step(estimator, numbers, record, results, j)
-        elif what[j] == RESTART:
-            _restart(estimator, numbers, results, j)
+@njit(**EXACT)
+def _show(rover, setting, out):
+    """Fill what is identified into the observation of a rover."""
+    board = setting.board[0]
+    for a in range(setting.axles):
+        o = out[board.first + OF_SOIL * a :]
+        write_estimate(o, rover.pools[a], board.identifier[0].dig_gain)
+    clip(out, board)
+
+
+@kept
+def estimate_rovers(memory, state, readings, observation, orders, setting, work, span):
+    """Follow the `orders` of the rovers of a `span` (first, end): STEP or RESTART.
+
+    `memory` [rovers] `ON_ROVER`; `state`, `readings` and `observation` as the world's step has left
+    them.
+    """
+    numbers = setting[0]
+    for j in range(span[0], span[1]):
+        order = orders[j]
+        if order != STEP and order != RESTART:
+            continue
+        rover = memory[j]
+        vehicle = state[j]
+        if order == RESTART:
+            _restart(rover, numbers, work[0])
+        else:
+            for period in range(vehicle.periods):
+                _after_period(rover, readings[j], period, vehicle, numbers, work[0])
+            if numbers.board[0].information > 0.0:
+                sum_reward(vehicle)
+        if numbers.board[0].shown > 0:
+            _show(rover, numbers, observation[j])

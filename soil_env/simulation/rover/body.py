@@ -44,7 +44,6 @@ ROVER = record(
     "idle_time",
     "stalled_time",
     "odometer",
-    "odometer_scale",
     "next_halt",
     "halt_left",
     "reward",

@@ -53,7 +53,7 @@ FOOT = record(
     *Footing._fields,
     *_NOT_SHEARED,
     *Beside._fields,
-    by_speed=("?",),
+    by_speed=("i8",),
 )
 #: Rotation of an axle at some speeds, with the `Reaction` there.
 TURNING = record(
@@ -171,7 +171,7 @@ def foresee(rover, at, world):
         foot = world.stage.feet[a]
         found = world.stage.found[a]
         keep_reaction(found, last_force(wheel))
-        torque, slope, _ = motor_torque(foot.command, foot.by_speed, wheel.wheel_speed, rig)
+        torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, wheel.wheel_speed, rig)
         found.rim = rig.radius * wheel.wheel_speed
         found.residual = found.rim - foot.rim_start - at.by_torque * (torque - wheel.torque)
         found.motor_slope = slope
@@ -223,7 +223,7 @@ def _evaluate(v, at, world):
         trial = world.stage.trial[a]
         u = trial.rim
         force = reaction(world.stage.nodes[a], foot, v, u, rig, foot, world.acting)
-        torque, slope, _ = motor_torque(foot.command, foot.by_speed, u / rig.radius, rig)
+        torque, slope, _ = motor_torque(foot.command, foot.by_speed > 0, u / rig.radius, rig)
         keep_reaction(trial, force)
         trial.residual = u - foot.rim_start - at.by_torque * (torque - force.torque)
         trial.motor_slope = slope

@@ -37,11 +37,12 @@ from soil_env.simulation.world.passability import CourseDistribution, CourseNumb
 from soil_env.simulation.world.sensors import (
     READING,
     SensorErrors,
+    mount_sensors,
+    read_slip,
     roll_odometer,
     sense,
-    sensor_deviations,
     sensor_errors,
-    start_odometry,
+    sensors_of,
 )
 from soil_env.simulation.world.terrain import new_courses
 from soil_env.simulation.world.wheel import World, acting_in, rig_of, settle_at
@@ -96,7 +97,7 @@ class RoverNumbers(NamedTuple):
     suspension: np.ndarray  # [1] `SUSPENSION`
     task: np.ndarray  # [1] `TASK`
     bounds: np.ndarray  # [2, D] float32 of the observation
-    sd: np.ndarray  # [1] `READING` of the noise
+    sensors: np.ndarray  # [1] `SENSOR_NOISE`
     errors: SensorErrors | None
 
 
@@ -111,7 +112,7 @@ def rover_numbers(
         suspension_of(scenario),
         task_of(scenario, variant),
         np.array([[e.low for e in entries], [e.high for e in entries]], dtype=np.float32),
-        sensor_deviations(scenario),
+        sensors_of(scenario),
         sensor_errors(model),
     )
 
@@ -223,20 +224,26 @@ class Setting(NamedTuple):
 
     world: RoverWorld
     task: Any  # `TASK`
-    sd: Any  # `READING`
+    sensors: Any  # `SENSOR_NOISE`
     errors: SensorErrors | None
     normals: Any  # `NORMALS`
 
 
 @njit(**INLINE)
-def _sense_body(rover, sd):
-    """`BodyReading` of a rover."""
+def _sense_body(rover, sensors):
+    """`BodyReading` of a rover; zeros and gains are those in the record of the front wheel."""
     of_speed, of_pitch = normal_pair(rover)
     of_acceleration, _ = normal_pair(rover)
+    sd = sensors.white[0]
+    zero = rover.wheels[0].zero[0]
+    gain = rover.wheels[0].gain[0]
+    specific = rover.drawbar_pull / rover.mass
     return BodyReading(
-        rover.speed + sd.speed * of_speed,
-        rover.pitch + sd.pitch * of_pitch,
-        rover.drawbar_pull / rover.mass + sd.acceleration * of_acceleration,
+        (1.0 + gain.speed) * rover.speed + zero.speed + sd.speed * of_speed,
+        (1.0 + gain.pitch) * rover.pitch + zero.pitch + sd.pitch * of_pitch,
+        (1.0 + gain.acceleration) * specific
+        + zero.acceleration
+        + sd.acceleration * of_acceleration,
     )
 
 
@@ -247,15 +254,17 @@ def _sense(rover, readings, note, period, setting):
     Of speed, pitch and acceleration the body has one sensor each; their `BodyReading`.
     """
     task = setting.task
-    of_body = _sense_body(rover, setting.sd)
+    of_body = _sense_body(rover, setting.sensors)
     if rover.steps > 0:  # not at the start of a course
         roll_odometer(rover, of_body.speed, task.period)
     for a in range(setting.world.suspension.axles):
+        wheel = rover.wheels[a]
         reading = readings[a, period]
-        sense(rover.wheels[a], reading, setting.normals, setting.sd, setting.errors, task.radius)
+        sense(wheel, reading, setting.normals, setting.sensors, setting.errors, task.radius)
         reading.speed = of_body.speed
         reading.pitch = of_body.pitch
         reading.acceleration = of_body.acceleration
+        read_slip(wheel, reading, setting.sensors, setting.errors)
     note.halted = 1.0 if rover.halt_left > 0.0 else 0.0
     note.place = rover.odometer
     return of_body
@@ -265,7 +274,8 @@ def _sense(rover, readings, note, period, setting):
 def _restart(rover, readings, notes, setting):
     """`BodyReading` of a rover at the start of its course."""
     take_pitch(rover, setting.world.suspension)
-    start_odometry(rover, setting.task.odometry_scale)
+    for a in range(setting.world.suspension.axles):
+        mount_sensors(rover.wheels[a], setting.normals, setting.sensors)
     rover.cause = RUNNING
     rover.periods = 1
     return _sense(rover, readings, notes[0], 0, setting)
@@ -317,7 +327,9 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
     Their courses are laid (`lay_rovers`).
     """
     world = RoverWorld(numbers.rig[0], numbers.acting, numbers.suspension[0], scratch.stage[0])
-    setting = Setting(world, numbers.task[0], numbers.sd[0], numbers.errors, scratch.normals[0])
+    setting = Setting(
+        world, numbers.task[0], numbers.sensors[0], numbers.errors, scratch.normals[0]
+    )
     recorded = worlds.notes.shape[0] > 0
     for j in range(first, end):
         order = orders[j]

@@ -42,7 +42,6 @@ TASK = record(
     "top_speed",  # [m/s] of the rim without load
     "length",  # [m] of the course
     "period",  # [s] of the control
-    "odometry_scale",  # [-] sd of the odometry's gain
     *(f.name for f in fields(Limits)),
     *(f.name for f in fields(RewardWeights)),
     variant=("i8",),  # index in `VARIANTS`
@@ -66,7 +65,6 @@ def task_of(scenario: Scenario, variant: str) -> np.ndarray:
     task["top_speed"] = w.radius * w.no_load_speed
     task["length"] = scenario.course.length
     task["period"] = scenario.control.period
-    task["odometry_scale"] = scenario.noise.odometry_scale
     for part in (scenario.limits, scenario.reward):
         for f in fields(part):
             task[f.name] = getattr(part, f.name)

@@ -1,19 +1,31 @@
 """Sensors of a wheel: readings with noise and errors."""
 
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from soil_env._compiled.flags import FINITE, record
-from soil_env._compiled.random_streams import PAIRS, draw_normals, normal_pair
-from soil_env.parameters import Scenario, SensorReading, sensor_noise
+from soil_env._compiled.random_streams import PAIRS, draw_normals
+from soil_env.parameters import Scenario
+from soil_env.parameters.readings import SensorReading, reading_errors
+from soil_env.slip import signed_slip
 from soil_env.terramechanics.effects.slip_bias import measured_slip
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
 
 #: A `SensorReading` as a record, or the standard deviations of one.
 READING = record(*SensorReading._fields)
+#: Errors of the sensors: standard deviations of white noise, zeros and gains.
+SENSOR_NOISE = record(
+    "slow",  # [m/s] that slip of the two speeds is relative to at least
+    white=(READING, 1),
+    zero=(READING, 1),
+    gain=(READING, 1),
+)
+SLOW = 3.0  # [-] the same, over the white noise of both speeds: a wheel at rest has little slip
+REST_SPEED = 1e-3  # [m/s] the same, without noise
 
 
 class SensorErrors(NamedTuple):
@@ -34,16 +46,40 @@ def sensor_errors(model: WheelSoilModel | None) -> SensorErrors | None:
     return SensorErrors(*(getattr(model.numbers, name) for name in SensorErrors._fields))
 
 
-def sensor_deviations(scenario: Scenario) -> np.ndarray:
-    """Standard deviations of the sensors, `READING` [1]."""
-    return sensor_noise(scenario).view(READING)
+def sensors_of(scenario: Scenario) -> np.ndarray:
+    """Pack the errors of the sensors of a scenario, `SENSOR_NOISE` [1]."""
+    sensors = np.zeros(1, SENSOR_NOISE)
+    for name, sd in zip(("white", "zero", "gain"), reading_errors(scenario), strict=True):
+        sensors[name] = sd.view(READING)
+    speed = hypot(scenario.noise.speed, scenario.noise.wheel_speed * scenario.wheel.radius)
+    sensors["slow"] = max(SLOW * speed, REST_SPEED)
+    return sensors
 
 
 @njit(**FINITE)
-def start_odometry(vehicle, scale):
-    """Odometry at the start of a course, with a constant gain; `scale`: its sd [-]."""
-    vehicle.odometer = 0.0
-    vehicle.odometer_scale = 1.0 + scale * normal_pair(vehicle)[0]
+def _scatter(out, sd, normals):
+    """Fill the record `out` with normal numbers of the standard deviations of the record `sd`."""
+    first = normals.first
+    second = normals.second
+    out.slip = sd.slip * first[0]
+    out.sinkage = sd.sinkage * second[0]
+    out.drawbar_pull = sd.drawbar_pull * first[1]
+    out.load = sd.load * second[1]
+    out.torque = sd.torque * first[2]
+    out.speed = sd.speed * second[2]
+    out.rim_speed = sd.rim_speed * first[3]
+    out.pitch = sd.pitch * second[3]
+    out.motor_torque = sd.motor_torque * first[4]
+    out.acceleration = sd.acceleration * second[4]
+
+
+@njit(**FINITE)
+def mount_sensors(wheel, normals, sensors):
+    """Draw zeros and gains of the sensors of a wheel for a course."""
+    draw_normals(wheel, normals, PAIRS)
+    _scatter(wheel.zero[0], sensors.zero[0], normals)
+    draw_normals(wheel, normals, PAIRS)
+    _scatter(wheel.gain[0], sensors.gain[0], normals)
 
 
 @njit(**FINITE)
@@ -53,37 +89,57 @@ def roll_odometer(vehicle, speed, period):
     It integrates the readings of the speed sensor, so that its difference holds no truth beyond
     theirs.
     """
-    vehicle.odometer += vehicle.odometer_scale * speed * period
+    vehicle.odometer += speed * period
 
 
 @njit(**FINITE)
-def sense(wheel, reading, normals, sd, errors, radius):
-    """Fill the record `reading` (`READING`) with noisy readings of a wheel of `radius` [m]."""
+def sense(wheel, reading, normals, sensors, errors, radius):
+    """Fill the record `reading` (`READING`) with readings of a wheel of `radius` [m], of the slip
+    with white noise only (`read_slip`).
+    """
+    zero = wheel.zero[0]
+    gain = wheel.gain[0]
+    sinkage = _seen_sinkage(wheel.slip, wheel.sinkage, errors)
+    pull = wheel.drawbar_pull
+    motor = wheel.motor_torque
+    rim = wheel.wheel_speed * radius
     draw_normals(wheel, normals, PAIRS)
-    first = normals.first
-    second = normals.second
-    slip, sinkage = _seen(wheel.slip, wheel.sinkage, errors)
-    reading.slip = min(max(slip + sd.slip * first[0], -1.0), 1.0)
-    reading.sinkage = sinkage + sd.sinkage * second[0]
-    reading.drawbar_pull = wheel.drawbar_pull + sd.drawbar_pull * first[1]
-    reading.load = wheel.load + sd.load * second[1]
-    reading.torque = wheel.torque + sd.torque * first[2]
-    reading.speed = wheel.speed + sd.speed * second[2]
-    reading.rim_speed = wheel.wheel_speed * radius + sd.rim_speed * first[3]
-    reading.pitch = wheel.grade + sd.pitch * second[3]
-    reading.motor_torque = wheel.motor_torque + sd.motor_torque * first[4]
-    reading.acceleration = wheel.drawbar_pull / wheel.mass + sd.acceleration * second[4]
+    _scatter(reading, sensors.white[0], normals)
+    reading.sinkage += (1.0 + gain.sinkage) * sinkage + zero.sinkage
+    reading.drawbar_pull += (1.0 + gain.drawbar_pull) * pull + zero.drawbar_pull
+    reading.load += (1.0 + gain.load) * wheel.load + zero.load
+    reading.torque += (1.0 + gain.torque) * wheel.torque + zero.torque
+    reading.speed += (1.0 + gain.speed) * wheel.speed + zero.speed
+    reading.rim_speed += (1.0 + gain.rim_speed) * rim + zero.rim_speed
+    reading.pitch += (1.0 + gain.pitch) * wheel.grade + zero.pitch
+    reading.motor_torque += (1.0 + gain.motor_torque) * motor + zero.motor_torque
+    reading.acceleration += (1.0 + gain.acceleration) * pull / wheel.mass + zero.acceleration
 
 
 @njit(**FINITE)
-def _seen(slip, sinkage, errors):
-    """(slip, sinkage [m]) as sensors with `SensorErrors` show them, without noise."""
+def read_slip(wheel, reading, sensors, errors):
+    """Complete a `reading`, whose slip is white noise so far, by the slip of a sensor of its own,
+    or, without one, by that of the two speeds that were read.
+    """
+    slip = wheel.slip
+    if sensors.white[0].slip == 0.0:
+        slip, _, _ = signed_slip(reading.rim_speed, reading.speed, sensors.slow)
+        if reading.rim_speed + reading.speed < -sensors.slow:
+            slip = -slip  # in reverse
+    if errors is not None:
+        slip = measured_slip(slip, errors)
+    reading.slip = min(max(slip + reading.slip, -1.0), 1.0)
+
+
+@njit(**FINITE)
+def _seen_sinkage(slip, sinkage, errors):
+    """Sinkage [m] as a sensor with `SensorErrors` shows it, without noise."""
     if errors is None:
-        return slip, sinkage
+        return sinkage
     else:
         seen = sinkage + errors.sinkage_offset_offset
         if errors.slip_sinkage_apparent > 0.0:
             gain = errors.slip_sinkage_gain
             ratio = slip_sinkage_ratio(slip, gain, errors.slip_sinkage_recovery)
             seen += sinkage * (ratio - 1.0)
-        return measured_slip(slip, errors), seen
+        return seen

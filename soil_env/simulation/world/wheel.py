@@ -20,6 +20,7 @@ from soil_env._compiled.elementary import exp, power
 from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
+from soil_env.simulation.world.sensors import READING
 from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
@@ -75,12 +76,13 @@ WHEEL = record(
     "idle_time",  # [s] since `mark_x` was set, halts left out
     "stalled_time",  # [s] of `idle_time` in which the wheel did not turn
     "odometer",  # [m] distance by odometry
-    "odometer_scale",  # [-] its scale on this course
     "next_halt",  # [m] place of the next commanded halt
     "halt_left",  # [s] left of the present halt, 0 while driving
     "action",  # [-1, 1] of the next step
     "reward",  # of the last step
     terms=("f8", 4),  # of the reward, `REWARD_TERMS`
+    zero=(READING, 1),  # of its sensors on this course
+    gain=(READING, 1),  # of them
     stream=("u8",),  # random numbers of the wheel (`random_streams`)
     order=("i8",),  # what is to be done with it: STEP, RESTART or IDLE
     cause=("i8",),  # `Cause` of the end of its episode, or that it runs
@@ -117,7 +119,7 @@ RIG = record(
     "rim_step",
     "sight",  # [m] before a patch from which its lines are seen
     substeps=("i8",),  # of a control period
-    speed_command=("?",),  # True if the drive follows a commanded rim speed
+    speed_command=("i8",),  # 1 if the drive follows a commanded rim speed
 )
 
 
@@ -222,8 +224,8 @@ def commanded(wheel, action, halted, rig):
     if rig.rim_step > 0.0 and not halted:
         command = min(max(wheel.rim_command + rig.rim_step * action, -REVERSE), 1.0)
     wheel.last_action = action
-    wheel.rim_command = command if rig.speed_command else 0.0
-    return Drive(command, halted or rig.speed_command)
+    wheel.rim_command = command if rig.speed_command > 0 else 0.0
+    return Drive(command, halted or rig.speed_command > 0)
 
 
 @njit(**INLINE)

@@ -3,19 +3,59 @@
 import numpy as np
 import pytest
 
-from benchmarks.drives import SHARED, UNITS, SwingingSlip, record_rover, rover_scenario
-from soil_env.identification.online.rover_on_board import rover_identifier_numbers
-from soil_env.identification.online.soil_prior import published_prior
+from benchmarks.drives import SHARED, UNITS, SwingingSlip, rover_scenario
+from soil_env.identification.online.prior import published_prior, setting_of
+from soil_env.identification.online.rover_on_board import limit_to_wheel
 from soil_env.parameters import load_rover
+from soil_env.parameters.readings import IDLE, STEP
+from soil_env.simulation.task import Cause
+from soil_env.simulation.world.terrain import places_on
+from tests.simulation.wheels import started
 
 FRICTION_AND_COHESION = [0, 3]
+COURSES = 12
+
+
+def ground(courses, x, border):
+    """phi, ln K, c, number of the patch, distance behind its beginning [m] at places `x` [rovers,
+    axles].
+    """
+    rows = []
+    for k, at in enumerate(x):
+        place = places_on(courses, k, at, border)
+        since = at - courses["patches"]["start"][k, place["patch"]]
+        soil = np.arctan(place["tan_phi"]), np.log(place["shear_modulus"]), place["cohesion"]
+        rows.append(np.column_stack([*soil, place["patch"], since]))
+    return np.array(rows)
 
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Six courses of a rover on three axles whose belief names the soils that may come."""
+    """Courses of a rover on three axles whose belief names the soils that may come: arrays [T,
+    courses, axles, ...] of the ground, of steps that are driven, and of estimates alone and pooled.
+    """
     scenario = rover_scenario("mars_rover")
-    return scenario, record_rover(scenario, 6, 20, SwingingSlip(scenario))
+    sim = started(scenario, "blind", [[20, j] for j in range(COURSES)], estimates=True)
+    w = sim.worlds
+    control = SwingingSlip(scenario)
+    going = np.ones(COURSES, dtype=bool)
+    log = []
+    while going.any():
+        sim.step_all(control(w.observation[:, 0].astype(float)), np.where(going, STEP, IDLE))
+        driven = going & (w.state["halt_left"] == 0.0)
+        places = w.state["wheels"]["x"][:, : scenario.axles]
+        log.append(
+            {
+                "soil": ground(w.courses, places, scenario.course.border),
+                "driven": np.repeat(driven[:, None], scenario.axles, 1),
+                "alone": w.ids.estimate.copy(),
+                "alone_sd": w.ids.sd.copy(),
+                "pooled": w.known.estimate.copy(),
+                "pooled_sd": w.known.sd.copy(),
+            }
+        )
+        going &= w.cause == Cause.RUNNING.value
+    return scenario, {name: np.array([row[name] for row in log]) for name in log[0]}
 
 
 def errors(recorded, here) -> dict[str, np.ndarray]:
@@ -59,7 +99,7 @@ def test_the_rear_wheel_knows_the_soil_better_than_by_itself(recorded):
 
 def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(recorded):
     of = errors(recorded, rear_leaves_the_border(recorded))
-    assert np.all(of["pooled"][:2] < 0.7 * of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
+    assert np.all(of["pooled"][:2] < 0.9 * of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
 
 
 def test_two_wheelbases_behind_a_border(recorded):
@@ -75,17 +115,19 @@ def test_two_wheelbases_behind_a_border(recorded):
     )
     here &= np.abs(since[:, :, :1] / base - 2.0) < 0.06
     for axle in range(3):
-        assert errors(recorded, here & (np.arange(3) == axle))["pooled"][0] < 1.5
+        of = errors(recorded, here & (np.arange(3) == axle))
+        assert of["pooled"][0] < 0.7 * of["prior"][0]
 
 
 def test_pooled_is_surer_than_alone(recorded):
+    """Not by much: half of what another wheel tells counts."""
     _, log = recorded
     settled = log["driven"] & (log["soil"][..., 4] > 1.0) & (log["soil"][..., 3] > 0)
     ratio = (
         log["pooled_sd"][settled][:, FRICTION_AND_COHESION]
         / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
     )
-    assert np.all(np.median(ratio, axis=0) < 0.8)
+    assert np.all(np.median(ratio, axis=0) < 1.0)
 
 
 @pytest.mark.parametrize(
@@ -93,5 +135,8 @@ def test_pooled_is_surer_than_alone(recorded):
 )
 def test_the_torque_of_a_speed_loop_is_no_reading_of_the_soil(action, read):
     scenario = load_rover("mars_rover", {"control": {"action": action}})
-    noise = rover_identifier_numbers(scenario).filter.noise[8]
-    assert (noise < scenario.weight * scenario.wheel.radius) == read
+    setting = setting_of(scenario)
+    alone = setting.copy()
+    limit_to_wheel(setting, scenario)
+    noise, of_wheel = (float(s["white"]["motor_torque"][0, 0]) for s in (setting, alone))
+    assert (noise < scenario.weight * scenario.wheel.radius) == (noise == of_wheel) == read

@@ -8,6 +8,7 @@ import pytest
 from soil_env.envs.rover_env import SoilRoverEnv
 from soil_env.parameters import SoilState, rover_names
 from soil_env.simulation.rover.task import axle_names
+from soil_env.slip import signed_slip
 
 
 def drive(rover, variant, seed, steps=60, command=0.5, **changes):
@@ -40,25 +41,49 @@ def test_readings_are_the_state_with_noise(rover):
     top = s.wheel.radius * s.wheel.no_load_speed
     weight = s.weight
     r = s.wheel.radius
+    slow = 3.0 * math.hypot(noise.speed, noise.wheel_speed * r)  # least speed of a slip
+    mounted = env.simulation.worlds.state[0].wheels
+
+    def deviation(reading, state, unit, sd, axle, name):
+        """Of the white noise, so many standard deviations `sd` [of `unit`]."""
+        gain = mounted[axle].gain[0][name]
+        zero = mounted[axle].zero[0][name]
+        return (reading - ((1.0 + gain) * state + zero) / unit) / sd
+
     for seen, info, _ in rows:
-        off = {"speed": (seen["speed"] - info["state"]["speed"] / top) * top / noise.speed}
-        off["pitch"] = (seen["pitch"] - info["state"]["pitch"]) / noise.pitch
+        body = info["state"]
+        off = {
+            "speed": deviation(seen["speed"], body["speed"], top, noise.speed / top, 0, "speed"),
+            "pitch": deviation(seen["pitch"], body["pitch"], 1.0, noise.pitch, 0, "pitch"),
+        }
         assert (
             abs(seen["odometry"] * s.course.length - info["state"]["x"])
             < 0.1 * abs(info["state"]["x"]) + 0.05
         )
-        for axle in axle_names(s.axles):
+        for a, axle in enumerate(axle_names(s.axles)):
             state = info[axle]["state"]
             for name, unit, sd in (
-                ("slip", 1.0, noise.slip),
                 ("sinkage", r, noise.sinkage / r),
                 ("load", weight, noise.load),
                 ("drawbar_pull", weight, noise.drawbar_pull),
                 ("torque", weight * r, noise.torque),
                 ("motor_torque", weight * r, noise.motor_torque),
             ):
-                if name != "slip" or abs(state[name]) < 0.9:  # a reading of slip is cut to 1
-                    off[f"{axle}_{name}"] = (seen[f"{axle}_{name}"] - state[name] / unit) / sd
+                of = f"{axle}_{name}"
+                off[of] = deviation(seen[of], state[name], unit, sd, a, name)
+            rim = deviation(
+                seen[f"{axle}_rim_speed"],
+                state["wheel_speed"] * r,
+                top,
+                noise.wheel_speed * r / top,
+                a,
+                "rim_speed",
+            )
+            off[f"{axle}_rim_speed"] = rim
+            rim, travel = seen[f"{axle}_rim_speed"] * top, seen["speed"] * top
+            of_speeds = signed_slip(rim, travel, slow)[0]
+            of_speeds = -of_speeds if rim + travel < -slow else of_speeds
+            assert seen[f"{axle}_slip"] == pytest.approx(of_speeds, abs=1e-5)
         for name, value in off.items():
             worst.setdefault(name, []).append(value)
     for name, values in worst.items():
@@ -126,7 +151,7 @@ def test_the_information_term_is_the_mean_over_the_axles():
     env.reset(seed=0)
     paid = sum(env.step([0.4, 0.5, 0.6])[4]["reward_terms"]["information"] for _ in range(25))
     w = env.simulation.worlds
-    precision = env.simulation.belief.identifier.precision
-    sd = w.known.sd[env.simulation.wheels[0]][:, : precision.size]
-    known = -np.log(np.clip(sd * np.sqrt(precision), 1e-6, 1.0)).sum(axis=1)
+    assert w.known.sd.shape[:2] == (1, 3)
+    left = w.known.sd[0] / env.simulation.belief["prior_sd"][0]
+    known = -np.log(np.clip(left, 1e-6, 1.0)).sum(axis=1)
     assert paid == pytest.approx(known.mean(), abs=1e-9) and paid > 0.5

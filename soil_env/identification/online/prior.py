@@ -1,21 +1,30 @@
-"""Prior of the filter: a Gaussian of the soil, that of the belief itself or the moments of its
-library of soils.
+"""Prior of the soil: a Gaussian, that of the belief itself or the moments of its library of soils;
+and the constants of the identifier.
 
-The forces show (tan phi, cohesion, exponent n, ln K), the sinkage shows (y, l): ln of the pressure
-S depth^n and of the gain of digging over the nominal one. Soils are compared by that pressure,
-since the unit of S depends on n.
+Soils are compared by the pressure S d^n at a depth d, since the unit of S depends on n.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
+from soil_env._io.loading import ParameterError
+from soil_env.identification.online.memory import (
+    COHESION,
+    EXPONENT,
+    GAIN,
+    LN_K,
+    MOST_SOILS,
+    PRESSURE,
+    READING,
+    SETTING,
+    SOIL as SIZE,
+    TANGENT,
+)
 from soil_env.parameters import Scenario
+from soil_env.parameters.readings import reading_errors, reading_units
 
-SIZE = 6
-TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(SIZE)
 KNOWN = 1e-4  # standard deviation, relative, of what the belief holds for known
 _LEAST_WIDTH = 0.95  # of `widths` that counts
 _PUBLISHED = [TANGENT, LN_K, PRESSURE, COHESION, GAIN]
@@ -25,18 +34,6 @@ _DEPTH = 0.2  # [wheel radii] at which pressures are compared
 _OF_SPREAD = np.array([TANGENT, COHESION, LN_K, PRESSURE, GAIN])
 
 Gaussian = tuple[float, np.ndarray, np.ndarray]  # weight, mean [SIZE], covariance [SIZE, SIZE]
-
-
-class SoilPrior(NamedTuple):
-    """The prior as the compiled filter takes it."""
-
-    # [14] mean of (tan phi, c, n, ln K), then the lower triangle of their covariance
-    forces: np.ndarray
-    sinkage: np.ndarray  # [2] mean of (y, l)
-    sinkage_covariance: np.ndarray  # [4]
-    regression: np.ndarray  # [8] of the four on the two, row by row
-    # [5] standard deviations of (phi, ln K, ln S, c, l) as published, over those of the filter
-    widths: np.ndarray
 
 
 def depth_of(scenario: Scenario) -> float:
@@ -145,21 +142,6 @@ def prior_of_belief(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     return moments(_gaussians(scenario))
 
 
-def soil_prior(scenario: Scenario) -> SoilPrior:
-    """The prior of a scenario's belief as the compiled filter takes it."""
-    mean, covariance = prior_of_belief(scenario)
-    triangle = covariance[:PRESSURE, :PRESSURE][np.tril_indices(PRESSURE)]
-    of_sinkage = covariance[PRESSURE:, PRESSURE:]
-    regression = np.linalg.solve(of_sinkage, covariance[PRESSURE:, :PRESSURE]).T
-    return SoilPrior(
-        np.concatenate([mean[:PRESSURE], triangle]),
-        mean[PRESSURE:].copy(),
-        of_sinkage.ravel().copy(),
-        np.ascontiguousarray(regression).ravel(),
-        _published_widths(scenario),
-    )
-
-
 def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Mean [5] and covariance [5, 5] of (phi, ln K, ln S, c, l) before any reading, S at the
     exponent of the belief.
@@ -176,3 +158,59 @@ def published_prior(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     x[2] = mean[PRESSURE] - scenario.belief.sinkage_exponent * ln_depth
     scale = _published_widths(scenario)
     return x, np.outer(scale, scale) * (to @ covariance @ to.T)
+
+
+LEAST_NOISE = 1e-6  # [of its unit] least white noise of a sensor, so that no weight is infinite
+STRANGE = 0.2  # [of the library's weight] of a soil that is like none of it
+LAW_ERROR = 0.06  # [-] of the law of sinkage in a cell; with 0.1 the errors of ln S grow by a tenth
+
+
+def setting_of(scenario: Scenario) -> np.ndarray:
+    """Pack the constants of the identifier of a scenario, `SETTING` [1]."""
+    setting = np.zeros(1, SETTING)
+    s = setting[0]
+    wheel = scenario.wheel
+    belief = scenario.belief
+    s.radius = wheel.radius
+    s.width = wheel.width
+    s.inertia = wheel.inertia
+    s.gravity = scenario.gravity
+    s.weight = scenario.weight
+    s.stall_torque = wheel.stall_torque
+    s.period = scenario.control.period
+    s.length = scenario.relaxation * wheel.radius
+    s.dig_gain = belief.dig_gain
+    s.dig_recovery = belief.dig_recovery
+    s.depth = depth_of(scenario)
+    s.exponent = belief.sinkage_exponent
+    s.border = belief.border
+    s.model_error = belief.model_error
+    s.law_error = LAW_ERROR
+    s.by_pitch = int(belief.grade_change_deg > 0.0)
+    s.off = int(belief.method == "none")
+    white, zero, gain = reading_errors(scenario)
+    least = LEAST_NOISE * np.array(reading_units(scenario))
+    least[0] = 0.0  # without a slip sensor
+    setting["white"] = np.maximum(white, least).view(READING)
+    setting["zero"] = zero.view(READING)
+    setting["gain"] = gain.view(READING)
+    mean, covariance = prior_of_belief(scenario)
+    setting["soil_mean"] = mean
+    setting["soil_sd"] = np.sqrt(np.diag(covariance))
+    setting["soil_covariance"] = covariance
+    setting["soil_precision"] = np.linalg.inv(covariance)
+    soils = _gaussians(scenario)
+    if len(soils) > 1:  # against soils that are like none of the library
+        soils.append((STRANGE * sum(weight for weight, _, _ in soils), mean, covariance))
+    if len(soils) > MOST_SOILS:
+        raise ParameterError(f"belief.soils: expected at most {MOST_SOILS - 1} soils")
+    setting["library"] = len(soils)
+    for k, (weight, center, spread) in enumerate(soils):
+        setting["library_mean"][0, k] = center
+        setting["library_covariance"][0, k] = spread
+        setting["library_precision"][0, k] = np.linalg.inv(spread)
+        setting["library_log"][0, k] = math.log(weight) - 0.5 * np.linalg.slogdet(spread)[1]
+    prior, of_prior = published_prior(scenario)
+    setting["prior"] = prior
+    setting["prior_sd"] = np.sqrt(np.diag(of_prior))
+    return setting

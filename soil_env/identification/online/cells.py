@@ -1,0 +1,116 @@
+"""Points to cells: points of like pull, slip and sinkage are averaged, so that noise does not count
+as excitation (regression dilution: Fuller 1987, Measurement Error Models, ch. 1).
+"""
+
+import math
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
+from soil_env.identification.online.memory import CELLS
+
+# Differences that count as one, beside noise.
+PULL_UNIT = 0.003  # [of weight]
+SLIP_UNIT = 0.025  # [-]
+SINKAGE_UNIT = 0.05  # relative
+LEAST_SINKAGE = 1e-6  # [m] that sinkages are compared with
+OTHER_GROUND = 1e12  # distance of a cell on a border from one that is not
+ON_BORDER = 1e9  # [1/m2] of two cells on a border, so that others are merged before them
+NEAREST = 1e-6  # [m2] least square of the distance of their places
+FARTHEST = 1e300
+
+
+@njit(**EXACT)
+def _distance(a, b):
+    """Squared distance of two cells in the units above."""
+    pull = PULL_UNIT**2 + a.pull_variance + b.pull_variance
+    slip = SLIP_UNIT**2 + a.slip_variance + b.slip_variance
+    sinkage = 0.5 * SINKAGE_UNIT * (abs(a.sinkage) + abs(b.sinkage)) + LEAST_SINKAGE
+    depth = sinkage * sinkage + a.sinkage_variance + b.sinkage_variance
+    square = (a.pull - b.pull) ** 2 / pull + (a.slip - b.slip) ** 2 / slip
+    return square + (a.sinkage - b.sinkage) ** 2 / depth
+
+
+@njit(**EXACT)
+def _joint_variance(a, b, share):
+    """Variance of (1 - share) x + share y, from theirs."""
+    return (1.0 - share) ** 2 * a + share * share * b
+
+
+@njit(**EXACT)
+def _merge(into, cell):
+    """Average a cell into another; one share for all quantities, so that they stay of one
+    condition.
+    """
+    share = into.slip_variance / (into.slip_variance + cell.slip_variance)
+    into.slip += share * (cell.slip - into.slip)
+    into.sinkage += share * (cell.sinkage - into.sinkage)
+    into.pull += share * (cell.pull - into.pull)
+    into.torque += share * (cell.torque - into.torque)
+    into.load += share * (cell.load - into.load)
+    into.inertial += share * (cell.inertial - into.inertial)
+    into.motor += share * (cell.motor - into.motor)
+    into.slip_variance = _joint_variance(into.slip_variance, cell.slip_variance, share)
+    into.sinkage_variance = _joint_variance(into.sinkage_variance, cell.sinkage_variance, share)
+    into.pull_variance = _joint_variance(into.pull_variance, cell.pull_variance, share)
+    into.torque_variance = _joint_variance(into.torque_variance, cell.torque_variance, share)
+    by_readings = cell.readings / (into.readings + cell.readings)
+    off = cell.place - into.place
+    square = (1.0 - by_readings) * into.spread**2 + by_readings * cell.spread**2
+    into.spread = math.sqrt(square + by_readings * (1.0 - by_readings) * off * off)
+    into.place += by_readings * off
+    into.place_error += by_readings * (cell.place_error - into.place_error)
+    into.readings += cell.readings
+    into.changes += cell.changes
+    if into.changes > 0.0:
+        share = cell.changes / into.changes
+        into.rise += share * (cell.rise - into.rise)
+        into.travel += share * (cell.travel - into.travel)
+        into.slide += share * (cell.slide - into.slide)
+        into.middle += share * (cell.middle - into.middle)
+
+
+@njit(**EXACT)
+def _apart(a, b):
+    """`_distance`, far where one of the two is on a border; nearer if both are, by their places."""
+    if a.place_error > 0.0 and b.place_error > 0.0:
+        return ON_BORDER * ((a.place - b.place) ** 2 + NEAREST)
+    if a.place_error > 0.0 or b.place_error > 0.0:
+        return OTHER_GROUND
+    return _distance(a, b)
+
+
+@njit(**EXACT)
+def remember(memory):
+    """Put the newest cell among the kept ones: into a like one, beside them, or, where there is no
+    room, in the place of one of the two that are most alike.
+    """
+    kept = memory.cells_kept
+    newest = memory.cells[kept]
+    nearest = FARTHEST
+    into = -1
+    for k in range(kept):
+        distance = _apart(memory.cells[k], newest)
+        if distance < nearest:
+            nearest = distance
+            into = k
+    if into >= 0 and nearest < 1.0:
+        _merge(memory.cells[into], newest)
+        return
+    if kept < CELLS:
+        memory.cells_kept = kept + 1
+        return
+    least = FARTHEST
+    first = 0
+    second = 1
+    for b in range(1, kept + 1):
+        for a in range(b):
+            lost = _apart(memory.cells[a], memory.cells[b])
+            lost *= min(memory.cells[a].readings, memory.cells[b].readings)
+            if lost < least:
+                least = lost
+                first = a
+                second = b
+    _merge(memory.cells[first], memory.cells[second])
+    if second < kept:
+        memory.cells[second] = memory.cells[kept]

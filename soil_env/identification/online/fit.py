@@ -1,0 +1,219 @@
+"""The most probable soil and instruments by all cells: Gauss-Newton, the generalized Newton-Raphson
+method of the source paper (its Section 4), with noise in its conditions and a prior; Laplace
+covariance.
+"""
+
+import math
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
+from soil_env.identification.online.linear import factorise, invert, solve
+from soil_env.identification.online.memory import (
+    ALL,
+    HERE,
+    LOAD_GAIN,
+    OLD,
+    PLACE,
+    PULL,
+    PULL_ZERO,
+    SINKAGE,
+    SINKAGE_ZERO,
+    SOIL,
+    SPEED_GAIN,
+    TANGENT,
+    TORQUE,
+    TORQUE_GAIN,
+    TORQUE_ZERO,
+)
+from soil_env.identification.online.points import TYPICAL_PULL
+from soil_env.identification.online.residuals import LEAST_TANGENT, residuals
+
+STEPS = 2  # of Gauss-Newton for a point, at most; with one the errors of ln K grow by a tenth
+SETTLED = 0.3  # squared length of a step in standard deviations, below which it is the last
+LONGEST = 1.0  # [prior standard deviations] of a step, of any unknown
+FARTHEST = 4.0  # [prior standard deviations] of the soil from its mean
+PAYLOAD = 0.05  # [of weight] doubt of the load where no sensor tells it
+EXACTLY = 1e-5  # least standard deviation of an instrument, so that none is singular
+# Form error: where chi-squared is `CONTRADICTS` times its expectation the laws err, by as much as
+# leaves no contradiction.
+CONTRADICTS = 1.3
+GROWS = 1.4
+FASTEST = 10.0
+SHRINKS = 1.1
+LARGEST_ERROR = 0.1  # [of load]
+
+
+@njit(**EXACT)
+def weigh_instruments(memory, setting, work):
+    """Prior variances of the instruments, those of two sensors by the shares that they have had."""
+    inertial = 0.0
+    motor = 0.0
+    readings = 0.0
+    for k in range(memory.cells_kept):
+        cell = memory.cells[k]
+        readings += cell.readings
+        inertial += cell.readings * cell.inertial
+        motor += cell.readings * cell.motor
+    inertial /= max(readings, 1.0)
+    motor /= max(readings, 1.0)
+    zero = setting.zero[0]
+    gain = setting.gain[0]
+    weight = setting.weight
+    twist = weight * setting.radius
+    of_force = (zero.drawbar_pull / weight) ** 2 + (TYPICAL_PULL * gain.drawbar_pull) ** 2
+    of_mass = (memory.mass * zero.acceleration / weight) ** 2 + (
+        TYPICAL_PULL * gain.acceleration
+    ) ** 2
+    variances = work.instruments
+    first = LOAD_GAIN
+    variances[LOAD_GAIN - first] = gain.load**2 + (zero.load / weight) ** 2
+    if memory.weighings == 0.0:
+        variances[LOAD_GAIN - first] += PAYLOAD**2
+    variances[PULL_ZERO - first] = (1.0 - inertial) ** 2 * of_force + inertial**2 * of_mass
+    variances[TORQUE_GAIN - first] = ((1.0 - motor) * gain.torque) ** 2 + (
+        motor * gain.motor_torque
+    ) ** 2
+    variances[TORQUE_ZERO - first] = (
+        ((1.0 - motor) * zero.torque) ** 2 + (motor * zero.motor_torque) ** 2
+    ) / twist**2
+    variances[SINKAGE_ZERO - first] = zero.sinkage**2
+    variances[SPEED_GAIN - first] = gain.speed**2 + gain.rim_speed**2
+    for i in range(SOIL):
+        variances[i] += EXACTLY**2
+
+
+@njit(**EXACT)
+def _begin_with_prior(memory, setting, work, size):
+    """Normal matrix and gradient of the prior alone."""
+    A = work.normal
+    g = work.gradient
+    u = memory.u
+    for i in range(size):
+        g[i] = 0.0
+        for j in range(size):
+            A[i, j] = 0.0
+    for i in range(SOIL):
+        for j in range(SOIL):
+            A[i, j] = memory.prior_precision[i, j]
+            g[i] += A[i, j] * (memory.prior_mean[j] - u[j])
+        k = LOAD_GAIN + i
+        A[k, k] = 1.0 / work.instruments[i]
+        g[k] = -A[k, k] * u[k]
+    if size == ALL:
+        A[PLACE, PLACE] = 1.0 / memory.border_variance
+        g[PLACE] = A[PLACE, PLACE] * (memory.border - u[PLACE])
+        for i in range(SOIL):
+            for j in range(SOIL):
+                A[OLD + i, OLD + j] = memory.old_precision[i, j]
+                g[OLD + i] += A[OLD + i, OLD + j] * (memory.old_mean[j] - u[OLD + j])
+    if memory.rests > 0.0:
+        # the slope is known as well as the zero of the pitch
+        variance = setting.zero[0].pitch ** 2 + setting.white[0].pitch ** 2 / memory.rests
+        variance += (setting.white[0].drawbar_pull / setting.weight) ** 2 / memory.rests
+        A[PULL_ZERO, PULL_ZERO] += 1.0 / variance
+        g[PULL_ZERO] += (memory.rest_pull - u[PULL_ZERO]) / variance
+
+
+@njit(**EXACT)
+def _normal_equations(memory, setting, work, size):
+    """Normal matrix and gradient of all cells at the unknowns; chi-squared of each kind."""
+    _begin_with_prior(memory, setting, work, size)
+    for i in range(size):
+        work.prior_gradient[i] = work.gradient[i]
+        for j in range(size):
+            work.prior[i, j] = work.normal[i, j]
+    A = work.normal
+    g = work.gradient
+    J = work.slopes
+    forces = 0.0
+    sinkage = 0.0
+    for k in range(memory.cells_kept):
+        cell = memory.cells[k]
+        e = residuals(cell, memory, setting, work)
+        forces += e.pull_weight * e.pull**2 + 2.0 * e.joint_weight * e.pull * e.torque
+        forces += e.torque_weight * e.torque**2
+        sinkage += e.sinkage_weight * e.sinkage**2
+        own = size if cell.place_error > 0.0 else HERE
+        for i in range(own):
+            p = e.pull_weight * J[PULL, i] + e.joint_weight * J[TORQUE, i]
+            t = e.joint_weight * J[PULL, i] + e.torque_weight * J[TORQUE, i]
+            s = e.sinkage_weight * J[SINKAGE, i]
+            g[i] += p * e.pull + t * e.torque + s * e.sinkage
+            for j in range(i, own):
+                A[i, j] += p * J[PULL, j] + t * J[TORQUE, j] + s * J[SINKAGE, j]
+    return forces, sinkage
+
+
+@njit(**EXACT)
+def _take_step(memory, setting, work, size):
+    """Take `work.step`, shortened where it is too long; the share of it that is taken."""
+    u = memory.u
+    share = 1.0
+    for i in range(size):
+        longest = LONGEST
+        if i < SOIL:
+            longest *= setting.soil_sd[i]
+        elif i < HERE:
+            longest *= math.sqrt(work.instruments[i - SOIL])
+        elif i == PLACE:
+            longest *= setting.border
+        else:
+            longest *= setting.soil_sd[i - OLD]
+        share = min(share, longest / max(abs(work.step[i]), 1e-300))
+    for i in range(size):
+        u[i] += share * work.step[i]
+    for i in range(SOIL):
+        low = setting.soil_mean[i] - FARTHEST * setting.soil_sd[i]
+        high = setting.soil_mean[i] + FARTHEST * setting.soil_sd[i]
+        u[i] = min(max(u[i], low), high)
+        u[OLD + i] = min(max(u[OLD + i], low), high)
+    u[TANGENT] = max(u[TANGENT], LEAST_TANGENT)
+    return share
+
+
+@njit(**EXACT)
+def _fall(work, size, share):
+    """Fall of chi-squared of the cells, without the prior, over a share of `work.step`."""
+    step = work.step
+    fall = 0.0
+    for i in range(size):
+        fall += 2.0 * share * step[i] * (work.gradient[i] - work.prior_gradient[i])
+        for j in range(i, size):  # of the normal matrix only the upper triangle is filled
+            twice = 1.0 if i == j else 2.0
+            more = work.normal[i, j] - work.prior[i, j]
+            fall -= twice * share * share * step[i] * step[j] * more
+    return fall
+
+
+@njit(**EXACT)
+def renew(memory, setting, work):
+    """Renew unknowns and covariance by all cells, `misfit` and form error of the laws."""
+    size = ALL if memory.behind > 0 else HERE
+    weigh_instruments(memory, setting, work)
+    left = 1.0  # of chi-squared after the step
+    forces = 0.0
+    sinkage = 0.0
+    for _ in range(STEPS):
+        forces, sinkage = _normal_equations(memory, setting, work, size)
+        factorise(work.normal, size, memory.factor)
+        solve(memory.factor, size, work.gradient, work.step)
+        length = 0.0
+        for i in range(size):
+            length += work.step[i] * work.gradient[i]
+        share = _take_step(memory, setting, work, size)
+        before = max(forces + sinkage, EXACTLY)
+        left = max(1.0 - _fall(work, size, share) / before, 0.0)
+        if share == 1.0 and length < SETTLED:
+            break
+    invert(memory.factor, SOIL, work.scratch, memory.covariance)
+    changes = 0.0
+    for k in range(memory.cells_kept):
+        changes += min(memory.cells[k].changes, 1.0)
+    memory.misfit = left * forces / (2.0 * memory.cells_kept)
+    memory.law_misfit = left * sinkage / max(changes, 1.0)
+    if memory.misfit > CONTRADICTS:
+        grown = min(max(math.sqrt(memory.misfit), GROWS), FASTEST) * memory.form_error
+        memory.form_error = min(grown, LARGEST_ERROR)
+    elif memory.misfit < 0.6 * CONTRADICTS:
+        memory.form_error = max(memory.form_error / SHRINKS, setting.model_error)

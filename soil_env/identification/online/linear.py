@@ -1,0 +1,73 @@
+"""Positive definite systems by triangular factors, in arrays of which the first n rows count.
+
+A = U U' with U upper triangular: the last unknown is eliminated first, so that the covariance of
+the first m unknowns follows from the first m rows of U.
+"""
+
+import math
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
+
+LEAST_PIVOT = 1e-12  # [of the diagonal] below which a matrix counts as singular there
+TINIEST = 1e-300  # least pivot
+
+
+@njit(**EXACT)
+def factorise(a, n, factor):
+    """U of the upper triangle of a [n, n]."""
+    for back in range(n):
+        j = n - 1 - back
+        pivot = a[j, j]
+        for k in range(j + 1, n):
+            pivot -= factor[j, k] * factor[j, k]
+        root = math.sqrt(max(pivot, LEAST_PIVOT * abs(a[j, j]), TINIEST))
+        factor[j, j] = root
+        for i in range(j):
+            rest = a[i, j]
+            for k in range(j + 1, n):
+                rest -= factor[i, k] * factor[j, k]
+            factor[i, j] = rest / root
+
+
+@njit(**EXACT)
+def solve_half(factor, n, right, x):
+    """x [n] with U x = right; its square is right' A^-1 right."""
+    for back in range(n):
+        i = n - 1 - back
+        rest = right[i]
+        for k in range(i + 1, n):
+            rest -= factor[i, k] * x[k]
+        x[i] = rest / factor[i, i]
+
+
+@njit(**EXACT)
+def solve(factor, n, right, x):
+    """x [n] with A x = right."""
+    solve_half(factor, n, right, x)
+    for i in range(n):
+        rest = x[i]
+        for k in range(i):
+            rest -= factor[k, i] * x[k]
+        x[i] = rest / factor[i, i]
+
+
+@njit(**EXACT)
+def invert(factor, m, scratch, inverse):
+    """The first m rows and columns of A^-1, all of them; `scratch` [m, m]: U^-1."""
+    for j in range(m):
+        scratch[j, j] = 1.0 / factor[j, j]
+        for back in range(j):
+            i = j - 1 - back
+            rest = 0.0
+            for k in range(i + 1, j + 1):
+                rest -= factor[i, k] * scratch[k, j]
+            scratch[i, j] = rest / factor[i, i]
+    for i in range(m):
+        for j in range(i, m):
+            product = 0.0
+            for k in range(i + 1):
+                product += scratch[k, i] * scratch[k, j]
+            inverse[i, j] = product
+            inverse[j, i] = product

@@ -1,0 +1,204 @@
+"""What the identifier keeps of a wheel, as records: the open point, the cells, unknowns and their
+covariance, a border; and the constants and the work space of its functions.
+"""
+
+from soil_env._compiled.flags import record
+from soil_env.identification.online.forces import SLOPE_NODES
+from soil_env.parameters.readings import SensorReading
+
+#: Unknowns of the soil: tan phi, c [Pa], n, ln of K [m], ln of the pressure S d^n [Pa] at the depth
+#: d, ln of the gain of slip-sinkage over the nominal one.
+TANGENT, COHESION, EXPONENT, LN_K, PRESSURE, GAIN = range(6)
+SOIL = 6
+#: Unknowns of the instruments: relative gain of load, torque and speed, zero of pull [of weight],
+#: torque [of weight x radius] and sinkage [m].
+LOAD_GAIN, PULL_ZERO, TORQUE_GAIN, TORQUE_ZERO, SINKAGE_ZERO, SPEED_GAIN = range(SOIL, 2 * SOIL)
+HERE = 2 * SOIL  # unknowns of one soil with the instruments
+#: Behind a border: the place of its middle [m], and the six of the old soil.
+PLACE = HERE
+OLD = PLACE + 1
+ALL = OLD + SOIL
+
+#: Residuals of a cell.
+PULL, TORQUE, SINKAGE = range(3)
+RESIDUALS = 3
+
+#: Cells kept; with five the errors grow by 1 to 3 %, with 24 they stay.
+CELLS = 8
+MOST_SOILS = 32  # of a library
+PITCHES = 24  # kept of a border, to find its place
+
+#: [5] published: phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal
+#: one.
+PUBLISHED = 5
+#: [-] Slips at which the drawbar pull is compared.
+SLIPS = 8
+
+READING = record(*SensorReading._fields)
+
+#: Sums over the readings of the open point.
+OPEN = record(
+    "readings",
+    "first_slip",
+    "slip",  # weighted, as pull and torque
+    "slip_weight",
+    "sinkage",
+    "pull",
+    "pull_weight",
+    "inertial",  # weighted share of the accelerometer in the pull
+    "torque",
+    "torque_weight",
+    "motor",  # weighted share of the motor in the torque
+    "load",
+    "cos_pitch",
+    "place",  # behind that of the first reading
+    "place_square",
+    "first_place",
+    "travel",
+    "slide",
+    "turning",
+)
+
+#: Readings of like pull, slip and sinkage, averaged. Variances are those of white noise.
+CELL = record(
+    "slip",
+    "slip_variance",
+    "sinkage",  # [m]
+    "sinkage_variance",
+    "pull",  # [of weight]
+    "pull_variance",
+    "torque",  # [of weight x radius]
+    "torque_variance",
+    "load",  # [N]
+    "inertial",  # share of the accelerometer in the pull
+    "motor",  # share of the motor in the torque
+    "readings",
+    "changes",  # of sinkage from point to point, of which the next four are means
+    "rise",  # [m] of sinkage
+    "travel",  # [relaxation lengths]
+    "slide",  # [relaxation lengths]
+    "middle",  # [m] sinkage in the middle
+    "most_likely_slip",  # at which the forces are linearised
+    "place",  # [m]
+    "spread",  # [m] sd of the places of its readings
+    "place_error",  # [m] of them, on a border; 0 elsewhere
+)
+
+#: Memory of the identifier of a wheel.
+MEMORY = record(
+    "mass",  # [kg] on the wheel by its load
+    "weighings",  # readings that this is the mean of
+    "place",  # [m] by the speeds
+    "travel",  # [relaxation lengths] clocks of the law of sinkage
+    "slide",
+    "turning",  # of the rim, in the same unit
+    "point_travel",  # those of the last point
+    "point_slide",
+    "point_turning",
+    "point_sinkage",  # [m] of the last point; 0 before the first
+    "last_rim",  # [m/s]
+    "grade",  # [rad] mean pitch of this soil
+    "grades",  # readings that this is the mean of
+    "jumps",  # readings in a row whose pitch is another
+    "odd",  # points in a row whose forces are another soil's
+    "crossing",  # 1 on a border
+    "border",  # [m] its middle, by the pitches
+    "border_variance",
+    "border_first",  # [m] place where it was noticed
+    "border_grade",  # [rad] before it
+    "border_grade_variance",
+    "form_error",  # [of load] of the laws
+    "misfit",  # chi-squared of the forces over its expectation
+    "law_misfit",  # the same of the law of sinkage
+    "widening",  # of standard deviations, while points in a row are odd
+    "rest_pull",  # [of weight] mean pull beyond that of the slope, standing
+    "rests",  # readings that this is the mean of
+    "standing",  # readings in a row at which the wheel stood
+    "ln_bearing",  # of the bearing sinkage [m] under the wheel
+    "refused",  # readings that no wheel gives
+    points=("i8",),  # of this soil
+    borders=("i8",),
+    status=("i8",),
+    cells_kept=("i8",),
+    pitches_kept=("i8",),
+    settled=("i8",),  # 1: this soil has fitted
+    behind=("i8",),  # 1 behind a border: the old soil is unknown too
+    u=("f8", ALL),
+    factor=("f8", (ALL, ALL)),  # of their normal matrix
+    covariance=("f8", (SOIL, SOIL)),  # of the soil
+    prior_mean=("f8", SOIL),  # of the next fit
+    prior_precision=("f8", (SOIL, SOIL)),
+    information=("f8", (SOIL, SOIL)),  # that the readings alone give on the soil
+    gradient=("f8", SOIL),  # of their log-likelihood at it
+    soil=("f8", SOIL),  # of the soil under the library
+    spread=("f8", (SOIL, SOIL)),  # covariance of that
+    old_mean=("f8", SOIL),
+    old_precision=("f8", (SOIL, SOIL)),
+    estimate=("f8", PUBLISHED),
+    sd=("f8", PUBLISHED),
+    fresh=("f8", PUBLISHED),  # of the soil behind the border, on it
+    fresh_sd=("f8", PUBLISHED),
+    old=("f8", PUBLISHED),  # of the soil before it
+    old_sd=("f8", PUBLISHED),
+    best_pull=("f8", 2),  # [of load] with its standard deviation
+    fresh_pull=("f8", 2),
+    old_pull=("f8", 2),
+    steady=("f8", SLIPS),  # ln of the steady sinkages at `SLIPS`
+    border_places=("f8", PITCHES),
+    border_pitches=("f8", PITCHES),
+    open=(OPEN, 1),
+    cells=(CELL, CELLS + 1),  # and the newest
+)
+
+#: Constants of a scenario.
+SETTING = record(
+    "radius",  # [m]
+    "width",  # [m]
+    "inertia",  # [kg m2]
+    "gravity",  # [m/s2]
+    "weight",  # [N]
+    "stall_torque",  # [N m]
+    "period",  # [s]
+    "length",  # [m] in which sinkage adapts
+    "dig_gain",  # [-] nominal
+    "dig_recovery",  # [-]
+    "depth",  # [m] at which pressures are compared
+    "exponent",  # [-] to which S is referred
+    "border",  # [m] over which one soil passes into the next; 0: one soil for ever
+    "model_error",  # [of load] of the laws
+    "law_error",  # [-] of the law of sinkage
+    by_pitch=("i8",),  # 1: the pitch shows borders
+    load_varies=("i8",),  # 1: the load on the wheel changes from point to point
+    off=("i8",),  # 1: nothing is identified
+    white=(READING, 1),
+    zero=(READING, 1),
+    gain=(READING, 1),
+    soil_mean=("f8", SOIL),
+    soil_sd=("f8", SOIL),
+    soil_precision=("f8", (SOIL, SOIL)),
+    soil_covariance=("f8", (SOIL, SOIL)),
+    library=("i8",),  # Gaussians of the library, at least one
+    library_log=("f8", MOST_SOILS),  # ln of their weights, less half of ln of the determinants
+    library_mean=("f8", (MOST_SOILS, SOIL)),
+    library_covariance=("f8", (MOST_SOILS, SOIL, SOIL)),
+    library_precision=("f8", (MOST_SOILS, SOIL, SOIL)),
+    prior=("f8", PUBLISHED),
+    prior_sd=("f8", PUBLISHED),
+)
+
+#: Work space of a thread.
+WORK = record(
+    prior=("f8", (ALL, ALL)),  # precision of all unknowns before any cell
+    prior_gradient=("f8", ALL),
+    normal=("f8", (ALL, ALL)),
+    factor=("f8", (ALL, ALL)),
+    scratch=("f8", (ALL, ALL)),
+    inverse=("f8", (ALL, ALL)),
+    gradient=("f8", ALL),
+    step=("f8", ALL),
+    instruments=("f8", SOIL),  # prior variances, from `LOAD_GAIN` on
+    soil=("f8", SOIL),  # blended
+    weights=("f8", MOST_SOILS),  # of the soils of the library
+    slopes=("f8", (RESIDUALS, ALL)),
+    slope_nodes=(SLOPE_NODES, 1),
+)

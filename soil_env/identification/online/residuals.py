@@ -1,0 +1,221 @@
+"""Residuals of a cell with their covariance and slopes: pull and torque at its slip and sinkage,
+and the law of slip-sinkage from point to point.
+
+Slip and sinkage have noise, which enters as effective variance (Orear 1982, Am. J. Phys.
+50:912-916) at the most likely slip.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from soil_env._compiled.flags import EXACT
+from soil_env.identification.online.borders import share_at
+from soil_env.identification.online.forces import Ground, reaction
+from soil_env.identification.online.memory import (
+    COHESION,
+    EXPONENT,
+    GAIN,
+    LN_K,
+    LOAD_GAIN,
+    OLD,
+    PLACE,
+    PRESSURE,
+    PULL,
+    PULL_ZERO,
+    SINKAGE,
+    SINKAGE_ZERO,
+    SOIL,
+    SPEED_GAIN,
+    TANGENT,
+    TORQUE,
+    TORQUE_GAIN,
+    TORQUE_ZERO,
+)
+from soil_env.identification.online.points import READINGS
+
+SHALLOWEST = 0.01  # [radii] least sinkage of a cell
+LEAST_SLIP = -0.5  # [-]
+MOST_SLIP = 0.96  # [-]
+FARTHEST_SLIP = 0.08  # [-] that the most likely slip may be from its reading
+LEAST_TANGENT = 0.05  # [-] of the friction angle
+DEEPER = 10.0  # bearing sinkage over the sinkage, at most
+# Form error of a cell on a border [of load], where the blend of two soils is a model too.
+BORDER_ERROR = 2e-3
+# Error of the law of sinkage of a cell on a border, relative.
+BORDER_LAW_ERROR = 0.3
+# [standard deviations] at which a residual of the law of sinkage is cut.
+FARTHEST = 3.0
+
+
+class Residuals(NamedTuple):
+    """Residuals of a cell over their units, with the inverse of their covariance."""
+
+    pull: float
+    torque: float
+    pull_weight: float
+    joint_weight: float
+    torque_weight: float
+    sinkage: float
+    sinkage_weight: float  # 0 where the cell shows no change of sinkage
+
+
+@njit(**EXACT)
+def _blend(cell, memory, setting, work):
+    """Write the soil under a cell into `work.soil`; (share of the new soil, its slope by the
+    place).
+    """
+    u = memory.u
+    for j in range(SOIL):
+        work.soil[j] = u[j]
+    if cell.place_error == 0.0:
+        return 1.0, 0.0
+    length = setting.border
+    ahead, ahead_by = share_at(cell.place + cell.spread - u[PLACE], length)
+    behind, behind_by = share_at(cell.place - cell.spread - u[PLACE], length)
+    share = 0.5 * (ahead + behind)
+    for j in range(SOIL):
+        work.soil[j] = share * u[j] + (1.0 - share) * u[OLD + j]
+    return share, -0.5 * (ahead_by + behind_by)
+
+
+@njit(**EXACT)
+def _over_border(row, share, by_place, memory, work):
+    """Share the slopes of a residual by the soil among new and old soil and the place of the
+    border; its change over the border for a metre of that.
+    """
+    u = memory.u
+    slopes = work.slopes
+    change = 0.0
+    for j in range(SOIL):
+        change += slopes[row, j] * (u[j] - u[OLD + j])
+        slopes[row, OLD + j] = (1.0 - share) * slopes[row, j]
+        slopes[row, j] *= share
+    slopes[row, PLACE] = by_place * change
+    return slopes[row, PLACE]
+
+
+@njit(**EXACT)
+def _put_soil(row, slopes, factor, work):
+    """Slopes of a residual by tan phi, c, n and ln K."""
+    work.slopes[row, TANGENT] = factor * slopes.tan_phi
+    work.slopes[row, COHESION] = factor * slopes.cohesion
+    work.slopes[row, EXPONENT] = factor * slopes.exponent
+    work.slopes[row, LN_K] = factor * slopes.ln_K
+
+
+@njit(**EXACT)
+def slip_slope(slip, setting):
+    """Change of the slip for a relative error of the speed; none for a slip sensor."""
+    return 0.0 if setting.white[0].slip > 0.0 else 1.0 - abs(slip)
+
+
+@njit(**EXACT)
+def residuals(cell, memory, setting, work):
+    """`Residuals` of a cell at the unknowns, with slopes in `work.slopes`; renews its most likely
+    slip.
+    """
+    u = memory.u
+    J = work.slopes
+    r = setting.radius
+    W = setting.weight
+    share, by_place = _blend(cell, memory, setting, work)
+    soil = work.soil
+    ground = Ground(max(soil[TANGENT], LEAST_TANGENT), soil[COHESION], soil[EXPONENT], soil[LN_K])
+    sinkage = max(cell.sinkage - u[SINKAGE_ZERO], SHALLOWEST * r)
+    load = cell.load * (1.0 - u[LOAD_GAIN])
+    slip = min(max(cell.most_likely_slip, LEAST_SLIP), MOST_SLIP)
+    f = reaction(work.slope_nodes[0], ground, sinkage, slip, load, r, setting.width)
+    to_pull = 1.0 / W
+    to_torque = (1.0 + u[TORQUE_GAIN]) / (W * r)
+    pull = f.pull.value * to_pull
+    torque = f.torque.value / (W * r)
+    read_slip = cell.slip + u[SPEED_GAIN] * slip_slope(slip, setting)
+    p_slip = f.pull.slip * to_pull
+    t_slip = f.torque.slip * to_torque
+    p_depth = f.pull.sinkage * to_pull
+    t_depth = f.torque.sinkage * to_torque
+
+    p = cell.pull - pull * (1.0 + cell.inertial * u[LOAD_GAIN]) - u[PULL_ZERO]
+    p -= p_slip * (read_slip - slip)
+    t = cell.torque - torque * (1.0 + u[TORQUE_GAIN]) - u[TORQUE_ZERO]
+    t -= t_slip * (read_slip - slip)
+    _put_soil(PULL, f.pull, to_pull, work)
+    _put_soil(TORQUE, f.torque, to_torque, work)
+    J[PULL, LOAD_GAIN] = (cell.inertial - 1.0) * pull + soil[COHESION] * f.pull.cohesion * to_pull
+    J[TORQUE, LOAD_GAIN] = to_torque * (soil[COHESION] * f.torque.cohesion - f.torque.value)
+    J[PULL, PULL_ZERO] = 1.0
+    J[TORQUE, TORQUE_GAIN] = torque
+    J[TORQUE, TORQUE_ZERO] = 1.0
+    J[PULL, SINKAGE_ZERO] = -p_depth
+    J[TORQUE, SINKAGE_ZERO] = -t_depth
+    J[PULL, SPEED_GAIN] = p_slip * slip_slope(slip, setting)
+    J[TORQUE, SPEED_GAIN] = t_slip * slip_slope(slip, setting)
+
+    form = memory.form_error**2
+    place = 0.0
+    p_place = 0.0
+    t_place = 0.0
+    if cell.place_error > 0.0:
+        form += BORDER_ERROR**2
+        place = cell.place_error**2
+        p_place = _over_border(PULL, share, by_place, memory, work)
+        t_place = _over_border(TORQUE, share, by_place, memory, work)
+    v_slip = cell.slip_variance
+    v_depth = cell.sinkage_variance
+    pp = cell.pull_variance + form
+    pp += p_slip * p_slip * v_slip + p_depth * p_depth * v_depth + p_place * p_place * place
+    pt = p_slip * t_slip * v_slip + p_depth * t_depth * v_depth + p_place * t_place * place
+    tt = cell.torque_variance + form
+    tt += t_slip * t_slip * v_slip + t_depth * t_depth * v_depth + t_place * t_place * place
+    det = pp * tt - pt * pt
+    pp, pt, tt = tt / det, -pt / det, pp / det
+    likely = read_slip + v_slip * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
+    cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
+    s, weight = _of_sinkage(cell, f.ln_s, sinkage, share, by_place, memory, setting, work)
+    return Residuals(p, t, pp, pt, tt, s, weight)
+
+
+@njit(**EXACT)
+def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
+    """Residual of the law of slip-sinkage, z' - z = come (B z_b - A z), over its unit, and its
+    weight.
+
+    A and B are integrals over the way from point to point, z_b is the bearing sinkage.
+    """
+    if cell.changes == 0.0:
+        return 0.0, 0.0
+    u = memory.u
+    J = work.slopes
+    soil = work.soil
+    n = soil[EXPONENT]
+    middle = max(cell.middle - u[SINKAGE_ZERO], SHALLOWEST * setting.radius)
+    at_middle = ln_s.value + ln_s.sinkage * (middle - sinkage)
+    stronger = at_middle - soil[PRESSURE]
+    bearing = middle * min(setting.depth * math.exp(stronger / n), DEEPER)
+    gain = setting.dig_gain * math.exp(soil[GAIN])
+    a = cell.travel + setting.dig_recovery * cell.slide
+    b = a + gain * cell.slide
+    come = (1.0 - math.exp(-a)) / max(a, SHALLOWEST)
+    residual = cell.rise - come * (b * bearing - a * (middle - 0.5 * cell.rise))
+    by = come * b * bearing / n
+    J[SINKAGE, TANGENT] = by * ln_s.tan_phi
+    J[SINKAGE, COHESION] = by * ln_s.cohesion
+    J[SINKAGE, EXPONENT] = by * (ln_s.exponent - stronger / n)
+    J[SINKAGE, LN_K] = by * ln_s.ln_K
+    J[SINKAGE, PRESSURE] = -by
+    J[SINKAGE, GAIN] = come * gain * cell.slide * bearing
+    J[SINKAGE, LOAD_GAIN] = -by * (1.0 - soil[COHESION] * ln_s.cohesion)
+    J[SINKAGE, SINKAGE_ZERO] = come * (a - b * bearing / middle) - by * ln_s.sinkage
+    law = setting.law_error
+    place = 0.0
+    if cell.place_error > 0.0:
+        law = BORDER_LAW_ERROR
+        place = _over_border(SINKAGE, share, by_place, memory, work) * cell.place_error
+    # a point's sinkage enters the change before it and the one behind it
+    of_point = setting.white[0].sinkage ** 2 / READINGS
+    variance = (1.0 + (1.0 - come * a) ** 2) * of_point / cell.changes
+    variance += (law * come * a * bearing) ** 2 + place * place
+    sd = math.sqrt(variance)
+    return min(max(residual, -FARTHEST * sd), FARTHEST * sd), 1.0 / variance

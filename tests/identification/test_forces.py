@@ -1,0 +1,111 @@
+"""Forces at a measured slip and sinkage: against quadrature, the steady state of terramechanics,
+and finite differences.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings, strategies as st
+
+from soil_env.parameters import soils
+from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
+from soil_env.terramechanics.steady import steady_state
+from tests.identification.observing import react
+from tests.terramechanics import reference
+
+PULL, TORQUE, LN_S = range(3)
+R = 0.15  # [m]
+B = 0.12
+LOAD = 150.0  # [N]
+UNIT = np.array([LOAD, LOAD * R, 1.0])  # of what `react` gives
+
+ground = st.tuples(
+    st.floats(10.0, 42.0),  # [deg]
+    st.floats(0.0, 2500.0),  # [Pa]
+    st.floats(0.3, 1.4),
+    st.floats(math.log(0.003), math.log(0.08)),
+)
+driving = st.floats(0.0, 0.95)
+braking = st.floats(-0.5, -0.01)
+depth = st.floats(0.005, 0.6).map(lambda share: share * R)
+
+
+def row_of(ground, sinkage, slip, load=LOAD):
+    return [math.tan(math.radians(ground[0])), *ground[1:], sinkage, slip, load, R, B]
+
+
+def carried(row):
+    """`react`, assumed that the normal stress bears a tenth of the load: cohesion bears the rest.
+
+    S is proportional to the load that is left to it.
+    """
+    found = react(row)[0]
+    twice = react([*row[:6], 2.0 * row[6], *row[7:]])[0]
+    assume(twice[LN_S, 0] - found[LN_S, 0] < math.log(11.0))
+    return found
+
+
+@settings(max_examples=40, deadline=None)
+@given(ground, depth, st.one_of(driving, braking))
+def test_forces_are_those_of_the_equations(soil, sinkage, slip):
+    """By adaptive quadrature of Eqs. (1)-(3): the load of a soil gives back its S, with the pull
+    and the torque.
+
+    Where the shear reverses within the arc the nodes see no kink, as in test_contact.
+    """
+    angle, cohesion, n, ln_K = soil
+    S = 3e5
+    bound = 1e-4 if slip >= 0.0 else 4e-3
+    judged = reference.Ground(angle, cohesion, math.exp(ln_K), S, n)
+    judge = reference.forces(judged, slip, math.acos(1.0 - sinkage / R), R, B)
+    assume(judge.load > 0.1 * judge.scale)
+    found = react(row_of(soil, sinkage, slip, judge.load))[0, :, 0]
+    normal = judge.scale * bound
+    assert found[PULL] == pytest.approx(judge.drawbar_pull, abs=2.0 * normal)
+    assert found[TORQUE] == pytest.approx(judge.torque, abs=2.0 * normal * R)
+    assert found[LN_S] == pytest.approx(math.log(S), abs=10.0 * bound)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(soils())), st.floats(-0.4, 0.9))
+def test_at_the_steady_sinkage_the_forces_are_those_of_the_steady_state(name, slip):
+    """The mobilised S is that of the soil over the ratio of slip-sinkage, to the n."""
+    soil = soils()[name].state(B)
+    at = steady_state(slip, LOAD, soil, R, B)
+    assume(at.supported)
+    row = [soil.tan_phi, soil.cohesion, soil.sinkage_exponent, math.log(soil.shear_modulus)]
+    found = react([*row, at.sinkage, slip, LOAD, R, B])[0, :, 0]
+    ratio = slip_sinkage_ratio(slip, soil.dig_gain, soil.dig_recovery)
+    available = math.log(soil.sinkage_coefficient) - soil.sinkage_exponent * math.log(ratio)
+    assert found[PULL] == pytest.approx(at.drawbar_pull, abs=1e-3 * LOAD)
+    assert found[TORQUE] == pytest.approx(at.torque, abs=1e-3 * LOAD * R)
+    assert found[LN_S] == pytest.approx(available, abs=1e-3)
+
+
+@settings(max_examples=80, deadline=None)
+@given(ground, depth, st.one_of(driving, braking))
+def test_derivatives_are_those_of_finite_differences(soil, sinkage, slip):
+    """Central ones, to a millionth of the scale on which a quantity varies."""
+    row = row_of(soil, sinkage, slip)
+    found = carried(row)
+    scales = np.array([0.3, 500.0, 0.3, 0.3, sinkage, 0.3])
+    h = 1e-5
+    ahead = np.tile(row, (6, 1))
+    behind = ahead.copy()
+    ahead[np.arange(6), np.arange(6)] += h * scales
+    behind[np.arange(6), np.arange(6)] -= h * scales
+    slopes = (react(ahead)[:, :, 0] - react(behind)[:, :, 0]).T / (2.0 * h)
+    np.testing.assert_allclose(
+        found[:, 1:] * scales / UNIT[:, None], slopes / UNIT[:, None], rtol=2e-6, atol=2e-6
+    )
+
+
+@pytest.mark.parametrize("slip", [-0.3, 0.0, 0.4])
+def test_more_load_mobilises_more_of_the_soil(slip):
+    """At a given sinkage S, pull and torque grow with the load, without cohesion in proportion."""
+    soil = soils()["dry_sand"].state(B)
+    row = [soil.tan_phi, 0.0, soil.sinkage_exponent, math.log(soil.shear_modulus), 0.02, slip]
+    light, heavy = react([[*row, load, R, B] for load in (100.0, 150.0)])[:, :, 0]
+    np.testing.assert_allclose(heavy[:2], 1.5 * light[:2], rtol=1e-9)
+    assert heavy[LN_S] - light[LN_S] == pytest.approx(math.log(1.5), rel=1e-9)
