@@ -27,8 +27,12 @@ def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
         *two.values()
     ]
     for name, row in read_json(tmp_path / "identification.json")["rows"].items():
-        assert row.keys() == published[name].keys() - {"bound", "rms_there"}
-        assert np.all(np.isfinite([row[key] for key in row if isinstance(row[key], list)]))
+        assert row.keys() == published[name].keys() and study.SENSORS.keys() <= row.keys()
+        for kind in study.SENSORS:
+            found = row[kind]
+            assert found.keys() == published[name][kind].keys()
+            assert np.all(np.isfinite(np.concatenate([np.ravel(v) for v in found.values()])))
+            assert np.all(np.array(found["rms"]) > 0.0) and found["holds_68"] != [0.0] * 3
     capsys.readouterr()
     assert run(study.command, ["--only", "stickyy", *arguments], "") == 2
     said = capsys.readouterr().err

@@ -30,7 +30,7 @@ from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 SLIP = np.array([0.08, 0.15, 0.23, 0.33, 0.45, 0.6, 0.78, 0.97])  # [-] at which pulls are compared
 assert len(SLIP) == SLIPS
 FLOORED = math.log(2.0 * LEAST_COEFFICIENT)  # ln of a mobilised coefficient that counts as none
-STEPS = 1  # of Newton's method before the last
+STEPS = 0  # of Newton's method before the last
 FIRST_STEPS = 12  # of Newton's method, from a first guess
 FAR = 0.7  # largest step of ln z
 SHALLOWEST = 1e-5  # [radii]

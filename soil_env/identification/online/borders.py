@@ -1,5 +1,5 @@
-"""Borders between soils: by the pitch, where each soil has a grade, and by two points in a row that
-are another soil's; over a border one soil passes into the next.
+"""Borders between soils: by the pitch, where each soil has a grade, and by points whose forces are
+another soil's; over a border one soil passes into the next.
 """
 
 import math

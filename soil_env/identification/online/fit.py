@@ -214,6 +214,6 @@ def renew(memory, setting, work):
     memory.law_misfit = left * sinkage / max(changes, 1.0)
     if memory.misfit > CONTRADICTS:
         grown = min(max(math.sqrt(memory.misfit), GROWS), FASTEST) * memory.form_error
-        memory.form_error = min(grown, LARGEST_ERROR)
+        memory.form_error = min(grown, max(LARGEST_ERROR, setting.model_error))
     elif memory.misfit < 0.6 * CONTRADICTS:
         memory.form_error = max(memory.form_error / SHRINKS, setting.model_error)

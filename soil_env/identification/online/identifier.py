@@ -79,12 +79,12 @@ SETTLED_POINTS = 3  # of a soil, before which no point is odd
 DOUBT = 1.3  # factor of the standard deviations while a point is odd
 DOUBLED = 4.0  # factor of the form error's variance in that test
 BEYOND = 4e-6  # [of load, squared] further error of the laws in that test
-OFTEN = 2  # points of a soil after which the best pull is renewed with every second one
+OFTEN = 3  # points of a soil after which the best pull is renewed with every third one
 CONTRADICTION = 2.5  # chi-squared over its expectation, above which readings contradict the laws
 MISFIT = (
     4.0  # [of the belief's model error] form error of the laws above which they contradict them
 )
-PULL_WIDER = 1.15  # beyond that, of the best pull, whose errors have longer tails
+PULL_WIDER = 1.15  # of the best pull, beyond `WIDER`, whose errors have longer tails
 WIDER = 1.1  # of standard deviations: what a linearised fit under a Gaussian prior leaves out
 LEARNT = 0.6  # [of the prior's] standard deviation of phi and ln K at which both count as known
 LEAST_SINKAGE = 1e-3  # [radii] for the bearing sinkage that S is published at
@@ -294,6 +294,17 @@ def _complete(memory, reading, alone, setting, work):
 
 
 @njit(**EXACT)
+def _is_finite(memory):
+    """True if all that is published is a number."""
+    total = abs(memory.best_pull[0]) + memory.best_pull[1] + memory.form_error
+    for i in range(PUBLISHED):
+        total += abs(memory.estimate[i]) + memory.sd[i] + abs(memory.fresh[i]) + memory.fresh_sd[i]
+    for i in range(ALL):
+        total += abs(memory.u[i])
+    return math.isfinite(total)
+
+
+@njit(**EXACT)
 def observe(memory, reading, alone, setting, work):
     """Take one set of readings: `HELD`, `MOVED` or `RENEWED`.
 
@@ -329,6 +340,9 @@ def observe(memory, reading, alone, setting, work):
     if point.readings > 0.0 and (not steady or ends_point(point, reading, error, most, setting)):
         _complete(memory, reading, alone, setting, work)
         outcome = RENEWED
+        if not _is_finite(memory):  # readings that no soil explains
+            forget(memory, setting, work)
+            return RENEWED
     if steady:
         collect(point, memory, reading, error, turned, setting)
     if memory.crossing > 0.0:

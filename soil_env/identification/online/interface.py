@@ -47,6 +47,8 @@ from soil_env.slip import rim_speeds, travel_speeds
 from soil_env.terramechanics.steady import steady_state
 
 __all__ = [
+    "LONGEST_STEP",
+    "SHORTEST_STEP",
     "Estimate",
     "Instruments",
     "OnlineIdentifier",
@@ -97,7 +99,7 @@ def largest_readings(wheel: Wheel, gravity: float = 9.81) -> Readings:
     """
     force = 100.0 * wheel.body_mass * gravity
     twist = force * wheel.radius
-    return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.6, twist, 500.0)
+    return Readings(1e3, 40.0, wheel.radius, force, force, twist, 1.5, 1.5, twist, 500.0)
 
 
 def _refusal(r: Readings, largest: Readings) -> TypeError | ValueError | None:

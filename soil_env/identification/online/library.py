@@ -59,10 +59,6 @@ def mix(known, u, setting, work):
     """Write `soil` and `spread` of `known` by its `information` and `gradient` at the soil u, and
     the weights of the library into `work.weights`.
     """
-    best = -math.inf
-    for k in range(setting.library):
-        work.weights[k] = _join(known, u, setting, work, k)
-        best = max(best, work.weights[k])
     mean = known.soil
     spread = known.spread
     total = 0.0
@@ -70,14 +66,22 @@ def mix(known, u, setting, work):
         mean[i] = 0.0
         for j in range(SOIL):
             spread[i, j] = 0.0
+    best = -math.inf
     for k in range(setting.library):
-        weight = math.exp(work.weights[k] - best)
+        log = _join(known, u, setting, work, k)
+        work.weights[k] = log
+        if log > best:  # what is summed so far counts less
+            less = math.exp(best - log)
+            best = log
+            total *= less
+            for i in range(SOIL):
+                mean[i] *= less
+                for j in range(SOIL):
+                    spread[i, j] *= less
+        weight = math.exp(log - best)
         if weight < UNLIKELY:
-            work.weights[k] = 0.0
             continue
-        work.weights[k] = weight
         total += weight
-        _join(known, u, setting, work, k)
         solve(work.factor, SOIL, work.gradient, work.step)
         invert(work.factor, SOIL, work.scratch, work.inverse)
         for i in range(SOIL):
@@ -92,7 +96,8 @@ def mix(known, u, setting, work):
     for i in range(SOIL):
         mean[i] += u[i]
     for k in range(setting.library):
-        work.weights[k] /= total
+        weight = math.exp(work.weights[k] - best)
+        work.weights[k] = weight / total if weight >= UNLIKELY else 0.0
 
 
 @njit(**EXACT)

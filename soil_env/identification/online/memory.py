@@ -100,7 +100,7 @@ MEMORY = record(
     "grade",  # [rad] mean pitch of this soil
     "grades",  # readings that this is the mean of
     "jumps",  # readings in a row whose pitch is another
-    "odd",  # points in a row whose forces are another soil's
+    "odd",  # sum of the excess of chi-squared of points
     "crossing",  # 1 on a border
     "border",  # [m] its middle, by the pitches
     "border_variance",

@@ -34,7 +34,9 @@ SLIDE_BEFORE = 0.08
 LAG = 0.3  # [periods] between the ground that a reading shows and the place at its end
 FULLEST = 60.0  # readings of a mean that forgets older ones
 SLACK = 2.0  # [radii] sinkage beyond which a reading is of no wheel
-LARGEST = 1e12  # of any reading
+LARGEST_FORCE = 200.0  # [of weight] and as an acceleration of gravity
+FASTEST = 80.0  # [m/s] of both speeds together
+STEEPEST = 1.5  # [rad]
 TYPICAL_TORQUE = 0.3  # [of weight x radius] at which a gain counts as an error of a torque
 TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 
@@ -42,10 +44,14 @@ TYPICAL_PULL = 0.2  # [of weight] the same of a pull
 @njit(**EXACT)
 def is_sound(reading, setting):
     """True if all readings are numbers that a wheel can give."""
-    total = abs(reading.slip) + abs(reading.sinkage) + abs(reading.drawbar_pull)
-    total += abs(reading.load) + abs(reading.torque) + abs(reading.speed) + abs(reading.rim_speed)
-    total += abs(reading.pitch) + abs(reading.motor_torque) + abs(reading.acceleration)
-    return total < LARGEST and reading.sinkage < SLACK * setting.radius
+    force = LARGEST_FORCE * setting.weight
+    twist = abs(reading.torque) + abs(reading.motor_torque)
+    sound = abs(reading.drawbar_pull) + abs(reading.load) <= force
+    sound = sound and twist <= force * setting.radius and abs(reading.slip) <= 1.0
+    sound = sound and abs(reading.speed) + abs(reading.rim_speed) <= FASTEST
+    sound = sound and abs(reading.acceleration) <= LARGEST_FORCE * setting.gravity
+    sound = sound and abs(reading.pitch) <= STEEPEST
+    return sound and abs(reading.sinkage) < SLACK * setting.radius
 
 
 @njit(**EXACT)
@@ -86,8 +92,6 @@ def is_steady(reading, error, turned, setting):
 @njit(**EXACT)
 def ends_point(point, reading, error, most, setting):
     """True if the open point has enough readings, or this one is unlike its first."""
-    if point.readings == 0.0:
-        return False
     enough = point.readings >= most and (
         point.slip_weight * SHARPEST_SLIP**2 >= 1.0 or point.readings >= MOST_READINGS
     )
@@ -269,7 +273,7 @@ def note_rest(memory, reading, setting):
     """Where the wheel stands, its pull is that of its weight on the slope: the rest is the zero."""
     standing = abs(reading.rim_speed) < SLOWEST and abs(reading.speed) < SLOWEST
     memory.standing = memory.standing + 1.0 if standing else 0.0
-    if memory.standing > STANDSTILL and memory.mass > 0.0:
+    if memory.standing > STANDSTILL:
         pull, _, _ = combined_pull(memory, reading, setting)
         slope = memory.mass * setting.gravity * math.sin(reading.pitch) / setting.weight
         memory.rests = min(memory.rests + 1.0, FULLEST)

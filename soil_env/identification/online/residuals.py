@@ -14,6 +14,7 @@ from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.borders import share_at
 from soil_env.identification.online.forces import Ground, reaction
 from soil_env.identification.online.memory import (
+    ALL,
     COHESION,
     EXPONENT,
     GAIN,
@@ -35,6 +36,7 @@ from soil_env.identification.online.memory import (
 )
 from soil_env.identification.online.points import READINGS
 
+SINGULAR = 1e-9  # least determinant of a covariance, of the product of its variances
 SHALLOWEST = 0.01  # [radii] least sinkage of a cell
 LEAST_SLIP = -0.5  # [-]
 MOST_SLIP = 0.96  # [-]
@@ -169,7 +171,7 @@ def residuals(cell, memory, setting, work):
     pt = p_slip * t_slip * v_slip + p_depth * t_depth * v_depth + p_place * t_place * place
     tt = cell.torque_variance + form
     tt += t_slip * t_slip * v_slip + t_depth * t_depth * v_depth + t_place * t_place * place
-    det = pp * tt - pt * pt
+    det = max(pp * tt - pt * pt, SINGULAR * pp * tt)
     pp, pt, tt = tt / det, -pt / det, pp / det
     likely = read_slip + v_slip * (p_slip * (pp * p + pt * t) + t_slip * (pt * p + tt * t))
     cell.most_likely_slip = min(max(likely, cell.slip - FARTHEST_SLIP), cell.slip + FARTHEST_SLIP)
@@ -184,10 +186,12 @@ def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
 
     A and B are integrals over the way from point to point, z_b is the bearing sinkage.
     """
-    if cell.changes == 0.0:
-        return 0.0, 0.0
     u = memory.u
     J = work.slopes
+    if cell.changes == 0.0:
+        for j in range(ALL):
+            J[SINKAGE, j] = 0.0
+        return 0.0, 0.0
     soil = work.soil
     n = soil[EXPONENT]
     middle = max(cell.middle - u[SINKAGE_ZERO], SHALLOWEST * setting.radius)
@@ -197,7 +201,7 @@ def _of_sinkage(cell, ln_s, sinkage, share, by_place, memory, setting, work):
     gain = setting.dig_gain * math.exp(soil[GAIN])
     a = cell.travel + setting.dig_recovery * cell.slide
     b = a + gain * cell.slide
-    come = (1.0 - math.exp(-a)) / max(a, SHALLOWEST)
+    come = -math.expm1(-a) / a if a > 0.0 else 1.0
     residual = cell.rise - come * (b * bearing - a * (middle - 0.5 * cell.rise))
     by = come * b * bearing / n
     J[SINKAGE, TANGENT] = by * ln_s.tan_phi
