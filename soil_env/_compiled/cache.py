@@ -39,7 +39,7 @@ SOURCES = (
 FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT
-COMPILING = "compiling, at the first use only: up to half a minute for each environment"
+COMPILING = "compiling, at the first use only: up to a minute for each environment"
 PATIENCE = 3.0  # [s] that a first call may take before the line above explains it
 
 
