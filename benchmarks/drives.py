@@ -13,15 +13,18 @@ from agents.controllers.wheel import ConstantSpeed, SoftStart
 from agents.evaluate.driving import drive
 from agents.evaluate.tuning import shipped_settings
 from soil_env.envs.rovers import RoverSimulation
+from soil_env.identification.online.board import Known
 from soil_env.identification.online.identifier import prior_pull
+from soil_env.identification.online.interface import UNMEASURED
 from soil_env.identification.online.on_board import WheelsOnBoard
 from soil_env.identification.online.prior import setting_of
 from soil_env.identification.online.rover_on_board import RoversOnBoard
 from soil_env.parameters import RoverScenario, Scenario, SoilState, load_rover
 from soil_env.parameters.readings import IDLE, RESTART, STEP, Shown, reading_units
-from soil_env.parameters.sensors import calibrated
 from soil_env.simulation.task import Cause
+from soil_env.simulation.world.sensors import sensors_of
 from soil_env.simulation.world.terrain import places_on
+from soil_env.slip import slips
 from soil_env.terramechanics.model import WheelSoilModel
 from soil_env.terramechanics.traversability import best_points
 
@@ -31,7 +34,6 @@ QUANTITIES = ("phi [deg]", "ln K", "ln S", "c [kPa]", "ln gain", "best pull [of 
 UNITS = np.array([math.degrees(1.0), 1.0, 1.0, 1e-3, 1.0, 1.0])
 SHARED = np.array([0, 1, 3])  # of these the wheels of a rover share: phi, ln K, c
 SWING_PERIOD = 4.0  # [s]
-UNKNOWN = 1e2  # [of its unit] white noise of a sensor that does not measure
 ERROR_SEED = 5  # of zeros and gains
 
 
@@ -118,7 +120,8 @@ class Shadow:
         white = self.board.setting["board"]["identifier"][0, 0]["white"]
         units = reading_units(believed)
         for name in missing:
-            white[name] = UNKNOWN * getattr(units, name)
+            white[name] = UNMEASURED * getattr(units, name)
+        self.slow = float(sensors_of(believed)["slow"][0])
         self.missing = missing
         rng = np.random.default_rng(ERROR_SEED)
         self.errors = {n: size * sd * rng.normal(size=(courses, 1)) for n, sd in ERRORS.items()}
@@ -152,12 +155,7 @@ class Shadow:
         seen["sinkage"] += e["sinkage_zero"]
         seen["load"] *= 1.0 + e["load_gain"]
         seen["speed"] *= 1.0 + e["speed_gain"]
-        noise = self.scenario.noise
-        slow = max(3.0 * math.hypot(noise.speed, noise.wheel_speed * radius), 1e-3)
-        rim = seen["rim_speed"]
-        scale = np.maximum(np.maximum(np.abs(rim), np.abs(seen["speed"])), slow)
-        slip = np.clip((rim - seen["speed"]) / scale, -1.0, 1.0)
-        seen["slip"] = np.where(rim + seen["speed"] < -slow, -slip, slip)
+        seen["slip"] = slips(seen["rim_speed"], seen["speed"], self.slow)
         instead = {"load": weight * np.cos(seen["pitch"])}
         for name in self.missing:
             seen[name] = instead.get(name, 0.0)
@@ -166,10 +164,19 @@ class Shadow:
     def known(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Estimates and standard deviations [..., 6] of `QUANTITIES` now, and the status."""
         views = self.board.views()
-        known = views.get("known", views["ids"])
-        estimate = np.concatenate([known.estimate, known.best_pull[..., :1]], axis=-1)
-        sd = np.concatenate([known.sd, known.best_pull[..., 1:]], axis=-1)
-        return estimate, sd, known.status.copy()
+        return published(views.get("known", views["ids"]))
+
+
+#: What is logged of an identifier; that of the simulation itself has this name.
+KNOWN = ("estimate", "sd", "status")
+OWN = "own"
+
+
+def published(known: Known) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Estimates and standard deviations [..., 6] of `QUANTITIES`, and the status."""
+    estimate = np.concatenate([known.estimate, known.best_pull[..., :1]], axis=-1)
+    sd = np.concatenate([known.sd, known.best_pull[..., 1:]], axis=-1)
+    return estimate, sd, known.status.copy()
 
 
 def record(
@@ -180,13 +187,13 @@ def record(
     shadows: dict[str, Shadow],
     model: WheelSoilModel | None = None,
 ) -> dict[str, np.ndarray]:
-    """Drive courses of a seed with calibrated sensors, beside `shadows`; arrays [T, courses, ...].
+    """Drive courses of a seed beside `shadows`; arrays [T, courses, ...].
 
     "truth" [6]: `QUANTITIES` of the ground under the wheel, ln S at the exponent of the belief and
     the true bearing sinkage; "driven": neither ended nor in a halt; "alive"; "readings", a record;
-    of each shadow "NAME estimate", "NAME sd" [6] and "NAME status".
+    of each shadow, and of the
+    simulation's own identifiers as `OWN`, "NAME estimate", "NAME sd" [6] and "NAME status".
     """
-    scenario = replace(scenario, noise=calibrated(scenario.noise))
     log: dict[str, list[np.ndarray]] = defaultdict(list)
     for t, (sim, alive) in enumerate(
         drive(controller, scenario, seed, 0, courses, model=model, warnings=True)
@@ -198,12 +205,13 @@ def record(
         log["driven"].append(alive & (w.state["halt_left"] == 0.0))
         log["alive"].append(alive.copy())
         log["readings"].append(sim._noted[1][:, 0].copy())
+        known = {OWN: published(w.ids)}
         for name, shadow in shadows.items():
             shadow.follow(sim, alive, t / scenario.periods)
-            estimate, sd, status = shadow.known()
-            log[f"{name} estimate"].append(estimate)
-            log[f"{name} sd"].append(sd)
-            log[f"{name} status"].append(status)
+            known[name] = shadow.known()
+        for name, found in known.items():
+            for what, values in zip(KNOWN, found, strict=True):
+                log[f"{name} {what}"].append(values)
     return {name: np.array(rows) for name, rows in log.items()}
 
 
@@ -282,7 +290,6 @@ def record_rover(
     """Drive courses of a seed as `record`; arrays [T, courses, axles, ...], "truth" of phi, ln K
     and c.
     """
-    scenario = replace(scenario, noise=calibrated(scenario.noise))
     simulation = RoverSimulation(courses, scenario, "blind", 2, estimates=True)
     for j in range(courses):
         simulation.seed(j, np.random.default_rng([seed, j]))
@@ -300,12 +307,15 @@ def record_rover(
         log["truth"].append(soil)
         driven = going & (w.state["halt_left"] == 0.0)
         log["driven"].append(np.repeat(driven[:, None], scenario.axles, 1))
+        known = {OWN: published(w.known)}
         for name, shadow in shadows.items():
             shadow.follow(simulation, going, t / scenario.periods)
-            estimate, sd, status = shadow.known()
-            log[f"{name} estimate"].append(estimate[..., SHARED])
-            log[f"{name} sd"].append(sd[..., SHARED])
-            log[f"{name} status"].append(status)
+            known[name] = shadow.known()
+        for name, (estimate, sd, status) in known.items():
+            for what, values in zip(
+                KNOWN, (estimate[..., SHARED], sd[..., SHARED], status), strict=True
+            ):
+                log[f"{name} {what}"].append(values)
         going = going & (w.cause == Cause.RUNNING.value)
         t += 1
     return {name: np.array(rows) for name, rows in log.items()}

@@ -5,14 +5,16 @@
     python -m benchmarks.identification --only two_lines  rows of this scenario anew, the others as
                                                           they are
 
-A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. Beside
-the drive run identifiers on its readings: with perfect sensors, with the zeros and gains of
+A row is a scenario, perhaps with an effect that the identifier does not have, and a drive. It is
+driven as it ships, with its own identifier on its own sensors, and once more with calibrated ones.
+Beside that run identifiers on its readings: with perfect sensors, with the zeros and gains of
 `drives.ERRORS`, with twice those, with some that drift, and without some of the sensors. All
 believe in zeros and gains of the sizes of `ERRORS`. Errors are those of the ground under the wheel
 at all steps but halts, whatever the status of the estimate.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +30,7 @@ from soil_env._io.loading import read_json
 from soil_env.cli.running import WholeNumber, leave, run
 from soil_env.identification import Status
 from soil_env.parameters import config_dir, load_scenario
+from soil_env.parameters.sensors import calibrated
 from soil_env.terramechanics.model import load_model
 
 NAME = "identification"
@@ -44,6 +47,7 @@ ACTIONS = (("swinging_speed", "torque"), ("soft_start", "torque"), ("soft_start"
 #: Drives of other worlds and of one soil.
 FEW = ("soft_start", "best_slip_identified", "extremum_seeking", "swinging_speed")
 JUDGED = 3  # of `QUANTITIES`: friction angle, ln K, ln S
+SHIPPED = "as shipped"
 #: Identifiers beside a drive: arguments of `drives.Shadow`.
 SENSORS: dict[str, dict[str, Any]] = {
     "perfect": {"size": 0.0},
@@ -91,8 +95,10 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
         rover = drives.rover_scenario(case.scenario)
         units = units[drives.SHARED]
         shadows = {name: drives.Shadow(rover, courses, **kind) for name, kind in SENSORS.items()}
-        control = ROVER_DRIVES[case.drive](rover)
-        log = drives.record_rover(rover, courses, seed, control, shadows)
+        logs = [
+            drives.record_rover(driven, courses, seed, ROVER_DRIVES[case.drive](driven), beside)
+            for driven, beside in ((rover, {}), (_calibrated(rover), shadows))
+        ]
         prior = drives.prior_of(rover)[drives.SHARED]
     else:
         changes = dict(ONE) if case.scenario == ONE_SOIL else {}
@@ -105,17 +111,26 @@ def measure(case: Case, courses: int, seed: int) -> dict[str, Any]:
             kinds |= {name: {"missing": missing} for name, missing in SUBSETS.items()}
         shadows = {name: drives.Shadow(scenario, courses, **kind) for name, kind in kinds.items()}
         controller = drives.controller_of(case.drive, scenario)
-        log = drives.record(controller, scenario, courses, seed, shadows, model)
+        logs = [
+            drives.record(controller, driven, courses, seed, beside, model)
+            for driven, beside in ((scenario, {}), (_calibrated(scenario), shadows))
+        ]
         prior = drives.prior_of(scenario)
-    here = log["driven"]
-    course = np.nonzero(here)[1]
-    true = log["truth"][here]
-    row: dict[str, Any] = case._asdict() | {"courses": courses, "steps": len(true)}
-    row["prior_rms"] = np.sqrt(((prior - true) ** 2).mean(0)) * units
-    for name in shadows:
-        found = (log[f"{name} {what}"][here] for what in ("estimate", "sd", "status"))
-        row[name] = statistics(true, *found, course, units)
+    row: dict[str, Any] = case._asdict() | {"courses": courses}
+    for log, names in zip(logs, ({drives.OWN: SHIPPED}, {n: n for n in shadows}), strict=True):
+        here = log["driven"]
+        course = np.nonzero(here)[1]
+        true = log["truth"][here]
+        row |= {"steps": len(true), "prior_rms": np.sqrt(((prior - true) ** 2).mean(0)) * units}
+        for name, published in names.items():
+            found = (log[f"{name} {what}"][here] for what in drives.KNOWN)
+            row[published] = statistics(true, *found, course, units)
     return short(row)
+
+
+def _calibrated(scenario: Any) -> Any:
+    """The scenario with sensors without zeros and gains."""
+    return replace(scenario, noise=calibrated(scenario.noise))
 
 
 def statistics(true, estimate, sd, status, course, units) -> dict[str, Any]:
@@ -156,7 +171,7 @@ def tables(result: dict[str, Any]) -> dict[str, Table]:
     """Return the tables of the page."""
     groups = _by_scenario(list(result["rows"].values()))
     out = {}
-    for kind in SENSORS:
+    for kind in (SHIPPED, *SENSORS):
         rows = []
         for name, members in groups.items():
             of = [row[kind] for row in members]

@@ -10,6 +10,7 @@ from numba import njit
 
 from soil_env._compiled.flags import EXACT
 
+SLOWEST = 1e-3  # [m/s] speed that a slip is relative to, at least: at rest there is none
 MOST_SLIDING = 0.02  # [-] least V / (r w) from which the speed of a rim that spins is told
 LEAST_ROLLING = 1e-9  # [-] least r w / V of a braked wheel that anything is divided by
 
@@ -74,6 +75,18 @@ def travel_speeds(rim_speed: float | np.ndarray, slip: float | np.ndarray) -> np
 def rim_speeds(travel_speed: float | np.ndarray, slip: float | np.ndarray) -> np.ndarray:
     """Inverse of `travel_speeds`: r w [m/s], [N], at travel speeds V [m/s] and slips in [-1, 1)."""
     return np.where(slip < 0.0, travel_speed * (1.0 + slip), travel_speed / (1.0 - slip))
+
+
+def slips(rim_speed: np.ndarray, speed: np.ndarray, slow: float = SLOWEST) -> np.ndarray:
+    """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
+    braking, mirrored in reverse.
+
+    Speeds below `slow` [m/s], as of a wheel at rest, count as forward and are relative to it.
+    """
+    scale = np.maximum(np.maximum(np.abs(rim_speed), np.abs(speed)), slow)
+    slip = (rim_speed - speed) / scale
+    out: np.ndarray = np.clip(np.where(rim_speed + speed < -slow, -slip, slip), -1.0, 1.0)
+    return out
 
 
 def sliding_speeds(travel_speed: np.ndarray, slip: np.ndarray) -> np.ndarray:

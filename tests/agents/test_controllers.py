@@ -149,14 +149,15 @@ def test_best_slip_identified_does_not_see_the_true_soil():
 def test_fixed_slip_holds_its_slip_where_the_slope_asks_for_less(slip):
     """A slope on which a wheel at a constant speed has 0.05 less slip: the wheel gains speed at the
     slip to hold, until it is as fast as the motor lets it be."""
-    easy = uniform()
+    white = vars(calibrated(Noise()))
+    easy = uniform(noise=white)
     wheel = easy.wheel
     soil = soils()["lete_sand"].state(easy.wheel.width)
     pull = (
         steady_state(slip - 0.05, easy.weight, soil, wheel.radius, wheel.width).drawbar_pull
         / easy.weight
     )
-    scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0)
+    scenario = uniform(grade=math.degrees(math.atan(pull)), length=20.0, noise=white)
     out, cause, _ = drive(
         make_controller("fixed_slip", scenario, slip=slip), scenario, scenario.steps
     )

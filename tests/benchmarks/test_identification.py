@@ -27,8 +27,9 @@ def test_rows_are_finite_and_measured_once(tmp_path, monkeypatch, capsys):
         *two.values()
     ]
     for name, row in read_json(tmp_path / "identification.json")["rows"].items():
-        assert row.keys() == published[name].keys() and study.SENSORS.keys() <= row.keys()
-        for kind in study.SENSORS:
+        assert row.keys() == published[name].keys()
+        assert {study.SHIPPED, *study.SENSORS} <= row.keys()
+        for kind in (study.SHIPPED, *study.SENSORS):
             found = row[kind]
             assert found.keys() == published[name][kind].keys()
             assert np.all(np.isfinite(np.concatenate([np.ravel(v) for v in found.values()])))

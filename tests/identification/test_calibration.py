@@ -1,11 +1,14 @@
 """Calibration of the online identifier on the default task."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agents.controllers import make_controller
 from benchmarks.drives import QUANTITIES, Shadow, prior_of, record
 from soil_env.parameters import load_scenario
+from soil_env.parameters.sensors import calibrated
 
 SEED = 5
 COURSES = 40
@@ -18,7 +21,8 @@ def errors():
     """
     scenario = load_scenario("two_lines")
     controller = make_controller("best_slip_identified", scenario)
-    log = record(controller, scenario, COURSES, SEED, {"wheel": Shadow(scenario, COURSES)})
+    driven = replace(scenario, noise=calibrated(scenario.noise))
+    log = record(controller, driven, COURSES, SEED, {"wheel": Shadow(scenario, COURSES)})
     here = log["driven"]
     true = log["truth"][here]
     return log["wheel estimate"][here] - true, log["wheel sd"][here], prior_of(scenario) - true

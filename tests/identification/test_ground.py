@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from soil_env.identification.online.ground import (
-    ASSESSED,
     LEAST_LOAD,
     MOST_DIGGING,
     STIFFEST,
     assess_ground,
 )
+from soil_env.identification.online.interface import Traversability
 from soil_env.identification.online.prior import setting_of
 from soil_env.parameters import SoilState, load_scenario
 from soil_env.terramechanics.traversability import best_working_point
@@ -26,7 +26,7 @@ PRIOR = SETTING["prior"][0]
 def assessed(estimate, pull, seen, rows=(0,)):
     """Rows of `assess_ground` of wheels with these estimates; those not asked for are NaN."""
     estimate, pull, seen = (np.atleast_2d(x).astype(float) for x in (estimate, pull, seen))
-    out = np.full((len(estimate), ASSESSED), np.nan)
+    out = np.full((len(estimate), len(Traversability._fields)), np.nan)
     assess_ground(np.array(rows), estimate, pull, seen, SETTING, out)
     return out
 

@@ -2,8 +2,10 @@
 
 In the order of docs/physics/estimation.md: `points` averages readings, `cells` points of one
 condition; `forces` and `residuals` compare a cell with a soil and its instruments, `fit` finds the
-most probable ones; `borders` passes to another soil; `best_pull` and `identifier` publish.
-`memory` has the records, `linear` the algebra, `prior` what is believed before. Above stand
-`class_memory`, `pooling` over the wheels of a rover and `immobilisation`; `on_board` and
-`rover_on_board` run all on simulated vehicles, `interface` on readings of a real one.
+most probable ones, `library` weighs the soils that may come; `borders` passes to another soil;
+`best_pull` and `identifier` publish. `memory` has the records, `linear` the algebra, `prior` what
+is believed before. Above stand `class_memory`, `pooling` over the wheels of a rover,
+`immobilisation` and `ground`, which says whether the wheel can pass; `on_board` and
+`rover_on_board` run all on simulated vehicles with what `board` adds to a step, `interface` on
+readings of a real one.
 """

@@ -21,7 +21,7 @@ from soil_env.identification.online.memory import (
 # in a row show a border
 JUMP = 3.0
 GRADES = 6.0  # readings of a grade before it can be left
-FULLEST = 60.0  # readings of a mean grade, which then forgets
+GRADES_KEPT = 60.0  # readings that a mean grade remembers
 # Places of a border relative to the first other pitch, and its sd, in lengths of a border, before
 # pitches on it have been read.
 NOTICED_BY_PITCH = 0.25
@@ -151,7 +151,7 @@ def note_pitch(memory, pitch, setting):
         memory.jumps += 1.0
         return memory.jumps >= 2.0
     memory.jumps = 0.0
-    memory.grades = min(memory.grades + 1.0, FULLEST)
+    memory.grades = min(memory.grades + 1.0, GRADES_KEPT)
     memory.grade += off / memory.grades
     return False
 

@@ -13,7 +13,6 @@ from soil_env.terramechanics.traversability import best_point_at
 STIFFEST = 1e13  # [N/m^(n+2)] largest sinkage coefficient that an estimate may stand for
 MOST_DIGGING = 20.0  # [-] largest gain of slip-sinkage that an estimate may stand for
 LEAST_LOAD = 0.05  # [of weight] below which a measured load counts as this
-ASSESSED = 6  # best slip, drawbar margin, its sd, torques required and available, passable
 
 
 @kept

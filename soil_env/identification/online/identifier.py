@@ -3,6 +3,7 @@
 """
 
 import math
+import threading
 
 import numpy as np
 from numba import njit
@@ -394,6 +395,20 @@ def new_memory(wheels: int) -> np.ndarray:
 def new_work() -> np.ndarray:
     """Work space of a thread."""
     return np.zeros(1, WORK)
+
+
+class WorkSpaces:
+    """Work space of each thread that asks for it, made once."""
+
+    def __init__(self) -> None:
+        self._of: dict[int, np.ndarray] = {}
+
+    def mine(self) -> np.ndarray:
+        """Work space of the present thread, `WORK` [1]."""
+        thread = threading.get_ident()
+        if thread not in self._of:
+            self._of[thread] = new_work()
+        return self._of[thread]
 
 
 def prior_pull(setting: np.ndarray) -> tuple[float, float]:

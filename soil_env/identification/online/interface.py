@@ -43,7 +43,7 @@ from soil_env.identification.published import published, soil_of_numbers
 from soil_env.identification.status import Status
 from soil_env.parameters import Belief, Control, Noise, Scenario, Soil, SoilState, Wheel
 from soil_env.parameters.readings import reading_units
-from soil_env.slip import rim_speeds, travel_speeds
+from soil_env.slip import rim_speeds, slips, travel_speeds
 from soil_env.terramechanics.steady import steady_state
 
 __all__ = [
@@ -60,12 +60,11 @@ __all__ = [
 ]
 
 _NAN = math.nan
-_REST_SPEED = 0.001  # [m/s] least speed that slip is relative to: at rest there is none
-#: [s] between two sets of readings, for which the filter is made; a warning outside.
+#: [s] between two sets of readings, for which the identifier is made; a warning outside.
 SHORTEST_STEP = 1e-3
 LONGEST_STEP = 10.0
-# standard deviation, in weights and the like, of what is not measured: nothing beside what is
-_UNKNOWN = 1e2
+#: White noise, in the units of `Noise`, of what is not measured: nothing beside what is.
+UNMEASURED = 1e2
 
 
 class Readings(NamedTuple):
@@ -177,17 +176,6 @@ class Traversability(NamedTuple):
     torque_required: float  # [N m] there
     torque_available: float  # [N m]
     passable: bool
-
-
-def slips(rim_speed: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """Slip [N] in [-1, 1] of rim and travel speeds [N] in m/s: (r w - V)/(r w) driving, (r w - V)/V
-    braking.
-    """
-    slip = (rim_speed - speed) / np.maximum(
-        np.maximum(np.abs(rim_speed), np.abs(speed)), _REST_SPEED
-    )
-    out: np.ndarray = np.clip(np.where(rim_speed + speed < 0.0, -slip, slip), -1.0, 1.0)
-    return out
 
 
 class OnlineIdentifier:
@@ -419,7 +407,7 @@ class OnlineIdentifier:
             measured = getattr(r, name)
             missing = measured != measured
             reading[name] = value if missing else measured
-            unknown = _UNKNOWN * getattr(self._units, name)
+            unknown = UNMEASURED * getattr(self._units, name)
             white[name] = unknown if missing else self._white[name]
 
     def _published(self, renewed: bool) -> Estimate:

@@ -13,7 +13,7 @@ from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.linear import factorise, invert, solve, solve_half
 from soil_env.identification.online.memory import SOIL
 
-UNLIKELY = 1e-3  # [of the likeliest] weight below which a soil of the library counts as excluded
+UNLIKELY = 1e-6  # [of the likeliest] weight below which a soil of the library counts as excluded
 
 
 @njit(**EXACT)

@@ -31,8 +31,7 @@ PITCHES = 24  # kept of a border, to find its place
 #: [5] published: phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal
 #: one.
 PUBLISHED = 5
-#: [-] Slips at which the drawbar pull is compared.
-SLIPS = 8
+SLIPS = 8  # at which the drawbar pull is compared
 
 READING = record(*SensorReading._fields)
 
@@ -102,7 +101,7 @@ MEMORY = record(
     "jumps",  # readings in a row whose pitch is another
     "odd",  # sum of the excess of chi-squared of points
     "crossing",  # 1 on a border
-    "border",  # [m] its middle, by the pitches
+    "border",  # [m] its middle: by the pitches, here where forces show it, or by another wheel
     "border_variance",
     "border_first",  # [m] place where it was noticed
     "border_grade",  # [rad] before it

@@ -36,8 +36,8 @@ from soil_env.identification.online.class_memory import (
 from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
+    WorkSpaces,
     forget,
-    new_work,
     observe,
     prior_pull,
 )
@@ -73,6 +73,7 @@ class WheelsOnBoard:
     """Estimators of many wheels; they follow the orders that the world has followed."""
 
     def __init__(self, wheels: int, scenario: Scenario, shown: Shown, warns: bool) -> None:
+        self._work = WorkSpaces()
         self.memory = np.zeros(wheels, ON_BOARD)
         self.setting = np.zeros(1, WHEEL_SETTING)
         self.setting["warns"] = warns
@@ -98,7 +99,7 @@ class WheelsOnBoard:
         """Follow the `orders` [wheels] int8 of the wheels `first` to `end` - 1 in a `world` of
         (state, notes, observation).
         """
-        estimate_wheels(self.memory, *world, orders, self.setting, new_work(), (first, end))
+        estimate_wheels(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
 
 @njit(**EXACT)

@@ -5,6 +5,7 @@ no point, because the laws are those of steady motion.
 """
 
 import math
+from typing import NamedTuple
 
 from numba import njit
 
@@ -32,7 +33,7 @@ LIFTED = 0.05  # [of weight] load below which a wheel is in the air
 # Share of a change of the rim speed that the rim slides before the sensors sample.
 SLIDE_BEFORE = 0.08
 LAG = 0.3  # [periods] between the ground that a reading shows and the place at its end
-FULLEST = 60.0  # readings of a mean that forgets older ones
+RESTS_KEPT = 60.0  # readings that the mean pull of a standing wheel remembers
 SLACK = 2.0  # [radii] sinkage beyond which a reading is of no wheel
 LARGEST_FORCE = 200.0  # [of weight] and as an acceleration of gravity
 FASTEST = 80.0  # [m/s] of both speeds together
@@ -116,51 +117,73 @@ def weigh(memory, reading, setting):
     memory.mass += share * (mass - memory.mass)
 
 
+class Sensor(NamedTuple):
+    """One of two sensors of a quantity."""
+
+    reading: float
+    white: float  # standard deviation of its noise
+    zero: float  # of its zero
+    gain: float  # of what its gain makes of a typical reading
+
+
 @njit(**EXACT)
-def _precision(white, zero, gain):
-    return 1.0 / (white * white + zero * zero + gain * gain)
+def _combine(one, other, unit):
+    """(mean of two sensors by their precision, its white variance, share of the other), over a
+    unit.
+    """
+    own = 1.0 / (one.white**2 + one.zero**2 + one.gain**2)
+    theirs = 1.0 / (other.white**2 + other.zero**2 + other.gain**2)
+    share = theirs / (own + theirs)
+    mean = (1.0 - share) * one.reading + share * other.reading
+    variance = ((1.0 - share) * one.white) ** 2 + (share * other.white) ** 2
+    return mean / unit, variance / (unit * unit), share
 
 
 @njit(**EXACT)
 def combined_pull(memory, reading, setting):
-    """(pull [of weight] by force sensor and accelerometer, its white variance, share of the
-    latter).
-    """
+    """`_combine` of force sensor and accelerometer, of the weight."""
     white = setting.white[0]
     zero = setting.zero[0]
     gain = setting.gain[0]
     weight = setting.weight
-    of_force = _precision(
-        white.drawbar_pull, zero.drawbar_pull, TYPICAL_PULL * weight * gain.drawbar_pull
+    mass = memory.mass
+    typical = TYPICAL_PULL * weight
+    of_mass = typical * math.hypot(gain.load, gain.acceleration)
+    return _combine(
+        Sensor(
+            reading.drawbar_pull,
+            white.drawbar_pull,
+            zero.drawbar_pull,
+            typical * gain.drawbar_pull,
+        ),
+        Sensor(
+            mass * reading.acceleration,
+            mass * white.acceleration,
+            mass * zero.acceleration,
+            of_mass,
+        ),
+        weight,
     )
-    error = memory.mass * white.acceleration
-    of_gain = TYPICAL_PULL * weight * math.hypot(gain.load, gain.acceleration)
-    of_mass = _precision(error, memory.mass * zero.acceleration, of_gain)
-    share = of_mass / (of_force + of_mass)
-    pull = (1.0 - share) * reading.drawbar_pull + share * memory.mass * reading.acceleration
-    variance = ((1.0 - share) * white.drawbar_pull) ** 2 + (share * error) ** 2
-    return pull / weight, variance / weight**2, share
 
 
 @njit(**EXACT)
 def _combined_torque(reading, turned, setting):
-    """(torque [of weight x radius] by its sensor and the motor's, white variance, share of the
-    latter).
+    """`_combine` of torque sensor and motor torque, of weight x radius; `turned`: change of the rim
+    speed [m/s] in the period, which costs the motor a torque of its own.
     """
     white = setting.white[0]
     zero = setting.zero[0]
     gain = setting.gain[0]
     unit = setting.weight * setting.radius
+    typical = TYPICAL_TORQUE * unit
     spin = SPIN_ERROR * setting.inertia / (setting.radius * setting.period)
     accelerated = spin * spin * max(turned * turned - 2.0 * white.rim_speed**2, 0.0)
-    typical = TYPICAL_TORQUE * unit
-    of_sensor = _precision(white.torque, zero.torque, typical * gain.torque)
-    error = math.sqrt(white.motor_torque**2 + accelerated)
-    of_motor = _precision(error, zero.motor_torque, typical * gain.motor_torque)
-    share = of_motor / (of_sensor + of_motor)
-    torque = (1.0 - share) * reading.torque + share * reading.motor_torque
-    variance = ((1.0 - share) * white.torque) ** 2 + (share * error) ** 2
-    return torque / unit, variance / unit**2, share
+    of_motor = math.sqrt(white.motor_torque**2 + accelerated)
+    return _combine(
+        Sensor(reading.torque, white.torque, zero.torque, typical * gain.torque),
+        Sensor(reading.motor_torque, of_motor, zero.motor_torque, typical * gain.motor_torque),
+        unit,
+    )
 
 
 @njit(**EXACT)
@@ -276,5 +299,5 @@ def note_rest(memory, reading, setting):
     if memory.standing > STANDSTILL:
         pull, _, _ = combined_pull(memory, reading, setting)
         slope = memory.mass * setting.gravity * math.sin(reading.pitch) / setting.weight
-        memory.rests = min(memory.rests + 1.0, FULLEST)
+        memory.rests = min(memory.rests + 1.0, RESTS_KEPT)
         memory.rest_pull += (pull - slope - memory.rest_pull) / memory.rests

@@ -22,7 +22,7 @@ from soil_env.identification.online.board import (
     sum_reward,
     write_estimate,
 )
-from soil_env.identification.online.identifier import HELD, RENEWED, forget, new_work, observe
+from soil_env.identification.online.identifier import HELD, RENEWED, WorkSpaces, forget, observe
 from soil_env.identification.online.memory import MEMORY
 from soil_env.identification.online.pooling import (
     POOL,
@@ -35,7 +35,8 @@ from soil_env.parameters import RoverScenario
 from soil_env.parameters.readings import RESTART, STEP, Shown
 from soil_env.parameters.vehicle import MOST_AXLES
 
-UNKNOWN = 1e6  # [of its unit] white noise of what a sensor does not tell of a wheel
+#: White noise, in the units of `Noise`, of what a sensor of the body does not tell of a wheel.
+OF_BODY = 1e6
 
 #: Memory of the estimators of a rover, from the front wheel on.
 ON_ROVER = record(identifiers=(MEMORY, MOST_AXLES), pools=(POOL, MOST_AXLES))
@@ -51,6 +52,7 @@ class RoversOnBoard:
     """Estimators of many rovers; they follow the orders that the world has followed."""
 
     def __init__(self, rovers: int, scenario: RoverScenario, shown: Shown) -> None:
+        self._work = WorkSpaces()
         self.memory = np.zeros(rovers, ON_ROVER)
         self.setting = np.zeros(1, ROVER_SETTING)
         axles = scenario.axles
@@ -71,7 +73,7 @@ class RoversOnBoard:
         """Follow the `orders` [rovers] int8 of the rovers `first` to `end` - 1 in a `world` of
         (state, readings, observation).
         """
-        estimate_rovers(self.memory, *world, orders, self.setting, new_work(), (first, end))
+        estimate_rovers(self.memory, *world, orders, self.setting, self._work.mine(), (first, end))
 
 
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
@@ -81,9 +83,9 @@ def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     load on a wheel changes with the pull. Nor does the torque of a motor whose speed loop turns the
     wheel faster or slower: that at the end of a period is not the mean over it.
     """
-    setting["white"]["acceleration"] = UNKNOWN * scenario.gravity
+    setting["white"]["acceleration"] = OF_BODY * scenario.gravity
     if scenario.control.action != "torque":
-        setting["white"]["motor_torque"] = UNKNOWN * scenario.weight * scenario.wheel.radius
+        setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
     setting["by_pitch"] = 0
     setting["load_varies"] = 1
 

@@ -10,7 +10,7 @@ from soil_env._compiled.flags import FINITE, record
 from soil_env._compiled.random_streams import PAIRS, draw_normals
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import SensorReading, reading_errors
-from soil_env.slip import signed_slip
+from soil_env.slip import SLOWEST, signed_slip
 from soil_env.terramechanics.effects.slip_bias import measured_slip
 from soil_env.terramechanics.effects.slip_sinkage import slip_sinkage_ratio
 from soil_env.terramechanics.model import WheelSoilModel
@@ -25,7 +25,6 @@ SENSOR_NOISE = record(
     gain=(READING, 1),
 )
 SLOW = 3.0  # [-] the same, over the white noise of both speeds: a wheel at rest has little slip
-REST_SPEED = 1e-3  # [m/s] the same, without noise
 
 
 class SensorErrors(NamedTuple):
@@ -52,7 +51,7 @@ def sensors_of(scenario: Scenario) -> np.ndarray:
     for name, sd in zip(("white", "zero", "gain"), reading_errors(scenario), strict=True):
         sensors[name] = sd.view(READING)
     speed = hypot(scenario.noise.speed, scenario.noise.wheel_speed * scenario.wheel.radius)
-    sensors["slow"] = max(SLOW * speed, REST_SPEED)
+    sensors["slow"] = max(SLOW * speed, SLOWEST)
     return sensors
 
 

@@ -97,11 +97,21 @@ def test_the_rear_wheel_knows_the_soil_better_than_by_itself(recorded):
     )
 
 
+def test_the_rear_wheel_knows_more_than_nothing_as_it_leaves_the_border(recorded):
+    of = errors(recorded, rear_leaves_the_border(recorded))
+    assert np.all(of["pooled"][:2] < of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
+
+
+NOT_MET = "not reached with the sensors and the pooling of today: "
+
+
+@pytest.mark.xfail(strict=True, reason=NOT_MET + "phi 0.82 of the prior's error")
 def test_the_rear_wheel_knows_the_soil_as_it_leaves_the_border(recorded):
     of = errors(recorded, rear_leaves_the_border(recorded))
-    assert np.all(of["pooled"][:2] < 0.9 * of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
+    assert np.all(of["pooled"][:2] < 0.7 * of["prior"][:2]) and of["pooled"][1] < of["alone"][1]
 
 
+@pytest.mark.xfail(strict=True, reason=NOT_MET + "phi 2.7 deg")
 def test_two_wheelbases_behind_a_border(recorded):
     scenario, log = recorded
     patch = log["soil"][..., 3]
@@ -115,19 +125,18 @@ def test_two_wheelbases_behind_a_border(recorded):
     )
     here &= np.abs(since[:, :, :1] / base - 2.0) < 0.06
     for axle in range(3):
-        of = errors(recorded, here & (np.arange(3) == axle))
-        assert of["pooled"][0] < 0.7 * of["prior"][0]
+        assert errors(recorded, here & (np.arange(3) == axle))["pooled"][0] < 1.5
 
 
+@pytest.mark.xfail(strict=True, reason=NOT_MET + "standard deviations 0.92 and 0.97 of alone")
 def test_pooled_is_surer_than_alone(recorded):
-    """Not by much: half of what another wheel tells counts."""
     _, log = recorded
     settled = log["driven"] & (log["soil"][..., 4] > 1.0) & (log["soil"][..., 3] > 0)
     ratio = (
         log["pooled_sd"][settled][:, FRICTION_AND_COHESION]
         / log["alone_sd"][settled][:, FRICTION_AND_COHESION]
     )
-    assert np.all(np.median(ratio, axis=0) < 1.0)
+    assert np.all(np.median(ratio, axis=0) < 0.8)
 
 
 @pytest.mark.parametrize(
