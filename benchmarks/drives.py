@@ -70,9 +70,8 @@ def controller_of(name: str, scenario: Scenario) -> Any:
     return make_controller(name, scenario, **shipped_settings(scenario, 1).get(name, {}))
 
 
-#: Standard deviations of the zeros and gains that data sheets of force-torque sensors, range
-#: finders and visual odometry state, in the units of `Noise`; both sensors of a quantity have the
-#: same draw.
+#: Standard deviations of zeros and gains, in the units of `Noise`; both sensors of a quantity have
+#: the same draw. Most are larger than the defaults of `Noise`.
 ERRORS = {
     "drawbar_pull_zero": 0.02,
     "torque_gain": 0.03,

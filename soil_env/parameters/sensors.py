@@ -14,12 +14,12 @@ class Noise(Checked):
     sensor by itself. Forces are shares of the unloaded wheel's weight.
 
     No rover measures slip: it follows from travel speed and rim speed, unless `slip` gives the
-    noise of a sensor of its own. Travel speed is that of visual odometry, whose white errors are a
-    few per cent of the distance between two images and whose gain errs by 1 to 2 % (Maimone, Cheng
-    & Matthies 2007, J. Field Robotics 24:169-186). Zeros and gains of forces and torques are of the
-    order that data sheets of multi-axis sensors state, 1 to 2 % of full scale; that of a motor's
-    torque is the spread of its torque constant with temperature; those of pitch and acceleration
-    are biases of MEMS sensors (0.3 deg, 5 mg).
+    noise of a sensor of its own. The sizes are our choice. Travel speed is that of visual odometry,
+    which told changes of 2 mm on Mars (Maimone, Cheng & Matthies 2007, J. Field Robotics
+    24:169-186); 5 mm/s is half a millimetre between images ten times a second. Zeros and gains of
+    forces and torques are 1 to 2 % of what the sensor is made for, that of a motor's torque allows
+    for the spread of its torque constant, those of pitch and acceleration are 0.3 deg and 5
+    thousandths of gravity.
     """
 
     slip: float = quantity("", 0.0, 1.0, default=0.0, doc="of a slip sensor; 0: there is none")
