@@ -28,7 +28,7 @@ from soil_env.envs.rover_env import rover_action_space
 from soil_env.envs.wheel_env import action_space
 from soil_env.parameters import RoverScenario, Scenario
 from soil_env.simulation.rover.task import rover_layout
-from soil_env.simulation.task import ObservedNumber, layout
+from soil_env.simulation.task import ObservedNumber, check_version, layout
 from soil_env.simulation.task.scaling import Scaling
 
 from . import inputs
@@ -58,6 +58,7 @@ class Info(Checked):
     return_var: float
     return_count: float
     clip: float = quantity("", 0.0)  # of a normalised input
+    observation_version: int = quantity("", 1, 10**6, default=1)
     scenario: dict = field(default_factory=dict)  # resolved
     #: model.yaml of the world of the training; empty: no effects.
     model: dict = field(default_factory=dict)
@@ -203,6 +204,7 @@ def read_info(path: Path) -> Info:
     if mapping is None:
         raise ParameterError(f"{path}: not a model saved by train.py (it has no {INFO})")
     info = load(Info, mapping, f"{path}: {INFO}")
+    check_version(info.observation_version, path)
     try:
         size = len(entries_of(info.task, info.observation)) + (
             info.history.size if info.history else 0

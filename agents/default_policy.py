@@ -11,6 +11,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError
 from soil_env.parameters import RoverScenario, Scenario, load_scenario
+from soil_env.simulation.task import check_version
 
 from . import common_layout, inputs
 from .history import History, lines_of
@@ -63,6 +64,7 @@ class DefaultPolicy:
             raise ParameterError(
                 f"{path}: not the weights of a default policy ({type(error).__name__}): {_EXPECTED}"
             ) from None
+        check_version(self.made.get("observation_version", 1), path)
         if names != common_layout.NAMES:
             raise ParameterError(
                 f"{path}: trained on another observation layout; expected that of "

@@ -7,7 +7,7 @@ import numpy as np
 
 from soil_env._io.loading import ParameterError, load
 from soil_env.parameters import Control, CourseSpec
-from soil_env.simulation.task import VARIANTS, layout
+from soil_env.simulation.task import VARIANTS, check_version, layout
 
 from . import inputs
 
@@ -40,6 +40,7 @@ class ExportedAgent:
                 f"{path}: not written by `soil-env export`: expected a description {FORMAT!r} "
                 "inside"
             )
+        check_version(self.content.get("observation_version", 1), path)
         self.variant = self.content["observation"]
         self.control = load(
             Control, self.content["scenario"]["control"], f"{path}: scenario.control"

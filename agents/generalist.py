@@ -33,6 +33,7 @@ from soil_env._io.loading import (
 )
 from soil_env.cli.running import PATH, run
 from soil_env.parameters import Scenario, load_scenario
+from soil_env.simulation.task import VERSION
 from soil_env.terramechanics.model import WheelSoilModel
 
 from . import common_layout, default_policy, ppo, student
@@ -155,7 +156,8 @@ def arrays(model: PPO, history: int, made: dict) -> dict[str, np.ndarray]:
         out[f"{name}_weight"], out[f"{name}_bias"] = (
             x.detach().numpy() for x in (module.weight, module.bias)
         )
-    made = {"observation_names": list(common_layout.NAMES), "history": history, **made}
+    layout = {"observation_names": list(common_layout.NAMES), "observation_version": VERSION}
+    made = {**layout, "history": history, **made}
     return {name: np.asarray(x, dtype=np.float32) for name, x in out.items()} | {
         "made": np.array(json.dumps(made))
     }

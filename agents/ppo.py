@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soil_env._io.files import replace_file
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import RoverScenario, Scenario
+from soil_env.simulation.task import VERSION
 
 from .agent import INFO, OPTIMIZER, WEIGHTS, Info, load_weights, network, read_info
 from .config import PPOConfig
@@ -98,6 +99,7 @@ def save(model: PPO, path: Path) -> None:
     info = Info(
         **{**model.origin, "ppo": PPOConfig(**model.origin["ppo"])},
         observation_names=tuple(env.get_attr("observation_names")[0]),
+        observation_version=VERSION,
         timesteps=int(model.num_timesteps),
         mean=tuple(env.obs_rms.mean.tolist()),
         var=tuple(env.obs_rms.var.tolist()),

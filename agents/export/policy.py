@@ -11,7 +11,7 @@ import soil_env
 from soil_env._io.files import plain
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.parameters import Control, Scenario, Wheel
-from soil_env.simulation.task import layout
+from soil_env.simulation.task import VERSION, layout
 from soil_env.simulation.world.wheel import REVERSE
 from soil_env.terramechanics.model import WheelSoilModel
 
@@ -88,6 +88,7 @@ def describe(agent, name: str, scenario: Scenario, world: WheelSoilModel | None)
         "network": type(getattr(agent, "policy", agent)).__name__,
         "history": 0 if history is None else history.steps,
         "observation": agent.variant,
+        "observation_version": VERSION,
         "inputs": [
             {"index": k, "name": e.name, "unit": e.unit, "low": e.low, "high": e.high}
             for k, e in enumerate(layout(agent.variant, scenario.course))

@@ -78,7 +78,7 @@ class RoverSimulation(Vehicles):
             on_board = RoversOnBoard(rovers, scenario, shown)
         self._board(on_board)
         trial = new_rover_worlds(1, scenario, self.numbers, False)
-        self._check_passable(trial, trial.state)
+        self._check_drivable(trial, trial.state)
 
     def _notes(self) -> tuple[np.ndarray, ...]:
         return self._heads, self._world.readings, self._world.observation

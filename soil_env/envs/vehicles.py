@@ -114,17 +114,17 @@ class Vehicles:
         self.belief = None if on_board is None else on_board.identifier
         self._view()
 
-    def _check_passable(self, trial: Any, vehicles: np.ndarray) -> None:
-        """Refuse a scenario whose soils this vehicle cannot pass, before a training begins."""
+    def _check_drivable(self, trial: Any, vehicles: np.ndarray) -> None:
+        """Refuse a scenario whose soils are too weak for this vehicle, before a training begins."""
         vehicles["stream"] = 1
         orders = np.array([TRY])
         for _ in range(TRIAL_COURSES):
             self._lay(trial, self.course_numbers, orders, self._scratch[0], 0, 1)
             if vehicles["reward"][0] < 0.0:
                 raise ParameterError(
-                    f"scenario {self.scenario.name!r}: no passable course found for this "
-                    f"{self._vehicle} on these soils; expected firmer soils, more stall torque, "
-                    "a lower course.margin or a lower course.grade_deg"
+                    f"scenario {self.scenario.name!r}: no soil leaves this {self._vehicle} a "
+                    "drawbar pull of course.least_pull; expected firmer soils, more stall torque "
+                    "or a lower course.least_pull"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:
@@ -224,4 +224,4 @@ class Vehicles:
 def check_laid(failed: int) -> None:
     """RuntimeError if a course was not found."""
     if failed:
-        raise RuntimeError("no passable course found: the soils are too weak for this vehicle")
+        raise RuntimeError("no soil found that leaves this vehicle course.least_pull")

@@ -83,7 +83,7 @@ class Simulation(Vehicles):
             on_board = WheelsOnBoard(wheels, scenario, shown, warnings)
         self._board(on_board)
         trial = new_wheel_worlds(1, scenario, self.numbers, (1, 1))
-        self._check_passable(trial, trial.state)
+        self._check_drivable(trial, trial.state)
 
     def _notes(self) -> tuple[np.ndarray, ...]:
         return self._heads, self._world.notes, self._world.observation

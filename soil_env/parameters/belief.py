@@ -63,13 +63,6 @@ class Belief(Checked):
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one soil passes into the next"
     )
-    grade_change_deg: float = quantity(
-        "deg",
-        0.0,
-        60.0,
-        default=8.0,
-        doc="sd of the change of grade from soil to soil; 0 = the grade says nothing of soil",
-    )
     # library of soils that may come, with weights
     soils: dict[str, float] = field(default_factory=dict)
     # of the soils of that library; None: as those of the courses

@@ -11,11 +11,11 @@ MOST_CLASSES = 6  # [-] terrain classes of a course; own choice
 class CourseSpec(Checked):
     """Distribution of the random courses. All pairs are (low, high) of a uniform distribution.
 
-    Each patch gets the steepest grade at which a wheel at its best slip keeps a drawbar pull of
-    `margin` times its weight in reserve, cut to the upper bound of `grade_deg`. Soils that would
-    need less than its lower bound are not used. So every course is passable with a known reserve.
+    Soils and slopes are drawn apart: patches have lengths and soils, slopes lengths and grades of
+    their own. So a grade tells nothing of the soil, and some slopes are too steep for theirs. Only
+    a soil that leaves this wheel less than `least_pull` on level ground is drawn again.
 
-    A border may not be longer than the shortest patch, so that it lies between two patches only.
+    A border may not be longer than the shortest patch or slope, so that it lies between two only.
 
     The wheel is halted every `halt_interval` metres, as rovers are to take the images of visual
     odometry (every 0.75 m at most: Maimone, Cheng & Matthies 2007, J. Field Robotics 24:169-186),
@@ -33,8 +33,22 @@ class CourseSpec(Checked):
     border: float = quantity(
         "m", 0.01, 10.0, default=0.3, doc="length over which one patch passes into the next"
     )
-    grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 18.0))
-    margin: tuple[float, float] = quantity("of weight", 0.0, 1.0, default=(0.03, 0.12))
+    slope_length: tuple[float, float] = quantity("m", 0.2, 1e4, default=(1.2, 3.0))
+    grade_deg: tuple[float, float] = quantity("deg", -25.0, 35.0, default=(-6.0, 5.0))
+    first_grade_deg: tuple[float, float] = quantity(
+        "deg",
+        -25.0,
+        35.0,
+        default=(-6.0, 0.0),
+        doc="of slopes that begin on the first patch, or on the first of each class",
+    )
+    least_pull: float = quantity(
+        "of weight",
+        -1.0,
+        1.0,
+        default=0.04,
+        doc="best drawbar pull on level ground, below which a soil is drawn again",
+    )
     payload: tuple[float, float] = quantity("kg", 0.0, 1e5, default=(0.0, 4.0))
     halt_interval: tuple[float, float] = quantity(
         "m", 0.05, 1e6, default=(0.6, 1.5), doc="between commanded halts"
@@ -49,12 +63,6 @@ class CourseSpec(Checked):
     lines: int = quantity(
         "", 1, 2, default=1, doc="lines over a patch between which the wheel may choose"
     )
-    dead_ends: float = quantity(
-        "", 0.0, 1.0, default=0.0, doc="share of patches with an impassable line"
-    )
-    deficit: tuple[float, float] = quantity(
-        "of weight", 0.0, 1.0, default=(0.04, 0.1), doc="of an impassable line"
-    )
     halt_before: tuple[float, float] = quantity(
         "m", 0.0, 1e3, default=(0.4, 0.7), doc="a patch with two lines"
     )
@@ -63,13 +71,13 @@ class CourseSpec(Checked):
         super().__post_init__()
         if self.lines > 1:
             self._check_lines()
-        shortest = self.patch_length[0]
-        if self.border > shortest:
-            raise FieldError(
-                self,
-                "border",
-                f" = {self.border}: expected at most the shortest patch, {shortest} m",
-            )
+        for piece, shortest in (("patch", self.patch_length[0]), ("slope", self.slope_length[0])):
+            if self.border > shortest:
+                raise FieldError(
+                    self,
+                    "border",
+                    f" = {self.border}: expected at most the shortest {piece}, {shortest} m",
+                )
 
     def _check_lines(self) -> None:
         if self.classes < 2:

@@ -34,7 +34,6 @@ from soil_env.simulation.task.rules import (
 )
 from soil_env.simulation.world.camera import CAMERA, IMAGE, Sight, camera_of, look, take_image
 from soil_env.simulation.world.courses import (
-    draw_course,
     extend_course,
     start_course,
 )
@@ -194,8 +193,8 @@ def camera_in(setting, on):
 
 
 @njit(**EXACT)
-def start_passable(course, owner, numbers, scratch):
-    """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if none is passable."""
+def start_drivable(course, owner, numbers, scratch):
+    """Start a course with a seed of `owner`; the loaded mass [kg], or -1 if no soil was found."""
     mass = -1.0
     attempts = 0
     while mass < 0.0 and attempts < ATTEMPTS:
@@ -210,8 +209,8 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
     not found.
 
     RESTART starts a new course and puts the wheel, whose record is blank but for its stream, at
-    rest at its start. After TRY, the wheel's `reward` is the mass on it, or -1 if no passable
-    course was found. `numbers`: `CourseNumbers`.
+    rest at its start. After TRY, the wheel's `reward` is the mass on it, or -1 if no soil was
+    found. `numbers`: `CourseNumbers`.
     """
     rig = numbers.rig
     nodes = setting[0].nodes[0]
@@ -224,14 +223,14 @@ def lay_wheels(worlds, numbers, orders, setting, first, end):
         wheel = worlds.state[k]
         course = worlds.courses[k]
         if order == RESTART:
-            mass = start_passable(course, wheel, numbers, nodes)
+            mass = start_drivable(course, wheel, numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
                 settle_at(wheel, 0.0, mass, course, world)
                 wheel.next_halt = between(wheel, rig.halt_low, rig.halt_high)
         elif order == TRY:
-            wheel.reward = draw_course(course, wheel, numbers, nodes)
+            wheel.reward = start_course(course, wheel, numbers, nodes)
         else:
             x = HUGE if order == COMPLETE else wheel.x + numbers.drawn.spec.ahead
             extend_course(course, wheel.mass, x, numbers, nodes)

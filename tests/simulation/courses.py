@@ -30,8 +30,8 @@ def start(courses, owners, numbers, nodes):
 
 @kept
 def extend(courses, mass, x, numbers, nodes):
-    """Extend the first course up to x [m]; False if a patch had to be repeated."""
-    return drawing.extend_course(courses[0], mass, x, numbers, nodes[0])
+    """Extend the first course up to x [m]."""
+    drawing.extend_course(courses[0], mass, x, numbers, nodes[0])
 
 
 @kept
@@ -80,14 +80,21 @@ class Drawn(NamedTuple):
         """`FORK` of the patches drawn so far."""
         return self.courses["forks"][0, : self.count]
 
-    def extend(self, x: float = HUGE, numbers: CourseNumbers | None = None) -> bool:
-        """Draw on up to x [m]; False if a patch had to be repeated."""
-        return extend(self.courses, self.mass, x, numbers or self.numbers, np.zeros(1, ARC_NODES))
+    @property
+    def slopes(self) -> np.ndarray:
+        """`SLOPE` of those drawn so far."""
+        return self.courses["slopes"][0, : self.courses["sloped"][0]]
+
+    def extend(self, x: float = HUGE, numbers: CourseNumbers | None = None) -> None:
+        """Draw on up to x [m]."""
+        extend(self.courses, self.mass, x, numbers or self.numbers, np.zeros(1, ARC_NODES))
 
     def ground_at(self, x: float, border: float) -> tuple[SoilState, float]:
         """(soil, grade [rad]) at x [m]."""
         patches = self.courses["patches"][0]
-        return terrain.ground_at(patches, x, terrain.patch_at(patches, x, 0), border)
+        slopes = self.courses["slopes"][0]
+        soil = terrain.soil_on(patches, x, terrain.piece_at(patches, x, 0), border)
+        return soil, terrain.grade_on(slopes, x, terrain.piece_at(slopes, x, 0), border)
 
 
 def course(seed, scenario, model=None, whole=True) -> Drawn:
@@ -98,7 +105,7 @@ def course(seed, scenario, model=None, whole=True) -> Drawn:
     drawn = Drawn(courses, mass, numbers)
     assert mass > 0.0
     if whole:
-        assert drawn.extend()
+        drawn.extend()
     return drawn
 
 

@@ -24,6 +24,7 @@ BOARD_SETTING = record(
     "information",  # weight of knowledge in the reward
     "discount",  # of the knowledge after a step
     "sight",  # [m] of the camera
+    "border_sd",  # [m] of the place of a border in an image
     shown=("i8",),  # 1: the observation has the estimate of the soil
     first=("i8",),  # index of its first entry
     held=("i8",),  # control periods that an action lasts
@@ -54,6 +55,7 @@ def board_setting(scenario: Scenario, shown: Shown) -> np.ndarray:
     setting["information"] = scenario.reward.information
     setting["discount"] = scenario.reward.information_discount
     setting["sight"] = scenario.camera.range
+    setting["border_sd"] = math.sqrt(2.0) * scenario.camera.border_noise
     setting["shown"] = shown.on
     setting["first"] = shown.first
     setting["held"] = scenario.control.held

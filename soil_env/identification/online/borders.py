@@ -1,5 +1,5 @@
-"""Borders between soils: by the pitch, where each soil has a grade, and by points whose forces are
-another soil's; over a border one soil passes into the next.
+"""Borders between soils: where a camera sees another class, and by points whose forces are another
+soil's; over a border one soil passes into the next.
 """
 
 import math
@@ -11,30 +11,16 @@ from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.linear import factorise, invert
 from soil_env.identification.online.memory import (
     OLD,
-    PITCHES,
     PLACE,
     PUBLISHED,
     SOIL,
 )
 
-# [standard deviations] of a pitch from the mean so far, beyond which it is of another grade; two
-# in a row show a border
-JUMP = 3.0
-GRADES = 6.0  # readings of a grade before it can be left
-GRADES_KEPT = 60.0  # readings that a mean grade remembers
-# Places of a border relative to the first other pitch, and its sd, in lengths of a border, before
-# pitches on it have been read.
-NOTICED_BY_PITCH = 0.25
-NOTICED_BY_FORCES = 0.0
-PLACE_SD = 0.15
-RISE_VARIANCE = 0.02  # [rad2] of a change of grade
-TRIED = 25  # places that are compared
-TRIED_FROM = -0.3  # [border lengths] from the first other pitch on, over one length
-LEAST_PLACE_SD = 0.02  # [border lengths] of a border's place
-OLD_DOUBT = (
-    3.0  # factor of the covariance of the old soil, which the border's first readings spoilt
-)
-SAMPLED = 0.01  # [border lengths] between two pitches that are kept
+# Place of a border that forces show, from where they do, and its sd, in lengths of a border.
+NOTICED = 0.0
+PLACE_SD = 0.3
+# factor of the covariance of the old soil, which the border's first readings spoilt
+OLD_DOUBT = 3.0
 
 
 @njit(**EXACT)
@@ -45,53 +31,13 @@ def share_at(behind, length):
 
 
 @njit(**EXACT)
-def _locate(memory, setting):
-    """Renew the place of a border and its variance by the pitches on it, the rise unknown."""
-    length = setting.border
-    noise = setting.white[0].pitch ** 2 + memory.border_grade_variance
-    best = -math.inf
-    weight = 0.0
-    mean = 0.0
-    square = 0.0
-    for k in range(TRIED):
-        place = length * (k / (TRIED - 1.0) + TRIED_FROM)
-        a = 0.0
-        b = 0.0
-        for j in range(memory.pitches_kept):
-            w, _ = share_at(memory.border_places[j] - memory.border_first - place, length)
-            a += w * w
-            b += w * (memory.border_pitches[j] - memory.border_grade)
-        log = 0.5 * b * b / (noise * (a + noise / RISE_VARIANCE))
-        log -= 0.5 * math.log(1.0 + a * RISE_VARIANCE / noise)
-        if log > best:
-            shrink = math.exp(best - log)
-            weight *= shrink
-            mean *= shrink
-            square *= shrink
-            best = log
-        w = math.exp(log - best)
-        weight += w
-        mean += w * place
-        square += w * place * place
-    mean /= weight
-    memory.border = memory.border_first + mean
-    memory.u[PLACE] = memory.border
-    spread = max(square / weight - mean * mean, 0.0)
-    memory.border_variance = spread + (LEAST_PLACE_SD * length) ** 2
-
-
-@njit(**EXACT)
 def begin_border(memory, setting, work, place, variance):
     """Begin with another soil, whose border has its middle at `place` [m]; what was known becomes
     the old soil. Instruments begin anew: carried over, they were too sure.
     """
     memory.border = place
     memory.border_variance = variance
-    memory.border_first = memory.place
-    memory.border_grade = memory.grade
-    memory.border_grade_variance = setting.white[0].pitch ** 2 / max(memory.grades, 1.0)
     memory.crossing = 1.0
-    memory.pitches_kept = 0
     memory.behind = 1
     memory.borders += 1
     for i in range(PUBLISHED):
@@ -127,53 +73,31 @@ def begin_border(memory, setting, work, place, variance):
     memory.law_misfit = 1.0
     memory.cells_kept = 0
     memory.points = 0
-    memory.jumps = 0.0
     memory.odd = 0.0
     memory.widening = 1.0
 
 
 @njit(**EXACT)
-def note_pitch(memory, pitch, setting):
-    """Follow the grade of a soil; True if two pitches in a row are of another."""
-    if setting.by_pitch == 0:
+def see_border(memory, note, camera_sd, setting, work):
+    """Begin a border where a camera sees ground of another class begin; True if it did.
+
+    `note`: an `Image`; `camera_sd` [m]: of the place of a border in it.
+    """
+    following = note.label_0 if note.taken == 0.0 else note.label_1
+    in_sight = note.seen > 0.0 and note.left < 0.5 * setting.border
+    if memory.crossing > 0.0 or memory.points == 0 or not in_sight or following == note.here:
         return False
-    if memory.crossing > 0.0:
-        last = memory.pitches_kept
-        if 0 < last < PITCHES:
-            if abs(memory.place - memory.border_places[last - 1]) > SAMPLED * setting.border:
-                memory.border_places[last] = memory.place
-                memory.border_pitches[last] = pitch
-                memory.pitches_kept = last + 1
-        return False
-    off = pitch - memory.grade
-    sd = setting.white[0].pitch * math.sqrt(1.0 + 1.0 / max(memory.grades, 1.0))
-    if memory.grades >= GRADES and abs(off) > JUMP * sd:
-        memory.jumps += 1.0
-        return memory.jumps >= 2.0
-    memory.jumps = 0.0
-    memory.grades = min(memory.grades + 1.0, GRADES_KEPT)
-    memory.grade += off / memory.grades
-    return False
+    begin_border(memory, setting, work, memory.place + note.left, camera_sd**2)
+    return True
 
 
 @njit(**EXACT)
-def begin_grade(memory, pitch):
-    """Begin the mean grade of a soil anew."""
-    memory.grade = pitch
-    memory.grades = 1.0
-    memory.jumps = 0.0
-
-
-@njit(**EXACT)
-def cross(memory, pitch, by_pitch, setting, work):
-    """Begin a border that has just been noticed."""
-    ahead = NOTICED_BY_PITCH if by_pitch else NOTICED_BY_FORCES
-    place = memory.place + ahead * setting.border
+def feel_border(memory, setting, work):
+    """Begin a border that forces have just shown."""
+    place = memory.place + NOTICED * setting.border
+    form_error = math.sqrt(memory.form_error * setting.model_error)
     begin_border(memory, setting, work, place, (PLACE_SD * setting.border) ** 2)
-    if by_pitch:
-        memory.border_places[0] = memory.place
-        memory.border_pitches[0] = pitch
-        memory.pitches_kept = 1
+    memory.form_error = form_error
 
 
 # [m] and [of the spread of a cell] error of the place of a cell on a border
@@ -183,13 +107,11 @@ CELL_SHARE = 0.1
 
 @njit(**EXACT)
 def put_on_border(memory, cell, setting):
-    """Note the place of a new cell, if it is on the border, and find that anew."""
+    """Note how well the place of a new cell is known, if it is on the border."""
     if memory.borders == 0 or cell.place > memory.border + 0.5 * setting.border:
         if memory.crossing == 0.0:
             return
     cell.place_error = CELL_PLACE + CELL_SHARE * cell.spread
-    if memory.pitches_kept > 2:
-        _locate(memory, setting)
 
 
 @njit(**EXACT)
@@ -219,8 +141,6 @@ def blend_pull(memory, setting):
 def end_border(memory):
     """Leave a border behind: the ground is of the new soil."""
     memory.crossing = 0.0
-    memory.grade = 0.0
-    memory.grades = 0.0
     for i in range(2):
         memory.best_pull[i] = memory.fresh_pull[i]
     for i in range(PUBLISHED):

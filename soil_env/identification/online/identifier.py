@@ -12,12 +12,10 @@ from soil_env._compiled.cache import kept
 from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.best_pull import renew_best_pull
 from soil_env.identification.online.borders import (
-    begin_grade,
     blend_estimates,
     blend_pull,
-    cross,
     end_border,
-    note_pitch,
+    feel_border,
     put_on_border,
 )
 from soil_env.identification.online.cells import remember
@@ -68,14 +66,12 @@ HELD, MOVED, RENEWED = range(3)
 # Readings of a point on a border, where the ground changes from one to the next.
 READINGS_ON_BORDER = 5.0
 # Chi-squared (two degrees of freedom) of the forces of a point: its excess over `EXPECTED` is
-# summed, never below 0; a sum above `ANOTHER_SOIL` is another soil, without a pitch that shows
-# borders one above `ANOTHER_UNSEEN`, so that few are missed. A point above `ODD` is left out until
-# then.
+# summed, never below 0; a sum above `ANOTHER_SOIL` is another soil. A point above `ODD` is left out
+# until then.
 EXPECTED = 3.0
-ANOTHER_SOIL = 8.0
-ANOTHER_UNSEEN = 4.0
+ANOTHER_SOIL = 4.0
 ODD = 3.5
-LONG = 12  # points of a soil, up to which it is the laws that readings contradict
+LONG = 5  # points of a soil, up to which it is the laws that readings contradict
 SETTLED_POINTS = 3  # of a soil, before which no point is odd
 DOUBT = 1.3  # factor of the standard deviations while a point is odd
 DOUBLED = 4.0  # factor of the form error's variance in that test
@@ -113,9 +109,6 @@ def forget(memory, setting, work):
     memory.turning = 0.0
     memory.point_sinkage = 0.0
     memory.last_rim = 0.0
-    memory.grade = 0.0
-    memory.grades = 0.0
-    memory.jumps = 0.0
     memory.odd = 0.0
     memory.crossing = 0.0
     memory.form_error = setting.model_error
@@ -131,7 +124,6 @@ def forget(memory, setting, work):
     memory.status = Status.NO_DATA.value
     memory.settled = 0
     memory.cells_kept = 0
-    memory.pitches_kept = 0
     memory.behind = 0
     clear(memory.open[0])
     for i in range(HERE):
@@ -255,18 +247,18 @@ def _complete(memory, reading, alone, setting, work):
         put_on_border(memory, cell, setting)
     memory.points += 1
     contradicted = memory.form_error > MISFIT * setting.model_error
-    contradicted = contradicted or memory.misfit > CONTRADICTION
+    contradicted = contradicted or max(memory.misfit, memory.law_misfit) > CONTRADICTION
     alone = alone and memory.crossing == 0.0
     late = memory.settled > 0 and memory.points > LONG and memory.cells_kept > 1
     if alone and contradicted and late:
-        cross(memory, reading.pitch, False, setting, work)  # a border has been missed
+        feel_border(memory, setting, work)  # a border has been missed
         begin_pull(memory, setting, work)
         return
     if alone and not contradicted and memory.points >= SETTLED_POINTS:
         surprise = _surprise(memory, setting, work)
         memory.odd = max(memory.odd + surprise - EXPECTED, 0.0)
-        if memory.odd > (ANOTHER_SOIL if setting.by_pitch > 0 else ANOTHER_UNSEEN):
-            cross(memory, reading.pitch, False, setting, work)
+        if memory.odd > ANOTHER_SOIL:
+            feel_border(memory, setting, work)
             begin_pull(memory, setting, work)
             return
         if surprise > ODD:  # the next ones decide
@@ -320,13 +312,6 @@ def observe(memory, reading, alone, setting, work):
     turned = abs(reading.rim_speed - memory.last_rim)
     memory.last_rim = reading.rim_speed
     advance(memory, reading, turned, setting)
-    if alone and note_pitch(memory, reading.pitch, setting):
-        if memory.points > 0:
-            clear(memory.open[0])
-            cross(memory, reading.pitch, True, setting, work)
-            begin_pull(memory, setting, work)
-        else:  # nothing is known of a soil yet
-            begin_grade(memory, reading.pitch)
     weigh(memory, reading, setting)
     note_rest(memory, reading, setting)
     point = memory.open[0]

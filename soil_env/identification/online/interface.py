@@ -258,7 +258,6 @@ class OnlineIdentifier:
             raise ParameterError("belief.method = 'none': expected 'filter'")
         self._setting = setting_of(scenario)
         self._white = self._setting["white"][0, 0].copy()  # of sensors that measure
-        self._by_pitch = int(self._setting["by_pitch"][0])
         self._units = reading_units(scenario)
         self._largest = largest_readings(wheel, scenario.gravity)
         self._sinkage = _bearing_sinkage(scenario)  # where none is measured
@@ -392,8 +391,6 @@ class OnlineIdentifier:
         reading.speed = speed
         reading.rim_speed = rim
         reading.pitch = pitch
-        # without a pitch only forces show borders
-        self._setting["by_pitch"] = self._by_pitch if r.pitch == r.pitch else 0
         instead = {
             "sinkage": self._sinkage,
             "drawbar_pull": 0.0,

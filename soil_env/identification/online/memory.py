@@ -26,7 +26,6 @@ RESIDUALS = 3
 #: Cells kept; with five the errors grow by 1 to 3 %, with 24 they stay.
 CELLS = 8
 MOST_SOILS = 32  # of a library
-PITCHES = 24  # kept of a border, to find its place
 
 #: [5] published: phi [rad], ln K, ln S, c [Pa], ln of the gain of slip-sinkage over the nominal
 #: one.
@@ -96,16 +95,10 @@ MEMORY = record(
     "point_turning",
     "point_sinkage",  # [m] of the last point; 0 before the first
     "last_rim",  # [m/s]
-    "grade",  # [rad] mean pitch of this soil
-    "grades",  # readings that this is the mean of
-    "jumps",  # readings in a row whose pitch is another
     "odd",  # sum of the excess of chi-squared of points
     "crossing",  # 1 on a border
-    "border",  # [m] its middle: by the pitches, here where forces show it, or by another wheel
+    "border",  # [m] its middle: by a camera, by the forces, or by another wheel
     "border_variance",
-    "border_first",  # [m] place where it was noticed
-    "border_grade",  # [rad] before it
-    "border_grade_variance",
     "form_error",  # [of load] of the laws
     "misfit",  # chi-squared of the forces over its expectation
     "law_misfit",  # the same of the law of sinkage
@@ -119,7 +112,6 @@ MEMORY = record(
     borders=("i8",),
     status=("i8",),
     cells_kept=("i8",),
-    pitches_kept=("i8",),
     settled=("i8",),  # 1: this soil has fitted
     behind=("i8",),  # 1 behind a border: the old soil is unknown too
     u=("f8", ALL),
@@ -143,8 +135,6 @@ MEMORY = record(
     fresh_pull=("f8", 2),
     old_pull=("f8", 2),
     steady=("f8", SLIPS),  # ln of the steady sinkages at `SLIPS`
-    border_places=("f8", PITCHES),
-    border_pitches=("f8", PITCHES),
     open=(OPEN, 1),
     cells=(CELL, CELLS + 1),  # and the newest
 )
@@ -166,7 +156,6 @@ SETTING = record(
     "border",  # [m] over which one soil passes into the next; 0: one soil for ever
     "model_error",  # [of load] of the laws
     "law_error",  # [-] of the law of sinkage
-    by_pitch=("i8",),  # 1: the pitch shows borders
     load_varies=("i8",),  # 1: the load on the wheel changes from point to point
     off=("i8",),  # 1: nothing is identified
     white=(READING, 1),

@@ -186,7 +186,6 @@ def setting_of(scenario: Scenario) -> np.ndarray:
     s.border = belief.border
     s.model_error = belief.model_error
     s.law_error = LAW_ERROR
-    s.by_pitch = int(belief.grade_change_deg > 0.0)
     s.off = int(belief.method == "none")
     white, zero, gain = reading_errors(scenario)
     least = LEAST_NOISE * np.array(reading_units(scenario))

@@ -79,14 +79,13 @@ class RoversOnBoard:
 def limit_to_wheel(setting: np.ndarray, scenario: RoverScenario) -> None:
     """Leave out what the sensors of the body do not tell of one wheel.
 
-    The accelerometer says nothing of it, nor does the body's pitch of the grade under it, and the
-    load on a wheel changes with the pull. Nor does the torque of a motor whose speed loop turns the
-    wheel faster or slower: that at the end of a period is not the mean over it.
+    The accelerometer says nothing of it, and the load on a wheel changes with the pull. Nor does
+    the torque of a motor whose speed loop turns the wheel faster or slower: that at the end of a
+    period is not the mean over it.
     """
     setting["white"]["acceleration"] = OF_BODY * scenario.gravity
     if scenario.control.action != "torque":
         setting["white"]["motor_torque"] = OF_BODY * scenario.weight * scenario.wheel.radius
-    setting["by_pitch"] = 0
     setting["load_varies"] = 1
 
 

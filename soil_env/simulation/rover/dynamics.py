@@ -59,7 +59,7 @@ def _keep_stand(foot, at):
 
 
 @njit(**INLINE)
-def _take_stage(rover, patches, ruts, number, h, forced, world):
+def _take_stage(rover, course, ruts, number, h, forced, world):
     """A stage of a step; False if Newton's method fails, with the rover as before, unless it is
     `forced` on.
     """
@@ -72,7 +72,7 @@ def _take_stage(rover, patches, ruts, number, h, forced, world):
         stage = _stage_of(number, h, wheel, foot, rig)
         foot.rim_start = stage.rim
         own = World(rig, world.acting, scratch.nodes[a])
-        ahead = ground_ahead(wheel, stage, patches, ruts[a], float(a), rig.border)
+        ahead = ground_ahead(wheel, stage, course, ruts[a], float(a), rig.border)
         at = stand(wheel, stage, ahead, own)
         _keep_stand(foot, at)
     stage = _stage_of(number, h, rover.wheels[0], scratch.feet[0], rig)
@@ -102,7 +102,7 @@ def _take_stage(rover, patches, ruts, number, h, forced, world):
 
 
 @njit(**INLINE)
-def _take_step(rover, patches, ruts, h, forced, world):
+def _take_step(rover, course, ruts, h, forced, world):
     """A step of h seconds in two stages; the time [s] that was driven, less than h if Newton's
     method fails.
     """
@@ -111,7 +111,7 @@ def _take_step(rover, patches, ruts, h, forced, world):
         foot.speed_before = rover.wheels[a].speed
         foot.rim_before = world.rig.radius * rover.wheels[a].wheel_speed
     for number in range(2):
-        if not _take_stage(rover, patches, ruts, number, h, forced, world):
+        if not _take_stage(rover, course, ruts, number, h, forced, world):
             return number * (GAMMA * h)
     return h
 
@@ -132,7 +132,7 @@ def _change_ahead(rover, world):
 
 
 @njit(**INLINE)
-def _drive_period(rover, patches, ruts, world):
+def _drive_period(rover, course, ruts, world):
     """Drive a rover for a control period by steps that are halved while Newton's method fails."""
     rig = world.rig
     steps = steps_for(_change_ahead(rover, world), rover.halt_left)
@@ -142,7 +142,7 @@ def _drive_period(rover, patches, ruts, world):
     failed = False
     while left > OVER * longest:
         h = min(h, left)
-        driven = _take_step(rover, patches, ruts, h, h <= longest / FINEST, world)
+        driven = _take_step(rover, course, ruts, h, h <= longest / FINEST, world)
         left -= driven
         if driven == h:
             h = longest
@@ -153,10 +153,10 @@ def _drive_period(rover, patches, ruts, world):
 
 
 @njit(**FINITE)
-def control_period(rover, actions, patches, ruts, world):
+def control_period(rover, actions, course, ruts, world):
     """One control period of a rover under actions [axles] in [-1, 1] (`wheel.commanded`).
 
-    `patches`: those of its course; `ruts` [axles, cells]: `ROVER_RUT`.
+    `course`: its own; `ruts` [axles, cells]: `ROVER_RUT`.
 
     In a halt the drives ignore them and hold the wheels with their speed loops.
     """
@@ -169,7 +169,7 @@ def control_period(rover, actions, patches, ruts, world):
         foot.by_speed = drive.by_speed
         foot.start = wheel.x
         begin_period(wheel)
-    _drive_period(rover, patches, ruts, world)
+    _drive_period(rover, course, ruts, world)
     _sum_up(rover, world)
 
 

@@ -31,7 +31,7 @@ from soil_env.simulation.rover.task import (
 )
 from soil_env.simulation.task.observation import TRUE_SOIL, clip
 from soil_env.simulation.task.rules import RUNNING, add_reward, judge, task_of, total_of
-from soil_env.simulation.wheels import start_passable
+from soil_env.simulation.wheels import start_drivable
 from soil_env.simulation.world.courses import course_distribution, extend_course, start_course
 from soil_env.simulation.world.passability import CourseDistribution, CourseNumbers
 from soil_env.simulation.world.sensors import (
@@ -190,7 +190,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
     not found.
 
     RESTART starts a new course and puts the rover at rest at its start. TRY draws the start of a
-    course; the rover's `reward` is then the mean mass on a wheel, or -1 if none was passable.
+    course; the rover's `reward` is then the mean mass on a wheel, or -1 if no soil was found.
     `numbers`: `RoverCourseNumbers`.
     """
     nodes = scratch.stage[0].nodes[0]
@@ -205,7 +205,7 @@ def lay_rovers(worlds, numbers, orders, scratch, first, end):
         rover = worlds.state[j]
         course = worlds.courses[j]
         if order == RESTART:
-            mass = start_passable(course, rover, course_numbers, nodes)
+            mass = start_drivable(course, rover, course_numbers, nodes)
             if mass < 0.0:
                 failed += 1
             else:
@@ -282,7 +282,7 @@ def _restart(rover, readings, notes, setting):
 
 
 @njit(**FINITE)
-def _step(rover, commands, patches, ruts, readings, notes, setting):
+def _step(rover, commands, course, ruts, readings, notes, setting):
     """The control periods of an action of a rover, until its episode ends; its last `BodyReading`.
 
     `readings` [axles, held], `notes` [held], or one of each to overwrite.
@@ -295,7 +295,7 @@ def _step(rover, commands, patches, ruts, readings, notes, setting):
     rover.periods = 0
     rover.cause = RUNNING
     while rover.periods < task.held and rover.cause == RUNNING:
-        control_period(rover, commands, patches, ruts, setting.world)
+        control_period(rover, commands, course, ruts, setting.world)
         period = min(rover.periods, notes.size - 1)
         of_body = _sense(rover, readings, notes[period], period, setting)
         rover.cause = judge(rover, task)
@@ -340,9 +340,7 @@ def step_rovers(worlds, numbers, actions, orders, scratch, first, end):
         readings = worlds.readings[j] if recorded else scratch.readings
         notes = worlds.notes[j] if recorded else scratch.note
         if order == STEP:
-            of_body = _step(
-                rover, actions[j], course.patches, worlds.ruts[j], readings, notes, setting
-            )
+            of_body = _step(rover, actions[j], course, worlds.ruts[j], readings, notes, setting)
         else:
             of_body = _restart(rover, readings, notes, setting)
         out = worlds.observation[j]

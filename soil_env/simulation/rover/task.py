@@ -14,7 +14,7 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, FINITE
 from soil_env.simulation.task import AXLES, ObservedNumber, layout
 from soil_env.simulation.task.observation import ENTRIES_OF_SOIL, write_soil
-from soil_env.simulation.world.terrain import ground_at
+from soil_env.simulation.world.terrain import soil_on
 
 _OF_BODY = ("speed", "pitch", "acceleration", "odometry", "halted")
 _OF_AXLE = (
@@ -96,5 +96,5 @@ def write_true_soils(out, rover, axles, course, border):
     """Fill `out` [axles x 7] with the true soil under each axle of a rover."""
     for a in range(axles):
         wheel = rover.wheels[a]
-        soil, _ = ground_at(course.patches, wheel.x, wheel.patch, border)
+        soil = soil_on(course.patches, wheel.x, wheel.patch, border)
         write_soil(out[a * ENTRIES_OF_SOIL :], soil)

@@ -1,6 +1,15 @@
 """Task: observation layout, reward, causes of an episode's end."""
 
-from soil_env.simulation.task.layout import AXLES, LINES, VARIANTS, ObservedNumber, layout, truth
+from soil_env.simulation.task.layout import (
+    AXLES,
+    LINES,
+    VARIANTS,
+    VERSION,
+    ObservedNumber,
+    check_version,
+    layout,
+    truth,
+)
 from soil_env.simulation.task.rules import REWARD_TERMS, Cause
 
 __all__ = [
@@ -8,8 +17,10 @@ __all__ = [
     "LINES",
     "REWARD_TERMS",
     "VARIANTS",
+    "VERSION",
     "Cause",
     "ObservedNumber",
+    "check_version",
     "layout",
     "truth",
 ]

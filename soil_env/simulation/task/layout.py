@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.parameters import CourseSpec
 
+#: Version of the layout. A policy of another one is refused, though its numbers have the same names.
+#: 2: slip follows from two speeds, sensors have zeros and gains, grades tell nothing of the soil.
+VERSION = 2
 VARIANTS = ("blind", "identified", "true_soil")
 
 
@@ -94,6 +97,15 @@ def _seen(classes: int, lines: int) -> list[ObservedNumber]:
             ObservedNumber(f"{line}_class_{c + 1}", "0 or 1", 0.0, 1.0) for c in range(classes)
         ]
     return entries + [ObservedNumber("choice", "0 or 1", 0.0, 1.0)] * (lines > 1)
+
+
+def check_version(found: object, where: object) -> None:
+    """ParameterError if a policy from `where` was trained on another version of the layout."""
+    if found != VERSION:
+        raise ParameterError(
+            f"{where}: trained on observations of version {found}: expected version {VERSION}, "
+            "which a training with this release has"
+        )
 
 
 def layout(variant: str, course: CourseSpec | None = None) -> tuple[ObservedNumber, ...]:

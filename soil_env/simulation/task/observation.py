@@ -7,7 +7,7 @@ from numba import njit
 from soil_env._compiled.flags import EXACT, FINITE
 from soil_env.simulation.task.layout import VARIANTS
 from soil_env.simulation.world.camera import Sight, patch_ahead, seen_grade, write_view
-from soil_env.simulation.world.terrain import ground_at, patch_at
+from soil_env.simulation.world.terrain import piece_at, soil_on
 from soil_env.terramechanics.ground import soil_of
 
 SENSORS = 14  # entries that every variant has
@@ -58,9 +58,8 @@ def write_soil(out, soil):
 @njit(**EXACT)
 def write_soil_under(out, wheel, course, border):
     """Fill `out` [7] with the true soil under a wheel."""
-    patch = patch_at(course.patches, wheel.x, wheel.patch)
-    soil, _ = ground_at(course.patches, wheel.x, patch, border)
-    write_soil(out, soil)
+    patch = piece_at(course.patches, wheel.x, wheel.patch)
+    write_soil(out, soil_on(course.patches, wheel.x, patch, border))
 
 
 @njit(**EXACT)
@@ -83,7 +82,7 @@ def _write_true_lines(out, wheel, course, camera):
     if camera is None:
         return
     else:
-        patch = patch_at(course.patches, wheel.x, wheel.patch)
+        patch = piece_at(course.patches, wheel.x, wheel.patch)
         here = course.patches[patch]
         sight = Sight(patch, wheel.x - here.start, here.end - wheel.x)
         write_soils_ahead(out, course, sight, camera)
@@ -98,7 +97,7 @@ def write_soils_ahead(out, course, sight, camera):
         if ahead >= 0 and number < course.forks[ahead].lines:
             line = course.lines[ahead, number]
             write_soil(entries, soil_of(line))
-            entries[ENTRIES_OF_SOIL] = line.capacity - math.tan(seen_grade(line))
+            entries[ENTRIES_OF_SOIL] = line.capacity - math.tan(seen_grade(course, ahead, number))
         else:
             for i in range(ENTRIES_AHEAD):
                 entries[i] = 0.0

@@ -81,9 +81,9 @@ def patch_ahead(course, sight, camera):
 
 
 @njit(**EXACT)
-def seen_grade(line):
-    """Grade [rad] of a line as the camera sees it."""
-    return line.grade + line.grade_error
+def seen_grade(course, p, line):
+    """Steepest grade [rad] of patch p as the camera sees it along a line."""
+    return course.forks[p].grade + course.lines[p, line].grade_error
 
 
 @njit(**EXACT)
@@ -103,8 +103,8 @@ def take_image(image, wheel, course, sight, camera):
     image.taken = course.forks[p].taken
     image.label_0 = straight.label
     image.label_1 = beside.label
-    image.grade_0 = seen_grade(straight)
-    image.grade_1 = seen_grade(beside)
+    image.grade_0 = seen_grade(course, p, 0)
+    image.grade_1 = seen_grade(course, p, 1)
 
 
 @njit(**EXACT)
@@ -119,7 +119,7 @@ def write_view(out, wheel, course, sight, camera):
     for k in range(camera.lines):
         there = ahead >= 0 and k < course.forks[ahead].lines
         line = course.lines[max(ahead, 0), k]
-        out[i] = seen_grade(line) if there else 0.0
+        out[i] = seen_grade(course, ahead, k) if there else 0.0
         for c in range(classes):
             out[i + 1 + c] = 1.0 if there and line.label == c else 0.0
         i += 1 + classes

@@ -16,10 +16,11 @@ from soil_env.simulation.world.lines import choosing, plan_halt, take_line
 from soil_env.simulation.world.newton import Stage, foreseen, solve_speeds
 from soil_env.simulation.world.terrain import (
     COMPACTION,
-    ground_at,
+    grade_on,
     in_cell,
-    patch_at,
+    piece_at,
     rut_factor_at,
+    soil_on,
 )
 from soil_env.simulation.world.wheel import (
     Ahead,
@@ -105,11 +106,13 @@ def stage_of(number, h, speed, rim, speed_before, rim_before):
 
 
 @njit(**FINITE)
-def ground_ahead(wheel, stage, patches, cells, before, border):
-    """Ground `Ahead` of a wheel in a stage, after `before` wheels of its rover; note its patch."""
+def ground_ahead(wheel, stage, course, cells, before, border):
+    """Ground `Ahead` of a wheel in a stage, after `before` wheels of its rover; note its place."""
     x = wheel.x + 0.5 * stage.duration * wheel.speed
-    wheel.patch = patch_at(patches, x, wheel.patch)
-    soil, grade = ground_at(patches, x, wheel.patch, border)
+    wheel.patch = piece_at(course.patches, x, wheel.patch)
+    wheel.slope = piece_at(course.slopes, x, wheel.slope)
+    soil = soil_on(course.patches, x, wheel.patch, border)
+    grade = grade_on(course.slopes, x, wheel.slope, border)
     passes = before + (2.0 if cells[wheel.cell].depth > 0.0 else 1.0)
     return Ahead(stiffened(soil, rut_factor_at(cells, x)), grade, passes)
 
@@ -205,7 +208,7 @@ def take_stage(wheel, stage, ahead, drive, forced, world):
 
 
 @njit(**FINITE)
-def drive_period(wheel, drive, patches, cells, world):
+def drive_period(wheel, drive, course, world):
     """Drive a wheel for a control period; steps are halved while Newton's method fails."""
     rig = world.rig
     begin_period(wheel)
@@ -223,13 +226,13 @@ def drive_period(wheel, drive, patches, cells, world):
         for number in range(2):
             rim = rig.radius * wheel.wheel_speed
             stage = stage_of(number, h, wheel.speed, rim, speed_before, rim_before)
-            ahead = ground_ahead(wheel, stage, patches, cells, 0.0, rig.border)
+            ahead = ground_ahead(wheel, stage, course, course.cells, 0.0, rig.border)
             done, digging = take_stage(wheel, stage, ahead, drive, forced, world)
             if not done:
                 break
             left -= stage.duration
             if not in_cell(wheel.cell, wheel.x):
-                leave_ruts(wheel, cells, digging, COMPACTION)
+                leave_ruts(wheel, course.cells, digging, COMPACTION)
         if done:
             h = longest
         else:
@@ -261,8 +264,7 @@ def control_period(wheel, action, course, camera, world):
     drive_period(
         wheel,
         commanded(wheel, action, wheel.halt_left > 0.0, world.rig),
-        course.patches,
-        course.cells,
+        course,
         world,
     )
     _at_fork(wheel, course, camera, action, world.rig)

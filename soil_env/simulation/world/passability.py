@@ -1,4 +1,4 @@
-"""Soils that a course is drawn from, and the steepest slope of them that this wheel can climb."""
+"""Soils that a course is drawn from, and the best drawbar pull of this wheel on them."""
 
 import math
 from typing import Any, NamedTuple
@@ -10,18 +10,16 @@ from soil_env._compiled.flags import EXACT, HUGE, record
 from soil_env._compiled.random_streams import between, normal_pair, uniform
 from soil_env.parameters import SoilState
 from soil_env.terramechanics.effects import depends_on_speed
-from soil_env.terramechanics.ground import blend, soil_of
+from soil_env.terramechanics.ground import put_soil, soil_of
 from soil_env.terramechanics.reaction import Acting
 from soil_env.terramechanics.residual import WorkingPoint, dimensionless_groups, residual_at
 from soil_env.terramechanics.steady import Conditions, Point, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
-BISECTIONS = 8  # of the steepest grade on ground that slopes weaken
+REDRAWS = 30  # attempts at a soil
 CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
 STEEPEST_FRICTION = math.radians(60.0)  # [rad] largest friction angle that is drawn
-SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a passable course asks for
-LOWERING = 1.02  # of what a border falls short, by which the grades on both sides of it are lowered
-TOLERANCE = 1e-6  # [of weight] by which a border may fall short all the same
+SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a soil may ask for
 IMPASSABLE = -HUGE  # [of weight] pull of a wheel that would be bogged
 
 _PAIR = ("f8", 2)  # (low, high) of a uniform distribution
@@ -30,7 +28,7 @@ DISTRIBUTION = record(
     "length",  # [m] of a course
     "border",  # [m] over which one patch passes into the next
     "class_scatter",  # [of `variation`] of the patches of a class about its soil
-    "dead_ends",  # [-] share of patches with an impassable line
+    "least_pull",  # [of weight] best drawbar pull below which a soil is drawn again
     "label_error",  # [-] share of the labels that a camera has wrong
     "grade_noise",  # [rad] 1-sigma, of a camera
     "border_noise",  # [m] 1-sigma, of a camera
@@ -41,10 +39,10 @@ DISTRIBUTION = record(
     "reference_sinkage",  # [m] at which stiffness scatters
     "speed",  # [m/s] travel at which passability is judged, half the top rim speed
     patch_length=_PAIR,  # [m]
-    grade=_PAIR,  # [-] tangents
-    margin=_PAIR,  # [of weight]
+    slope_length=_PAIR,  # [m]
+    grade=_PAIR,  # [rad]
+    first_grade=_PAIR,  # [rad] of slopes that begin on the first patches
     payload=_PAIR,  # [kg]
-    deficit=_PAIR,  # [of weight] of an impassable line
     halt_before=_PAIR,  # [m] a patch with two lines
     variation=("f8", 6),  # [-] of friction angle, cohesion, K, stiffness, dig gain, exponent
     factor=("f8", (5, 5)),  # Cholesky factor of the correlations of the first five
@@ -140,24 +138,22 @@ def _residual_of(best, load, soil, at, rig, residual):
 
 
 @njit(**EXACT)
-def capacity(load, soil, tangent, numbers, nodes):
-    """Best steady drawbar pull over load [N] on a slope, `IMPASSABLE` where the wheel is bogged.
+def capacity(load, soil, numbers, nodes):
+    """Best steady drawbar pull over load [N] on level ground, `IMPASSABLE` for a bogged wheel.
 
-    Where strength depends on speed, the lesser one of starting and of driving. Of the slope only
-    the loss of bearing counts: W cos(grade) sinks less than W, so W is on the safe side.
+    Where strength depends on speed, the lesser one of starting and of driving.
     """
     spec = numbers.drawn.spec
     rig = numbers.rig
     effects = numbers.acting.effects
-    sin_grade = tangent / math.sqrt(1.0 + tangent * tangent)
     deepest = SAFE_SINKAGE * spec.bogged_sinkage
-    at_rest = Conditions(0.0, 1.0, sin_grade)
+    at_rest = Conditions(0.0, 1.0, 0.0)
     rest = steady_at(nodes, Point(0.0, load, 0.0), soil, rig, at_rest, effects)
     if rest.sinkage > deepest or not rest.supported:
         return IMPASSABLE
     least = HUGE
     for speed in (spec.speed, 0.0):
-        at = Conditions(speed, 1.0, sin_grade)
+        at = Conditions(speed, 1.0, 0.0)
         best = best_point_at(nodes, load, soil, rig, at, effects, spec.stall_torque)
         pull, torque = _residual_of(best, load, soil, at, rig, numbers.acting.residual)
         if best.sinkage > deepest or best.torque + torque * load * rig.radius > spec.stall_torque:
@@ -169,48 +165,14 @@ def capacity(load, soil, tangent, numbers, nodes):
 
 
 @njit(**EXACT)
-def slopes_weaken(effects):
-    """True if soil carries less on a slope."""
-    if effects is None:
-        return False
-    else:
-        return effects.grade_weakening != 0.0
+def draw_ground(ground, owner, load, numbers, nodes):
+    """Draw the soil of `ground`, which leaves this wheel the least pull; False if none was found.
 
-
-@njit(**EXACT)
-def margin_between(a, b, load, numbers, nodes):
-    """Margin [of weight] in the middle of the passage from a to b, two patches or lines."""
-    tangent = math.tan(0.5 * (a.grade + b.grade))
-    return capacity(load, blend(a, b, 0.5), tangent, numbers, nodes) - tangent
-
-
-@njit(**EXACT)
-def steepest(load, soil, margin, numbers, nodes):
-    """(tangent of the steepest grade that leaves `margin`, `capacity`), or `IMPASSABLE` twice.
-
-    On the level and on a slope the capacity is the same, unless slopes weaken the ground: then it
-    is sought for.
+    Of slopes nothing is asked: they are drawn without looking at soils.
     """
-    low = numbers.drawn.spec.grade[0]
-    high = numbers.drawn.spec.grade[1]
-    flat = min(max(0.0, low), high)
-    pull = capacity(load, soil, flat, numbers, nodes)
-    if not slopes_weaken(numbers.acting.effects):
-        if pull - margin < low:
-            return IMPASSABLE, IMPASSABLE
-        return min(pull - margin, high), pull
-    if pull - margin < flat:
-        high = flat
-        flat = low
-        pull = capacity(load, soil, flat, numbers, nodes)
-        if pull - margin < flat:
-            return IMPASSABLE, IMPASSABLE
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (flat + high)
-        there = capacity(load, soil, middle, numbers, nodes)
-        if there - margin >= middle:
-            flat = middle
-            pull = there
-        else:
-            high = middle
-    return flat, pull
+    for _ in range(REDRAWS):
+        soil = draw_soil(owner, numbers.drawn)
+        if capacity(load, soil, numbers, nodes) >= numbers.drawn.spec.least_pull:
+            put_soil(ground, soil)
+            return True
+    return False

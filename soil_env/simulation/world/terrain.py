@@ -1,4 +1,4 @@
-"""The ground of a course: patches of soil and grade, smooth borders, the rut of the wheel."""
+"""The ground of a course: patches of soil, a profile of grades, smooth passages, the rut."""
 
 import math
 from typing import Any
@@ -27,13 +27,17 @@ LARGEST_RUT_FACTOR = 3.0  # [-] on S, unless a wheel compacts more
 
 #: A soil: the fields of `SoilState`.
 SOIL = record(*SoilState._fields)
-#: A patch of a course, with the soil and the grade of the line that is taken over it.
+#: A patch of a course, with the soil of the line that is taken over it.
 PATCH = record(
     "start",  # [m] along the course; `HUGE` of patches that are not drawn yet
     "end",  # [m]
     *SoilState._fields,
+)
+#: A slope of the profile, whose ends have nothing to do with those of patches.
+SLOPE = record(
+    "start",  # [m] along the course; `HUGE` of slopes that are not drawn yet
+    "end",  # [m]
     "grade",  # [rad] uphill positive
-    "margin",  # [of weight] drawbar pull in reserve at best slip
 )
 #: A cell of the rut.
 RUT = record(
@@ -41,13 +45,13 @@ RUT = record(
     depth=("f4",),  # [m] of the rut below the undisturbed surface, 0 before the first pass
 )
 #: One of two lines over a patch of a course with terrain classes. Line 0 leads straight ahead, line
-#: 1 beside it.
+#: 1 beside it on the same slopes.
 LINE = record(
-    # [rad]; before the soil: numba takes a record that begins like a `SOIL` for one, and warns
-    "grade",
+    # [rad] of the grade that a camera sees; before the soil: numba takes a record that begins like
+    # a `SOIL` for one, and warns
+    "grade_error",
     *SoilState._fields,
     "capacity",  # [of weight] best steady drawbar pull
-    "grade_error",  # [rad] of the grade that a camera sees
     terrain=("i8",),  # number of its class
     label=("i8",),  # number of the class that a camera sees
 )
@@ -55,22 +59,25 @@ LINE = record(
 FORK = record(
     "halt",  # [m] place of the halt before a patch with two lines, from its beginning
     "border_error",  # [m] of where a camera sees the beginning of the patch
+    "grade",  # [rad] steepest slope on the patch
     lines=("i8",),
-    taken=("i8",),  # line whose soil and grade the `PATCH` has
+    taken=("i8",),  # line whose soil the `PATCH` has
 )
 
 
-LEAST_PATCHES = 64  # that a course has room for
+LEAST_PATCHES = 64  # and slopes that a course has room for
 LEAST_CELLS = 1024  # that a course has room for: 50 m, enough for any shipped scenario
 
 
-def course_dtype(patches: int, cells: int, classes: bool) -> np.dtype[Any]:
-    """Dtype of a course with room for so many patches and cells, with terrain `classes` or without.
+def course_dtype(patches: int, slopes: int, cells: int, classes: bool) -> np.dtype[Any]:
+    """Dtype of a course with room for so many patches, slopes and cells, with terrain `classes` or
+    without.
 
-    Only the first `drawn` patches are drawn, and the cells below them cleared. Room is a power of
-    two, since compiled code is compiled anew for each dtype.
+    Only the first `drawn` patches are drawn, the slopes over them, and the cells below them
+    cleared. Room is a power of two, since compiled code is compiled anew for each dtype.
     """
     patches = _room(patches, LEAST_PATCHES)
+    slopes = _room(slopes, LEAST_PATCHES)
     cells = _room(cells, LEAST_CELLS)
     lines: dict[str, Any] = {}
     if classes:
@@ -83,8 +90,10 @@ def course_dtype(patches: int, cells: int, classes: bool) -> np.dtype[Any]:
         "ready",  # [m] place up to which the ground is final; `HUGE` once the whole course is drawn
         **lines,  # first: numba takes a record that begins like another for one, and warns
         drawn=("i8",),
-        stream=("u8",),  # from which the patches to come are drawn
+        sloped=("i8",),  # slopes drawn
+        stream=("u8",),  # from which the patches and slopes to come are drawn
         patches=(PATCH, patches),
+        slopes=(SLOPE, slopes),
         cells=(RUT, cells),
     )
 
@@ -98,11 +107,14 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
     """Empty courses, `course_dtype` [wheels]."""
     spec = scenario.course
     patches = math.ceil(spec.length / spec.patch_length[0]) + 2
+    longest = spec.length + spec.patch_length[1]
+    slopes = math.ceil(longest / spec.slope_length[0]) + 2
     cells = CELLS_BEHIND + math.ceil(spec.length / CELL) + 2
-    courses = np.zeros(wheels, course_dtype(patches, cells, spec.classes > 0))
+    courses = np.zeros(wheels, course_dtype(patches, slopes, cells, spec.classes > 0))
     courses["ready"] = HUGE
-    courses["patches"]["start"] = HUGE
-    courses["patches"]["end"] = HUGE
+    for pieces in ("patches", "slopes"):
+        courses[pieces]["start"] = HUGE
+        courses[pieces]["end"] = HUGE
     courses["cells"]["factor"] = 1.0
     if spec.classes:
         courses["forks"]["lines"] = 1
@@ -110,44 +122,53 @@ def new_courses(wheels: int, scenario: Scenario) -> np.ndarray:
 
 
 @njit(**EXACT)
-def patch_at(patches, x, patch):
-    """Index of the patch at x [m], from a first guess; patches not drawn begin at `HUGE`."""
-    while patch + 1 < patches.size and x >= patches[patch + 1].start:
-        patch += 1
-    while patch > 0 and x < patches[patch].start:
-        patch -= 1
-    return patch
+def piece_at(pieces, x, piece):
+    """Index of the patch or slope at x [m], from a first guess; those not drawn begin at `HUGE`."""
+    while piece + 1 < pieces.size and x >= pieces[piece + 1].start:
+        piece += 1
+    while piece > 0 and x < pieces[piece].start:
+        piece -= 1
+    return piece
 
 
 @njit(**EXACT)
-def border_near(patches, x, patch, border):
-    """(patch before the border, share of the patch behind it) of a wheel at x [m] on `patch`; the
-    share is 0 or less than 1 within `border` [m] around the border, -1 away from it.
+def border_near(pieces, x, piece, border):
+    """(piece before the border, share of the piece behind it) at x [m] on `piece`, a patch or
+    slope.
+
+    The share is 0 or less than 1 within `border` [m] around the border, -1 away from it.
     """
-    here = patches[patch]
+    here = pieces[piece]
     at_end = x - here.start > here.end - x
-    first = patch if at_end else patch - 1
+    first = piece if at_end else piece - 1
     place = here.end if at_end else here.start
     t = (x - place) / border + 0.5
-    drawn = first >= 0 and first + 1 < patches.size and patches[first + 1].start < HUGE
+    drawn = first >= 0 and first + 1 < pieces.size and pieces[first + 1].start < HUGE
     if not drawn or t <= 0.0 or t >= 1.0:
-        return patch, -1.0
+        return piece, -1.0
     return first, smooth_step(t)[0]
 
 
 @njit(**EXACT)
-def ground_at(patches, x, patch, border):
-    """(`SoilState`, grade [rad]) of undisturbed ground at x [m], which is on `patch` (`patch_at`).
+def soil_on(patches, x, patch, border):
+    """`SoilState` of undisturbed ground at x [m], which is on `patch` (`piece_at`).
 
-    Within `border` [m] around a patch border soil and grade pass smoothly from one patch to the
-    next.
+    Within `border` [m] around a border the soil of one patch passes smoothly into that of the next.
     """
     first, share = border_near(patches, x, patch, border)
-    here = patches[first]
     if share < 0.0:
-        return soil_of(here), here.grade
-    following = patches[first + 1]
-    return blend(here, following, share), (1.0 - share) * here.grade + share * following.grade
+        return soil_of(patches[first])
+    return blend(patches[first], patches[first + 1], share)
+
+
+@njit(**EXACT)
+def grade_on(slopes, x, slope, border):
+    """Grade [rad] of undisturbed ground at x [m], which is on `slope`; it bends as soils pass."""
+    first, share = border_near(slopes, x, slope, border)
+    grade = slopes[first].grade
+    if share < 0.0:
+        return grade
+    return (1.0 - share) * grade + share * slopes[first + 1].grade
 
 
 @njit(**EXACT)
@@ -216,19 +237,20 @@ PLACE = record("grade", *SoilState._fields, patch=("i8",))
 
 
 @kept
-def _sample(patches, x, border, places):
+def _sample(courses, k, x, border, places):
+    course = courses[k]
     for i in range(x.size):
         place = places[i]
-        place.patch = patch_at(patches, x[i], 0)
-        soil, grade = ground_at(patches, x[i], place.patch, border)
-        put_soil(place, soil)
-        place.grade = grade
+        place.patch = piece_at(course.patches, x[i], 0)
+        put_soil(place, soil_on(course.patches, x[i], place.patch, border))
+        slope = piece_at(course.slopes, x[i], 0)
+        place.grade = grade_on(course.slopes, x[i], slope, border)
 
 
 def places_on(courses: np.ndarray, k: int, x: np.ndarray, border: float) -> np.ndarray:
-    """Undisturbed ground, `PLACE` [n], of course k at x [n]; `border` [m] as in `ground_at`."""
+    """Undisturbed ground, `PLACE` [n], of course k at x [n]; `border` [m] as in `soil_on`."""
     places = np.zeros(len(x), PLACE)
-    _sample(courses["patches"][k], np.ascontiguousarray(x, dtype=float), float(border), places)
+    _sample(courses, k, np.ascontiguousarray(x, dtype=float), float(border), places)
     return places
 
 

@@ -21,7 +21,14 @@ from soil_env._compiled.flags import EXACT, FINITE, INLINE, record, uncompiled
 from soil_env._compiled.random_streams import between
 from soil_env.parameters import Scenario, SoilState
 from soil_env.simulation.world.sensors import READING
-from soil_env.simulation.world.terrain import cell_after, cell_at, ground_at, leave_rut, patch_at
+from soil_env.simulation.world.terrain import (
+    cell_after,
+    cell_at,
+    grade_on,
+    leave_rut,
+    piece_at,
+    soil_on,
+)
 from soil_env.slip import slip_ratio
 from soil_env.terramechanics.effects import NO_EFFECTS, acting_effects
 from soil_env.terramechanics.effects.grousers import contact_radius, shear_radius_ratio
@@ -90,6 +97,7 @@ WHEEL = record(
     # 1 unless Newton's method failed at the finest step of the last control period
     converged=("i8",),
     patch=("i8",),  # of the course, under the wheel
+    slope=("i8",),  # of its profile, under the wheel
     cell=("i8",),  # of the rut, under the wheel
     steps=("i8",),  # control periods since reset
 )
@@ -336,8 +344,10 @@ def measure_slip(wheel, rig):
 def settle_at(wheel, x, mass, course, world):
     """Put a wheel, its record blank but for its stream, at rest at x [m], sunk in by its load."""
     rig = world.rig
-    wheel.patch = patch_at(course.patches, x, 0)
-    soil, grade = ground_at(course.patches, x, wheel.patch, rig.border)
+    wheel.patch = piece_at(course.patches, x, 0)
+    wheel.slope = piece_at(course.slopes, x, 0)
+    soil = soil_on(course.patches, x, wheel.patch, rig.border)
+    grade = grade_on(course.slopes, x, wheel.slope, rig.border)
     load = mass * rig.gravity * math.cos(grade)
     at_rest = Conditions(0.0, 1.0, math.sin(grade))
     point = Point(0.0, load, 0.0)
