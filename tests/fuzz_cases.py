@@ -161,11 +161,13 @@ def _course(c: Random) -> dict:
     course = {
         "length": length,
         "patch_length": [shortest, shortest * c.number(1.0, 4.0)],
+        "slope_length": [shortest, shortest * c.number(1.0, 4.0)],
         "border": min(_log(c, 0.01, 10.0), shortest),
     }
     others = {
         "grade_deg": lambda: _pair(c, -25.0, 35.0),
-        "margin": lambda: _pair(c, 0.0, 0.15),
+        "first_grade_deg": lambda: _pair(c, -25.0, 35.0),
+        "least_pull": lambda: c.number(-0.5, 0.15),
         "payload": lambda: c.pick([[0.0, 0.0], [0.0, 1.0], _pair(c, 0.0, 20.0)]),
         "halt_interval": lambda: sorted(_log(c, 0.05, 30.0) for _ in range(2)),
         "halt_time": lambda: c.pick([0.0, 0.8, _log(c, 1e-3, 1e3)]),

@@ -40,7 +40,7 @@ class CourseSpec(Checked):
         -25.0,
         35.0,
         default=(-6.0, 0.0),
-        doc="of slopes that begin on the first patch, or on the first of each class",
+        doc="of the first slope, and of those that begin on the first patch of each class",
     )
     least_pull: float = quantity(
         "of weight",

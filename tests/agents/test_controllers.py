@@ -43,8 +43,9 @@ def uniform(soil="lete_sand", grade=0.0, action="torque", noise=QUIET, length=12
     course = {
         "length": length,
         "halt_time": 0.0,
-        "margin": [0, 0],
+        "least_pull": -1.0,
         "grade_deg": [grade] * 2,
+        "first_grade_deg": [grade] * 2,
         "payload": [payload] * 2,
     }
     changes = {
@@ -230,11 +231,11 @@ def test_the_line_that_a_controller_chooses_is_the_one_that_it_drives():
     worlds = sim.worlds
     courses = worlds.courses
     lines = courses["lines"]
-    margins = lines["capacity"] - np.tan(lines["grade"])
+    margins = lines["capacity"] - np.tan(courses["forks"]["grade"])[..., None]
     for k in range(40):
         for p in range(courses["drawn"][k]):
             passed = worlds.state["best_x"][k] > courses["patches"]["start"][k, p]
-            if passed and margins[k, p].min() < 0.0:
+            if passed and margins[k, p].min() < 0.0 < margins[k, p].max():
                 forks += 1
                 right += margins[k, p, courses["forks"]["taken"][k, p]] > 0.0
     assert forks > 20 and right > 0.9 * forks

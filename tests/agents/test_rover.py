@@ -116,7 +116,15 @@ def test_energy_is_of_both_sides(scenario):
     """
     easy = load_rover(
         "mars_rover",
-        SHORT | {"course": {"length": 6.0, "grade_deg": [8.0, 8.0], "margin": [0.1, 0.1]}},
+        SHORT
+        | {
+            "course": {
+                "length": 6.0,
+                "grade_deg": [8.0, 8.0],
+                "first_grade_deg": [8.0, 8.0],
+                "least_pull": 0.24,
+            }
+        },
     )
     runs = run_courses(make_rover_controller("soft_start", easy), easy, 5, 4)
     climb = 899.0 * 3.71 * np.sin(np.radians(8.0))

@@ -64,7 +64,7 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
         "changes: {course: {length: 3}}\n"
         "oracle_courses: 2"
     )
-    more = ["--ppo.gamma", "0.95", "--changes.course.margin", "[0.02, 0.04]"]
+    more = ["--ppo.gamma", "0.95", "--changes.course.grade_deg", "[0.5, 1.5]"]
     code, _, err = run(
         capsys, "--config", file, *TINY, *more, "--runs", folder.parent, "--name", "n"
     )
@@ -79,7 +79,7 @@ def test_a_run_its_folder_and_its_resumption(capsys, tmp_path, monkeypatch):
     assert (config.courses, config.seed, config.ppo.gamma, config.ppo.layer) == (4, 4, 0.95, 8)
     scenario = load_scenario(folder / "scenario.yaml")
     agent = load_agent(folder)
-    assert scenario.course.length == 2.0 and scenario.course.margin == (0.02, 0.04)
+    assert scenario.course.length == 2.0 and scenario.course.grade_deg == (0.5, 1.5)
     assert scenario.control.time_limit == 5.0 and agent.info.task == scenario
     assert agent.timesteps == 256 and agent.name == "agent_identified"
     result = json.loads((folder / comparison.DONE).read_text())

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from soil_env._compiled.cache import kept
+from soil_env._compiled.flags import record
 from soil_env.identification.online import (
     best_pull,
     borders,
@@ -33,7 +34,7 @@ from soil_env.identification.online.memory import (
     TANGENT,
 )
 from soil_env.identification.online.prior import setting_of
-from soil_env.parameters.readings import SensorReading
+from soil_env.parameters.readings import Image, SensorReading
 from tests.simulation import wheels
 
 #: Columns of `react`: value and derivatives by tan phi, c, n, ln K, sinkage and slip.
@@ -103,6 +104,14 @@ def _begin_border(memory, setting, work, place, variance):
 @kept
 def _put_on_border(memory, k, setting):
     borders.put_on_border(memory[0], memory[0].cells[k], setting[0])
+
+
+IMAGE = record(*Image._fields)
+
+
+@kept
+def _see_border(memory, images, camera_sd, setting, work):
+    return borders.see_border(memory[0], images[0], camera_sd, setting[0], work[0])
 
 
 @kept
@@ -256,6 +265,11 @@ class Identified:
 
     def put_on_border(self, k):
         _put_on_border(self.memory, k, self.setting)
+
+    def see_border(self, image, camera_sd):
+        """True if an `Image` begins a border."""
+        images = np.array([tuple(map(float, image))], dtype=IMAGE)
+        return _see_border(self.memory, images, camera_sd, self.setting, self.work)
 
     def blend(self):
         _blend(self.memory, self.setting)

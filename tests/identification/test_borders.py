@@ -1,5 +1,5 @@
-"""Borders: the blend of two soils, the place of a change of the grade against dense Gaussians,
-where one is found, and none where there is none.
+"""Borders: where a camera or the forces show one, none where the pitch changes; the blend of two
+soils.
 """
 
 import math
@@ -8,20 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from scipy.special import softmax
-from scipy.stats import multivariate_normal
 
 from soil_env.identification.online import borders
 from soil_env.identification.online.identifier import MOVED
 from soil_env.identification.online.memory import HERE, OLD, PLACE, PUBLISHED, SOIL
 from soil_env.parameters import Belief, load_scenario, soils
+from soil_env.parameters.readings import Image
 from tests.identification.observing import Identified, driven, shares_at
 
 SCENARIO = replace(load_scenario("mixed"), belief=Belief())
 LENGTH = SCENARIO.belief.border
-NOISE = SCENARIO.noise.pitch
 SAND = soils()["dry_sand"].state(SCENARIO.wheel.width)
 (STEADY,) = driven(SAND, [0.2], SCENARIO, speed=0.3)
+FIRM = soils()["sandy_loam_michigan_11"].state(SCENARIO.wheel.width)
+SLIPS = 0.3 + 0.2 * np.sin(0.12 * np.arange(200))
 STEP = STEADY.speed * SCENARIO.control.period
 
 
@@ -47,106 +47,52 @@ def test_the_share_of_the_new_soil_is_a_smooth_step(behind, length):
         assert (share, slopes[0]) == (float(behind > 0.0), 0.0)
 
 
-def on_border(places, pitches, grade, first):
-    """A wheel that has noticed a border at `first` and read `pitches` at these places."""
+@pytest.mark.parametrize("rise_deg", [-12.0, 4.0])
+def test_another_grade_is_no_border(rise_deg):
+    """Forces at the load of another slope are those of the same soil."""
     wheel = Identified(SCENARIO)
-    wheel.observe([STEADY] * 8)
-    now = wheel.now
-    now.grade = grade
-    now.grades = 30.0
-    now.place = first
-    wheel.begin_border(first, 0.1**2)
-    now.border_places[: len(places)] = places
-    now.border_pitches[: len(places)] = pitches
-    now.pitches_kept = len(places)
-    return wheel
+    wheel.observe(driven(SAND, SLIPS, SCENARIO))
+    pitch = math.radians(rise_deg)
+    load = SCENARIO.weight * math.cos(pitch)
+    rows = driven(SAND, SLIPS, SCENARIO, load=load)
+    wheel.observe([r._replace(pitch=pitch) for r in rows])
+    assert wheel.now.borders == 0 and wheel.now.points > 30
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_place_of_a_border_is_that_of_bayesian_regression(seed):
-    """Mean and variance over places, each with the evidence of its rise, by dense Gaussians."""
-    rng = np.random.default_rng(seed)
-    first = 2.0
-    grade = 0.05
-    x = first + np.cumsum(rng.uniform(0.01, 0.04, rng.integers(3, 12)))
-    middle = first + rng.uniform(0.0, 0.1)
-    pitches = grade + 0.1 * share_at(x - middle)[0] + NOISE * rng.normal(size=len(x))
-    wheel = on_border(x, pitches, grade, first)
-    wheel.put_on_border(0)
-    n = len(x)
-    places = LENGTH * (np.arange(borders.TRIED) / (borders.TRIED - 1.0) + borders.TRIED_FROM)
-    variance = NOISE**2 * (1.0 + 1.0 / 30.0)
-    evidence = []
-    for place in places:
-        w = share_at(x - first - place)[0]
-        covariance = variance * np.eye(n) + borders.RISE_VARIANCE * np.outer(w, w)
-        evidence.append(multivariate_normal(np.zeros(n), covariance).logpdf(pitches - grade))
-    weight = softmax(evidence)
-    mean = weight @ places
-    assert wheel.now.border == pytest.approx(first + mean, abs=1e-9)
-    spread = weight @ (places - mean) ** 2
-    stated = spread + (borders.LEAST_PLACE_SD * LENGTH) ** 2
-    assert wheel.now.border_variance == pytest.approx(stated, rel=1e-6)
-
-
-def drive(rise, rng, end=3.0, middle=1.5, slower=1.0):
-    """(places of borders that were noticed, place and sd of the last as known on its end or None)
-    of a drive over a change of the grade by `rise` [rad], so many times `slower`.
-    """
+def test_forces_of_another_soil_are_a_border():
+    """Within half a metre, and the soil behind it is found."""
     wheel = Identified(SCENARIO)
-    reading = STEADY._replace(speed=STEADY.speed / slower, rim_speed=STEADY.rim_speed / slower)
-    places = []
-    known = None
-    x = 0.0
-    while x < end:
-        x += STEP / slower
-        pitch = 0.05 + rise * share_at(x - middle)[0][0] + NOISE * rng.standard_normal()
-        crossed = wheel.now.borders
-        wheel.observe([reading._replace(pitch=pitch)])
-        if wheel.now.borders > crossed:
-            places.append(x)
-        if wheel.now.crossing > 0.0:
-            known = wheel.now.border, math.sqrt(wheel.now.border_variance)
-    return places, known
+    wheel.observe(driven(SAND, SLIPS, SCENARIO))
+    place = wheel.now.place
+    rows = driven(FIRM, SLIPS, SCENARIO)
+    crossed = None
+    for row in rows:
+        wheel.observe([row])
+        if crossed is None and wheel.now.borders > 0:
+            crossed = wheel.now.place
+    assert crossed is not None and crossed - place < 0.5
+    assert abs(wheel.now.estimate[0] - math.atan(FIRM.tan_phi)) < 3.0 * wheel.now.sd[0]
 
 
-@pytest.mark.parametrize(
-    ("rise_deg", "slower"), [(-12.0, 1.0), (-4.0, 1.0), (4.0, 1.0), (12.0, 1.0), (4.0, 5.0)]
-)
-def test_a_change_of_the_grade_is_found_where_it_is(rise_deg, slower):
-    """Once, on the border, and located to a tenth of its length, about as well as stated."""
-    rng = np.random.default_rng(1)
-    found = [drive(math.radians(rise_deg), rng, slower=slower) for _ in range(30)]
-    once = [places[0] for places, _ in found if len(places) == 1]
-    assert len(once) >= 27
-    assert np.all(np.abs(np.array(once) - 1.5) < 0.5 * LENGTH + 2.0 * STEP)
-    place, sd = np.array([known for places, known in found if len(places) == 1]).T
-    assert np.median(np.abs(place - 1.5)) < 0.1 * LENGTH and np.median(sd) < 0.15 * LENGTH
-    assert np.mean(((place - 1.5) / sd) ** 2) < 2.0
+def seen(left, label, here=0.0, taken=0.0):
+    """An `Image` in which the ground of the line taken changes in `left` metres to `label`."""
+    beside = 2.0 if taken == 0.0 else label
+    straight = label if taken == 0.0 else 2.0
+    return Image(1, 1.0, left, here, 1.0, 1.0, 2, taken, straight, beside, 0.0, 0.0)
 
 
-def test_a_grade_that_stays_is_no_border():
-    """Courses of six metres of one grade: nine of ten at least have none."""
-    rng = np.random.default_rng(2)
-    false = sum(bool(drive(0.0, rng, end=6.0)[0]) for _ in range(60))
-    assert false <= 6
-
-
-def test_a_grade_that_changes_before_the_first_point_is_no_border():
-    """While a wheel spins on the spot, say: the first soil that it learns of has the new grade."""
-    wheel = Identified(SCENARIO)
-    spinning = STEADY._replace(slip=0.97, speed=0.03 * STEADY.rim_speed)
-    wheel.observe([spinning] * 20 + [spinning._replace(pitch=0.1)] * 20)
-    assert wheel.now.points == 0
-    wheel.observe([STEADY._replace(pitch=0.1)] * 30)
-    assert wheel.now.borders == 0
-
-
-def test_where_the_pitch_says_nothing_none_is_looked_for_by_it():
-    belief = replace(SCENARIO.belief, grade_change_deg=0.0)
-    wheel = Identified(replace(SCENARIO, belief=belief))
-    wheel.observe([STEADY] * 40 + [STEADY._replace(pitch=0.08)] * 40)
-    assert wheel.now.borders == 0
+def test_a_camera_sees_where_another_class_begins():
+    """Once the wheel comes to the passage, on either line, and not where the class goes on."""
+    for taken in (0.0, 1.0):
+        wheel = Identified(SCENARIO)
+        wheel.observe([STEADY] * 30)
+        for left, label in ((0.6 * LENGTH, 1.0), (0.4 * LENGTH, 0.0)):
+            assert not wheel.see_border(seen(left, label, taken=taken), 0.04)
+        assert wheel.see_border(seen(0.4 * LENGTH, 1.0, taken=taken), 0.04)
+        assert wheel.now.border == pytest.approx(wheel.now.place + 0.4 * LENGTH)
+        assert wheel.now.border_variance == pytest.approx(0.04**2)
+        assert not wheel.see_border(seen(0.3 * LENGTH, 1.0, taken=taken), 0.04)
+        assert wheel.now.borders == 1
 
 
 def test_another_soil_begins_at_its_prior_and_the_old_one_is_kept():
@@ -211,9 +157,7 @@ def test_on_a_border_it_is_a_blend_that_is_as_sure_as_its_place(behind):
 
 
 def test_behind_a_border_the_ground_is_of_the_new_soil():
-    """Every reading on it moves the estimate; at its end the fresh one is published and the grade
-    begins anew.
-    """
+    """Every reading on it moves the estimate; at its end the fresh one is published."""
     wheel = Identified(SCENARIO)
     wheel.observe([STEADY] * 20)
     wheel.begin_border(wheel.now.place + 0.3 * LENGTH, (0.1 * LENGTH) ** 2)

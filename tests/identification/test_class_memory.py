@@ -104,7 +104,7 @@ def test_what_was_learnt_of_a_class_is_near_its_soil():
         {
             "control": {"action": "wheel_speed"},
             "camera": {"label_error": 0.0},
-            "course": {"dead_ends": 0.0},
+            "course": {"grade_deg": [-2.0, 0.0], "least_pull": 0.1},
         },
     )
     sim = started(scenario, *([11, k] for k in range(wheels)))

@@ -48,7 +48,7 @@ UNIFORM = {
     "length": 60.0,
     "patch_length": [100.0, 100.0],
     "halt_interval": [1e5, 1e5],
-    "margin": [0.1, 0.1],
+    "slope_length": [100.0, 100.0],
 }
 
 
@@ -248,7 +248,7 @@ def test_readings_that_contradict_each_other_give_no_current_estimate():
     """
     names = ("slip", "sinkage", "drawbar_pull", "torque", "load", "speed", "motor_torque")
     exact = dict.fromkeys(names, 1e-6)
-    scenario = load_scenario("mixed", {"noise": exact, "belief": {"grade_change_deg": 0.0}})
+    scenario = load_scenario("mixed", {"noise": exact})
     wheel = Identified(scenario)
     seen = []
     for k in range(400):
@@ -277,7 +277,7 @@ def test_a_law_that_errs_widens_what_is_stated():
     ]
     found = []
     for rows in (readings, wrong):
-        wheel = Identified(replace(PLAIN, belief=replace(PLAIN.belief, grade_change_deg=0.0)))
+        wheel = Identified(PLAIN)
         wheel.setting["border"] = 0.0
         wheel.observe(rows)
         found.append(wheel)

@@ -138,7 +138,7 @@ def test_the_identifier_takes_nothing_from_the_world_but_its_shape(plain):
     changes = {
         "soils": {"snow": 1, "heavy_clay_25": 2},
         "spread": {"friction": 0.3, "stiffness": 1.0},
-        "course": {"length": 30.0, "margin": [0.2, 0.3]},
+        "course": {"length": 30.0, "grade_deg": [2.0, 3.0], "least_pull": 0.2},
     }
     own = replace(MIXED.belief, spread=SoilSpread(shear_modulus=0.5))
     belief = Belief() if plain else own

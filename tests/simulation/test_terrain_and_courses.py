@@ -1,9 +1,12 @@
-"""Courses: reproducible, continuous, passable; soils scattered as `SoilSpread` says; the rut."""
+"""Courses: reproducible, continuous, grades that tell nothing of soils; soils scattered as
+`SoilSpread` says; the rut.
+"""
 
 import math
 
 import numpy as np
 import pytest
+from sklearn.ensemble import HistGradientBoostingRegressor
 
 from soil_env._compiled.flags import HUGE
 from soil_env.parameters import SoilState, load_scenario, soils
@@ -14,7 +17,7 @@ from soil_env.terramechanics.traversability import SLIPS, best_working_point
 from tests.simulation.courses import EVEN, course, draw_soils, margin, stream_of
 
 SEEDS = range(25)
-LONG = {"course": {"length": 40.0, "grade_deg": [-20.0, 35.0], "margin": [0.1, 0.1]}}
+LONG = {"course": {"length": 40.0}}
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +42,6 @@ def test_patches_cover_the_course(drawn, scenario):
         assert np.all(one.courses["patches"][0, one.count :]["start"] == HUGE)
         payload = one.mass - scenario.wheel.body_mass
         assert scenario.course.payload[0] <= payload <= scenario.course.payload[1]
-        assert np.all(np.degrees(patches["grade"]) <= scenario.course.grade_deg[1] + 1e-9)
 
 
 @pytest.mark.parametrize("name", ["mixed", "two_lines"])
@@ -55,7 +57,7 @@ def test_a_course_drawn_piece_by_piece_is_that_drawn_at_once(seed, name):
     while one.ready < HUGE:
         x += rng.uniform(0.0, 3.0)
         before = one.count
-        assert one.extend(x)
+        one.extend(x)
         pieces += one.count > before
     assert pieces > 5
     np.testing.assert_array_equal(one.courses, whole.courses)
@@ -70,41 +72,103 @@ def test_a_start_takes_a_few_patches_however_long_the_course():
 
 
 def test_ground_up_to_ready_is_final():
-    """Lowering grades at the next border must not change ground that a wheel may have seen."""
+    """What is drawn later must not change ground that a wheel may have seen."""
     scenario = load_scenario("mixed", LONG)
     border = scenario.course.border
-    changed = 0
     for seed in SEEDS:
         one = course(seed, scenario, whole=False)
         while one.ready < HUGE:
             x = np.linspace(0.0, one.ready, 40)
             before = [one.ground_at(at, border) for at in x]
-            last = one.count - 1
-            grade = one.patches["grade"][last]
             one.extend(one.ready + 1e-9)
             assert [one.ground_at(at, border) for at in x] == before
-            changed += one.patches["grade"][last] != grade
-    assert changed > 10
 
 
-@pytest.mark.parametrize("low", [0.03, 0.1])
-def test_patches_and_the_middles_of_borders_are_passable(low):
-    """With the same margin on every patch many borders must have been lowered."""
-    high = 0.12 if low == 0.03 else low
-    scenario = load_scenario("mixed", {"course": {"margin": [low, high], "grade_deg": [-20, 35]}})
-    lowered = 0
-    for seed in SEEDS:
-        one = course(seed, scenario)
-        lowered += np.sum(one.patches["margin"] > high + 1e-6)
-        for i, patch in enumerate(one.patches):
-            found = margin(patch, patch.grade, one.mass, scenario)
-            assert found >= low - 1e-9 and found == pytest.approx(patch.margin, abs=1e-9)
-            if i > 0:
-                soil, grade = one.ground_at(patch.start, scenario.course.border)
-                assert grade == pytest.approx(0.5 * (one.patches[i - 1].grade + patch.grade))
-                # the mean of two angles has not quite the mean of their tangents
-                assert margin(soil, grade, one.mass, scenario) >= low - 1e-3
-    assert lowered > 0 or high > low
+def test_slopes_cover_the_course_with_lengths_and_grades_of_their_own(drawn, scenario):
+    spec = scenario.course
+    lengths = []
+    for one in drawn:
+        slopes = one.slopes
+        assert slopes["start"][0] == 0.0 and slopes["end"][-1] >= one.patches["end"][-1]
+        np.testing.assert_array_equal(slopes["start"][1:], slopes["end"][:-1])
+        lengths.append(slopes["end"] - slopes["start"])
+        gentle = slopes["start"] == 0.0
+        grades = np.degrees(slopes["grade"])
+        for some, (low, high) in ((gentle, spec.first_grade_deg), (~gentle, spec.grade_deg)):
+            assert np.all((grades[some] >= low) & (grades[some] <= high))
+    lengths = np.concatenate(lengths)
+    assert lengths.min() >= spec.slope_length[0] and lengths.max() <= spec.slope_length[1]
+
+
+def test_soils_leave_the_least_pull(drawn, scenario):
+    """On level ground; on its slopes a course may be too steep."""
+    least = scenario.course.least_pull
+    margins = []
+    for one in drawn:
+        for patch in one.patches:
+            assert margin(patch, 0.0, one.mass, scenario) >= least - 1e-9
+        for slope in one.slopes:
+            x = 0.5 * (slope["start"] + slope["end"])
+            if x < scenario.course.length:
+                soil, grade = one.ground_at(x, scenario.course.border)
+                margins.append(margin(soil, grade, one.mass, scenario))
+    assert 0.0 < np.mean(np.array(margins) < 0.0) < 0.1
+
+
+def rows_of(scenario, courses):
+    """(grades and lengths so far, soils, changes of soils) of patches after the first.
+
+    The last six slopes that a wheel has seen as it comes to the middle of a patch, newest first,
+    each with its grade and with where it began before that; phi, ln K and ln S there.
+    """
+    seen = []
+    soils = []
+    changes = []
+    for seed in range(courses):
+        one = course([77, seed], scenario)
+        patches = one.patches
+        soil = np.stack(
+            [
+                np.arctan(patches["tan_phi"]),
+                np.log(patches["shear_modulus"]),
+                np.log(patches["sinkage_coefficient"]),
+            ],
+            axis=-1,
+        )
+        for p in range(1, one.count):
+            x = 0.5 * (patches["start"][p] + patches["end"][p])
+            behind = one.slopes[one.slopes["start"] <= x][::-1][:6]
+            row = np.full((6, 2), np.nan)
+            row[: len(behind)] = np.stack([behind["grade"], x - behind["start"]], axis=-1)
+            seen.append(np.append(row, [x, p]))
+            soils.append(soil[p])
+            changes.append(soil[p] - soil[p - 1])
+    return np.array(seen), np.array(soils), np.array(changes)
+
+
+@pytest.mark.parametrize("name", ["mixed", "two_lines", "unseen"])
+def test_grades_tell_nothing_of_soils(name):
+    """Boosted trees on 3000 courses explain at most 0.05 of soils and of their changes on 1000
+    others (asked: 4000 courses).
+    """
+    scenario = load_scenario(name)
+    seen, soils, changes = rows_of(scenario, 4000)
+    learnt = np.arange(len(seen)) < 0.75 * len(seen)
+    for targets in (soils, changes):
+        for k in range(3):
+            model = HistGradientBoostingRegressor(random_state=0)
+            model.fit(seen[learnt], targets[learnt, k])
+            assert model.score(seen[~learnt], targets[~learnt, k]) < 0.05
+
+
+def test_boosted_trees_would_see_a_grade_that_follows_its_soil():
+    """The judge of the test above, on slopes that each allow what the soil does."""
+    scenario = load_scenario("mixed")
+    seen, soils, _ = rows_of(scenario, 400)
+    seen[:, 0] = 0.5 * (soils[:, 0] - soils[:, 0].mean()) + 0.02 * seen[:, 0]
+    learnt = np.arange(len(seen)) < 0.75 * len(seen)
+    model = HistGradientBoostingRegressor(random_state=0).fit(seen[learnt], soils[learnt, 0])
+    assert model.score(seen[~learnt], soils[~learnt, 0]) > 0.5
 
 
 def test_best_working_point_is_the_best_of_its_slips(drawn, scenario):
@@ -147,7 +211,7 @@ def test_ground_is_continuous(drawn, scenario):
 
 
 def sample(scenario, count=20_000):
-    """Soils as they are drawn, passable or not, `SOIL` [count]."""
+    """Soils as they are drawn, whatever their pull, `SOIL` [count]."""
     found = np.zeros(count, terrain.SOIL)
     draw_soils(stream_of(0), drawing.course_distribution(scenario), found)
     return found

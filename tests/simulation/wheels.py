@@ -105,12 +105,11 @@ def on_uniform_ground(
 
 
 def lay_patches(courses, borders, soils, grades) -> None:
-    """Lay patches between `borders` [m] as the only ones of course 0."""
-    courses["drawn"][0] = len(soils)
-    patches = courses["patches"][0].view(np.recarray)
+    """Lay patches between `borders` [m], each with its slope, as the only ones of course 0."""
+    courses["drawn"][0] = courses["sloped"][0] = len(soils)
     for p, (soil, grade) in enumerate(zip(soils, grades, strict=True)):
-        patch = patches[p]
-        patch.start = borders[p]
-        patch.end = borders[p + 1]
-        patch.grade = grade
-        set_soil(patches[p : p + 1], soil)
+        for pieces in ("patches", "slopes"):
+            courses[pieces]["start"][0, p] = borders[p]
+            courses[pieces]["end"][0, p] = borders[p + 1]
+        courses["slopes"]["grade"][0, p] = grade
+        set_soil(courses["patches"][0, p : p + 1], soil)

@@ -69,7 +69,7 @@ READINGS_ON_BORDER = 5.0
 # summed, never below 0; a sum above `ANOTHER_SOIL` is another soil. A point above `ODD` is left out
 # until then.
 EXPECTED = 3.0
-ANOTHER_SOIL = 4.0
+ANOTHER_SOIL = 8.0
 ODD = 3.5
 LONG = 5  # points of a soil, up to which it is the laws that readings contradict
 SETTLED_POINTS = 3  # of a soil, before which no point is odd

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from soil_env._io.loading import ParameterError, unknown_value
 from soil_env.parameters import CourseSpec
 
-#: Version of the layout. A policy of another one is refused, though its numbers have the same names.
+#: Version of the layout. A policy of another one is refused, even if its numbers have these names.
 #: 2: slip follows from two speeds, sensors have zeros and gains, grades tell nothing of the soil.
 VERSION = 2
 VARIANTS = ("blind", "identified", "true_soil")

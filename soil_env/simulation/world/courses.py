@@ -195,10 +195,9 @@ def _add_patch(course, length, spec):
 def _draw_slopes(course, spec):
     """Draw slopes up to the end of the last patch, without looking at its soil.
 
-    Those that begin on the first patch, or on the first of each class, have grades of their own.
+    The first, and those that begin on the first patch of each class, have grades of their own.
     """
     last = course.drawn - 1
-    first = last < max(spec.classes, 1)
     end = course.patches[last].end
     s = course.sloped
     reached = course.slopes[s - 1].end if s > 0 else 0.0
@@ -207,6 +206,7 @@ def _draw_slopes(course, spec):
         slope.start = reached
         reached += within(course, spec.slope_length)
         slope.end = reached
+        first = s == 0 or last < spec.classes
         slope.grade = within(course, spec.first_grade if first else spec.grade)
         s += 1
     course.sloped = s

@@ -39,7 +39,8 @@ def uniform(rover: str, soil: str = "dry_sand", grade_deg: float = 0.0, **change
     base = to_dict(load_rover(rover))["course"]
     course = {
         "grade_deg": [grade_deg, grade_deg],
-        "margin": [0.0, 0.0],
+        "first_grade_deg": [grade_deg, grade_deg],
+        "least_pull": -1.0,
         "payload": [0.0, 0.0],
         "halt_time": 0.0,
     }
@@ -271,7 +272,7 @@ def test_braking_to_a_halt_shifts_the_loads_as_shorter_steps_have_it():
     for substep in (0.1, 0.0125):
         control = {"action": "wheel_speed", "substep": substep}
         simulation = started(
-            load_rover("mars_rover", {"control": control, "course": {"margin": [0.05, 0.12]}}),
+            load_rover("mars_rover", {"control": control, "course": {"least_pull": 0.1}}),
             seed=3,
         )
         states = [driven(simulation, 0.5, 1) for _ in range(300)]
