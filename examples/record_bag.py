@@ -128,7 +128,9 @@ def drive(recorder: Recorder, seed: int, steps: int):
     """Drive one course, record it; the scenario and the estimates that the environment gave on the
     way.
     """
-    env = gymnasium.make("soil_env:SoilWheel-v0", action="torque", scaled=False).unwrapped
+    env = gymnasium.make(
+        "soil_env:SoilWheel-v0", scenario="mixed", action="torque", scaled=False
+    ).unwrapped
     names = env.observation_names
     scenario = env.scenario
     weight = scenario.weight

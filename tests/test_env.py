@@ -378,12 +378,15 @@ def test_yaml_file_as_scenario(tmp_path):
         SoilWheelEnv(path)
 
 
+def downhill(degrees):
+    """Slopes of one grade, whatever the soil."""
+    return {"grade_deg": [degrees] * 2, "first_grade_deg": [degrees] * 2, "least_pull": -1.0}
+
+
 def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
     """One axle locked is dragged downhill by the others; all of them locked are stalled."""
-    downhill = {"grade_deg": [-16.0, -15.0], "halt_time": 0.0}
-    env = SoilRoverEnv(
-        "mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill
-    )
+    course = dict(downhill(-16.0), halt_time=0.0)
+    env = SoilRoverEnv("mars_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=course)
     infos = run(env, 0, 160, (0.5, 0.5, 0.0))[2]
     assert (
         infos[-1]["cause"] == "RUNNING"
@@ -397,11 +400,9 @@ def test_a_stuck_wheel_is_no_end_and_a_stuck_rover_is():
 
 def test_the_deepest_wheel_is_bogged():
     """Its depth is that below the undisturbed ground, in a rut or not, whatever the others do."""
-    downhill = {"grade_deg": [-12.0, -11.0], "halt_time": 0.0}
-    env = SoilRoverEnv(
-        "field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=downhill
-    )
-    infos = run(env, 0, 160, (0.0, 0.5))[2]  # the rear wheels spin behind locked ones
+    course = dict(downhill(-12.0), halt_time=0.0)
+    env = SoilRoverEnv("field_rover", action="wheel_speed", soils={"quartz_sand": 1}, course=course)
+    infos = run(env, 5, 160, (0.0, 0.5))[2]  # the rear wheels spin behind locked ones
     depth = [i["state"]["sinkage"] for i in infos]
     limit = 0.8 * env.scenario.wheel.radius
     assert infos[-1]["cause"] == "BOGGED" and max(depth[:-1]) <= limit < depth[-1]
@@ -416,7 +417,7 @@ def test_info_is_as_documented():
     """Estimates as in the observation, the state as the sensors read it, and rewards the sum of
     their terms.
     """
-    env = SoilWheelEnv(course={"length": 3.0}, action="torque")
+    env = SoilWheelEnv(course={"length": 3.0, "first_grade_deg": [0.0, 6.0]}, action="torque")
     causes = set()
     noise = env.scenario.noise
     radius = env.scenario.wheel.radius

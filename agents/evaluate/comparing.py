@@ -91,7 +91,7 @@ def comparison(
             a: {b: {m: difference(a, b, m) for m in paired} for b in others[a]} for a in runs
         },
         "improvement": {a: {b: improvement(a, b) for b in others[a]} for a in runs},
-        **({"limit": _limit(oracle, names, seed, resamples)} if oracle else {}),
+        **({"limit": _limit(oracle, runs, names, seed, resamples)} if oracle else {}),
     }
 
 
@@ -104,15 +104,28 @@ def _metric(name: str, scores: np.ndarray, samples: np.ndarray) -> dict:
     return st.bounds(st.mean(scores), samples)
 
 
-def _limit(oracle: Runs, names: Sequence[str], seed: int, resamples: int) -> dict:
-    """{"courses", "metrics"} of the oracle, whose drives are not detailed."""
+def _limit(
+    oracle: Runs,
+    runs: Mapping[str, Sequence[Runs]],
+    names: Sequence[str],
+    seed: int,
+    resamples: int,
+) -> dict:
+    """{"courses", "metrics"} of the oracle, whose drives are not detailed, and "nobody": numbers of
+    the courses that neither it nor a controller finished, as some slopes are too steep.
+    """
+    finished = oracle.metric("finished") > 0.0
+    for own in runs.values():
+        for r in own:
+            finished |= r.metric("finished")[: finished.size] > 0.0
     drawn = st.draws(seed, oracle.cause.size, resamples)
     members = drawn.members(ORACLE, 1)
     metrics = dict.fromkeys(names, _UNDEFINED)
     for m in oracle.names:
         scores = oracle.metric(m)[None]
         metrics[m] = _metric(m, scores, st.mean_samples(scores, members, drawn.courses))
-    return {"courses": int(oracle.cause.size), "metrics": metrics}
+    nobody = np.flatnonzero(~finished).tolist()
+    return {"courses": int(oracle.cause.size), "metrics": metrics, "nobody": nobody}
 
 
 def table(result: Mapping) -> tuple[Table, str]:
@@ -127,7 +140,16 @@ def table(result: Mapping) -> tuple[Table, str]:
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(
         result
     )
-    return metric_table(entries, columns, title), legend(columns, MEANINGS)
+    return metric_table(entries, columns, title), legend(columns, MEANINGS) + _left(result)
+
+
+def _left(result: Mapping) -> str:
+    """A sentence on the courses that nobody finished; empty where the oracle has not driven."""
+    entry = result.get("limit")
+    if not entry:
+        return ""
+    numbers = ", ".join(map(str, entry["nobody"])) or "none"
+    return f"\nOf the first {entry['courses']} courses nobody finished: {numbers}"
 
 
 def limit_rows(result: Mapping) -> dict[str, Mapping]:

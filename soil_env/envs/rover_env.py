@@ -166,6 +166,8 @@ class SoilRoverEnv(CourseEnv):
 
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
+    * Observations of version 2 (`simulation.task.VERSION`): slip follows from the two speeds,
+      sensors have zeros and gains, grades tell nothing of soils. Policies of version 1 are refused.
     """
 
     def __init__(

@@ -192,11 +192,11 @@ class SoilWheelEnv(CourseEnv):
     | n+1 | here_class_1 | 0 or 1, label of the ground under the wheel | 0 | 1 |
     | n+2 | here_class_2 | 0 or 1 | 0 | 1 |
     | n+3 | here_class_3 | 0 or 1 | 0 | 1 |
-    | n+4 | ahead_grade | rad, uphill positive, of the line straight ahead | -1.6 | 1.6 |
+    | n+4 | ahead_grade | rad, uphill positive, steepest on the line straight ahead | -1.6 | 1.6 |
     | n+5 | ahead_class_1 | 0 or 1 | 0 | 1 |
     | n+6 | ahead_class_2 | 0 or 1 | 0 | 1 |
     | n+7 | ahead_class_3 | 0 or 1 | 0 | 1 |
-    | n+8 | beside_grade | rad, uphill positive, of the line beside | -1.6 | 1.6 |
+    | n+8 | beside_grade | rad, uphill positive, steepest on the line beside | -1.6 | 1.6 |
     | n+9 | beside_class_1 | 0 or 1 | 0 | 1 |
     | n+10 | beside_class_2 | 0 or 1 | 0 | 1 |
     | n+11 | beside_class_3 | 0 or 1 | 0 | 1 |
@@ -285,6 +285,8 @@ class SoilWheelEnv(CourseEnv):
 
     ## Version history
     * v0: first version. It has not been released, so that laws still change under this number.
+    * Observations of version 2 (`simulation.task.VERSION`): slip follows from the two speeds,
+      sensors have zeros and gains, grades tell nothing of soils. Policies of version 1 are refused.
     """
 
     def __init__(

@@ -43,6 +43,7 @@ class Range(NamedTuple):
 
 
 #: Rim speed over travel speed: slips of -0.35 to 0.83; more where the wheel is stuck for long.
+_HELD = 0.8  # of the travel speed: the rim of a wheel that holds back downhill
 _RIM = Range(0.65, 6.0)
 _FREEST = Range(0.4, 3.2)  # the same in the tenth of the steps with the least slip
 _LOAD = Range(0.2, 5.0)  # [of weight]
@@ -153,9 +154,9 @@ class _Doubts:
         if over < _RIM.low or not _FREEST.has(freest) or (over > _RIM.high and not known):
             over = over if over < _RIM.low or not known else freest
             units = [
-                f"wheel_speed in {u}" for u in self._units("wheel_speed", 0.9 / over, 2.0 / over)
+                f"wheel_speed in {u}" for u in self._units("wheel_speed", _HELD / over, 2.0 / over)
             ]
-            units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / 0.9)]
+            units += [f"speed in {u}" for u in self._units("speed", over / 2.0, over / _HELD)]
             reason = (
                 " or ".join(units)
                 or f"another unit{', or a wheel that hardly gets on' * (over > 1.0)}"

@@ -189,7 +189,7 @@ def test_the_teacher_of_a_softening_world_starts_gently():
     """The rule that knows the soil but not the effect digs in; the chosen one does better on other
     courses.
     """
-    scenario = load_scenario("mixed")
+    scenario = load_scenario("sticky")
     world = WheelSoilModel(ModelWheel(0.15, 0.15), effects={"shear_softening": {"sharpness": 3.5}})
     settings = generalist.chosen(scenario, [world], ((30, 1),))
     assert settings["acceleration"] < 0.5 * settings_of(scenario)["acceleration"]

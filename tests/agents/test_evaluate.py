@@ -224,6 +224,11 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
         0.5,
         1.0,
     )
+    rows = csv.DictReader((tmp_path / "with" / "courses.csv").read_text().splitlines())
+    finished = [row["cause"] == "FINISHED" for row in rows]
+    limit = there["limit"]
+    assert set(limit["nobody"]) <= {k for k in (0, 1) if not finished[k]}
+    assert len(limit["nobody"]) <= 2.0 - 2.0 * limit["metrics"]["finished"]["value"]
     assert (
         "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text()
         and "limit" not in plain

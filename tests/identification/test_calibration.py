@@ -36,6 +36,7 @@ def test_intervals_hold_on_the_default_task(errors, quantity):
     error, sd, without = (values[:, QUANTITIES.index(quantity)] for values in errors)
     assert len(error) > 10_000
     scaled = np.abs(error / sd)
-    assert 0.60 < np.mean(scaled < 1.0) < 0.80
+    # the tails of the pull are longer, so its intervals are wider
+    assert 0.60 < np.mean(scaled < 1.0) < (0.85 if quantity.startswith("best pull") else 0.80)
     assert np.mean(scaled > 3.0) < 0.02
     assert np.mean(error**2) < np.mean(without**2)

@@ -117,7 +117,7 @@ def test_a_stuck_wheel_cannot_evade_its_end(evasion):
         }
         sim = simulation("blind", seed, changes)
         sim.complete(0)
-        sim.worlds.courses["patches"]["grade"] = 0.3
+        sim.worlds.courses["slopes"]["grade"] = 0.3
         for k in range(sim.scenario.steps):
             sim.step(0, 0.5 if k < 20 else EVASIONS[evasion](k - 20))
             if sim.worlds.cause[0] != Cause.RUNNING:

@@ -259,7 +259,7 @@ def test_margin_of_true_soil_is_over_the_grade_that_is_seen():
     names = [e.name for e in layout("true_soil", sim.scenario.course)]
     for i, line in enumerate(("ahead", "beside")):
         own = sim.worlds.courses["lines"][0, 3, i]
-        grade = own["grade"] + own["grade_error"]
+        grade = sim.worlds.courses["forks"]["grade"][0, 3] + own["grade_error"]
         expected = margin(own, grade, sim.worlds.state["mass"][0], sim.scenario)
         assert sim.worlds.observation[0][names.index(f"{line}_margin")] == pytest.approx(
             expected, abs=1e-5

@@ -182,7 +182,7 @@ def test_one_step_as_scipy_solves_it():
     ground = [soils()[str(name)].state(0.15) for name in rng.choice(names, 40)]
     set_soil(wheels.courses["patches"], np.array(ground).T[:, :, None])
     grade = rng.uniform(-0.2, 0.2, 40)
-    wheels.courses["patches"]["grade"] = grade[:, None]
+    wheels.courses["slopes"]["grade"] = grade[:, None]
     state = wheels.state
     state["speed"] = rng.uniform(-0.2, 0.5, 40)
     state["wheel_speed"] = state["speed"] / 0.15 * rng.uniform(0.7, 3.0, 40)

@@ -39,7 +39,7 @@ def simulation(variant="identified", seed=0, changes=None):
     )
 
 
-def driven(scenario="mixed", wheels=16, steps=120, **options):
+def driven(scenario="mixed", wheels=16, steps=240, **options):
     """(environment, observations [steps, wheels, D]) under random actions."""
     env = SoilWheelVectorEnv(wheels, scenario, **options)
     env.reset(seed=0)

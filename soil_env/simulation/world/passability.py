@@ -16,7 +16,7 @@ from soil_env.terramechanics.residual import WorkingPoint, dimensionless_groups,
 from soil_env.terramechanics.steady import Conditions, Point, steady_at
 from soil_env.terramechanics.traversability import best_point_at
 
-REDRAWS = 30  # attempts at a soil
+REDRAWS = 200  # attempts at a soil
 CUT = 2.5  # [sigma] beyond which no property of a soil is drawn
 STEEPEST_FRICTION = math.radians(60.0)  # [rad] largest friction angle that is drawn
 SAFE_SINKAGE = 0.9  # [of the sinkage that ends an episode] most that a soil may ask for

@@ -27,9 +27,9 @@ How to add an effect, in four files beside tests and pages:
    hidden training worlds draw from.
 
 A force or torque at the wheel that neither place above has also needs its term in `_at_the_axle`
-of `reaction.py` and in `steady.py`. A law of the grade also needs `slopes_weaken` of
-`simulation/world/passability.py`. `varies` stays None where only slip shows the effect. The source
-of an assumption of your own is "own assumption".
+of `reaction.py` and in `steady.py`. `varies`
+stays None where only slip shows the effect. The source of an assumption of your own is "own
+assumption".
 
 Where no effect is on, compiled code gets None for `fx` and leaves their laws out: numba drops the
 other branch of `if fx is None` while it compiles, if `fx` is an argument of that function and the
