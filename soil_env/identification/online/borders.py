@@ -9,16 +9,9 @@ from numba import njit
 from soil_env._compiled.elementary import smooth_step
 from soil_env._compiled.flags import EXACT
 from soil_env.identification.online.linear import factorise, invert
-from soil_env.identification.online.memory import (
-    OLD,
-    PLACE,
-    PUBLISHED,
-    SOIL,
-)
+from soil_env.identification.online.memory import OLD, PLACE, PUBLISHED, SOIL
 
-# Place of a border that forces show, from where they do, and its sd, in lengths of a border.
-NOTICED = 0.0
-PLACE_SD = 0.3
+PLACE_SD = 0.3  # [border lengths] of the place of a border that forces show, which is where they do
 # factor of the covariance of the old soil, which the border's first readings spoilt
 OLD_DOUBT = 3.0
 
@@ -93,10 +86,12 @@ def see_border(memory, note, camera_sd, setting, work):
 
 @njit(**EXACT)
 def feel_border(memory, setting, work):
-    """Begin a border that forces have just shown."""
-    place = memory.place + NOTICED * setting.border
+    """Begin a border that forces show here.
+
+    The form error begins between that before and the believed one: the laws may be wrong here too.
+    """
     form_error = math.sqrt(memory.form_error * setting.model_error)
-    begin_border(memory, setting, work, place, (PLACE_SD * setting.border) ** 2)
+    begin_border(memory, setting, work, memory.place, (PLACE_SD * setting.border) ** 2)
     memory.form_error = form_error
 
 
