@@ -25,6 +25,27 @@ RELEASE = 1.0  # [s]
 KEPT = 0.5  # of the threshold: an alarm that is on stays on over that
 
 
+class Alarms:
+    """Alarms of `count` wheels, on and off with a `threshold` of the probability."""
+
+    def __init__(self, count: int, period: float, threshold: float):
+        self.period = period
+        self.threshold = threshold
+        self.on = np.zeros(count, dtype=bool)
+        self.quiet = np.zeros(count)  # [s] below `KEPT`
+
+    def step(self, probability: np.ndarray, driving: np.ndarray) -> np.ndarray:
+        """Take the probabilities [count] of a control period; return where an alarm came on.
+
+        Alarms of wheels that are not `driving` [count] stay as they are.
+        """
+        come = driving & (probability >= self.threshold) & ~self.on
+        kept = probability >= KEPT * self.threshold
+        self.quiet = np.where(driving, np.where(kept, 0.0, self.quiet + self.period), self.quiet)
+        self.on = (self.on | come) & ~(driving & (self.quiet >= RELEASE - 1e-9))
+        return come
+
+
 class Foresight:
     """The alarms over the courses of `count` wheels: how far and how long ahead they came, and when
     they were on.
@@ -33,10 +54,8 @@ class Foresight:
     def __init__(self, scenario: Scenario, count: int):
         self.warning = ImmobilisationWarning(scenario)
         self.period = scenario.control.period
-        self.threshold = float(shipped()["alarm"])
+        self.alarms = Alarms(count, self.period, float(shipped()["alarm"]))
         self.probability = np.zeros(count)
-        self.on = np.zeros(count, dtype=bool)  # alarms
-        self.quiet = np.zeros(count)  # [s] below `KEPT`
         # [s] under alarm, of all driving, of all.
         self.under, self.driven, self.time = np.zeros((3, count))
         self.start_time, self.start_x = np.zeros((2, count))
@@ -57,30 +76,20 @@ class Foresight:
         found = self.warning.probabilities(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
         self.probability[rows] = found[:, -1]
         self.time[alive] += period
-        come = self._switch(driving)
+        come = self.alarms.step(self.probability, driving)
         self.start_time[come] = self.time[come]
         self.start_x[come] = best[come]
-        self.under[driving & self.on] += period
+        self.under[driving & self.alarms.on] += period
         self.driven[driving] += period
         mobile = driving & (best - self.furthest >= self.least)
         self.furthest = best.copy()
         self.mobile_lead[mobile] = self._lead(worlds)[mobile]
 
-    def _switch(self, driving):
-        """Switch the alarms of the wheels that are `driving` [count] on and off; returns where one
-        came on.
-        """
-        come = driving & (self.probability >= self.threshold) & ~self.on
-        kept = self.probability >= KEPT * self.threshold
-        self.quiet = np.where(driving, np.where(kept, 0.0, self.quiet + self.period), self.quiet)
-        self.on = (self.on | come) & ~(driving & (self.quiet >= RELEASE - 1e-9))
-        return come
-
     def _lead(self, worlds):
         lead = np.stack(
             [worlds.state["best_x"] - self.start_x, self.time - self.start_time], axis=1
         )
-        return np.where(self.on[:, None], lead, np.nan)
+        return np.where(self.alarms.on[:, None], lead, np.nan)
 
     def lead(self, worlds: Worlds, bogged: np.ndarray) -> np.ndarray:
         """[count, 2]: distance [m] and time [s] from the alarm to complete immobilisation, NaN

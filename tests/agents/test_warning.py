@@ -56,7 +56,7 @@ def test_an_alarm_comes_on_and_goes_off_after_a_while_of_driving(name, monkeypat
         state=np.zeros(1, WHEEL), recent=None, ids=SimpleNamespace(estimate=None, sd=None)
     )
     for share, halted, goes_on in script:
-        found = np.array([[0.0, share * foresight.threshold]])
+        found = np.array([[0.0, share * foresight.alarms.threshold]])
         monkeypatch.setattr(foresight.warning, "probabilities", lambda *_, found=found: found)
         worlds.state["halt_left"] = float(halted)
         worlds.state["best_x"] += 0.01 * goes_on

@@ -1,0 +1,309 @@
+"""Train the probability of immobilisation that ships with the identifier.
+
+    python -m soil_env_agents.warning --out soil_env/identification/online/immobilisation.json
+
+Drives of several families of drivers over the scenarios are recorded, and a network learns two
+hazards from them: to be immobilised within 3 s, and within 5 s if not before (discrete hazards,
+Gensheimer & Narasimhan 2019, PeerJ 7:e6257). The threshold of the alarm is set on other courses, so
+that it is false for 5 % of the driving time on finished ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import torch
+
+import soil_env
+from soil_env._io.files import write_json
+from soil_env.cli.running import PATH, run
+from soil_env.envs.wheel_env import IMMOBILISED
+from soil_env.identification.online.immobilisation import (
+    INPUTS,
+    LARGEST,
+    SCALES,
+    ImmobilisationWarning,
+    Network,
+)
+from soil_env.identification.published import HORIZONS
+from soil_env.parameters import Scenario, load_scenario
+from soil_env.simulation.task import Cause
+
+from .controllers import CONTROLLERS, Controller
+from .evaluate.driving import drive
+from .evaluate.warning import Alarms
+from .progress import Bar, show
+
+#: Course sets, disjoint from each other and from those of `agents.evaluate`.
+SETS = {"training": 5_000_011, "tuning": 6_000_011, "test": 7_000_003}
+SCENARIOS = ("two_lines", "mixed", "sticky", "loose_slopes", "field_vehicle")
+FAMILIES = (
+    "constant_speed",
+    "soft_start",
+    "slip",
+    "full_throttle",
+    "best_slip",
+    "random_speed",
+    "random_throttle",
+)
+#: Families that somebody might drive with. The random ones bring the wheel into states that good
+#: drivers avoid; they drive a third of the courses.
+DRIVERS = FAMILIES[:5]
+BLOCK = 300  # courses driven side by side
+FALSE = 0.05  # share of the driving time on finished courses under alarm
+# [s] before the last progress of a course cut by the time limit, from where its outcome is unknown
+UNKNOWN = 5.0
+HIDDEN = (64, 32)
+RATE = 1e-2
+DECAY = 1e-3
+BATCH = 4096
+AT_ONCE = 100.0  # [m/s2]: no ramp
+BACKWARDS = 0.1  # share of the speeds drawn at random
+_STUCK = [cause.value for cause in IMMOBILISED]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is driven and learnt."""
+
+    training: int = 900  # courses of each scenario and family
+    tuning: int = 150
+    share: float = 0.15  # of the control periods that are learnt
+    epochs: int = 10
+
+
+class Random(Controller):
+    """Rim speeds drawn anew every 0.3 to 5 s on average; with `throttle` torques."""
+
+    def __init__(self, scenario: Scenario, rng: np.random.Generator, count: int, throttle: bool):
+        super().__init__(scenario)
+        self.rng = rng
+        self.throttle = throttle
+        self.level = rng.uniform(0.0, 1.0, count)
+        self.mean = np.exp(rng.uniform(np.log(0.3), np.log(5.0), count))  # [s]
+
+    def beside(self, batch):
+        """Either line with equal chance."""
+        return self.rng.random(len(batch)) < 0.5
+
+    def rim_speed(self, observation, state):
+        """The level of this control period, of the top rim speed."""
+        backwards, new, change = self.rng.random((3, len(self.level)))
+        drawn = np.where(backwards < BACKWARDS, -0.4, new)
+        self.level = np.where(change < self.period / self.mean, drawn, self.level)
+        return self.level * self.top_speed
+
+    def command(self, batch, rim_speed, state):
+        """Actions that follow the rim speed, or the level itself."""
+        if self.throttle:
+            return (rim_speed / self.top_speed).astype(np.float32)[:, None]
+        return super().command(batch, rim_speed, state)
+
+
+def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int) -> Controller:
+    """A driver of a family, each of `count` courses with settings of its own that `seed` draws."""
+    rng = np.random.default_rng([*seed, FAMILIES.index(family)])
+    top = Controller(scenario).top_speed
+    start = rng.uniform(0.05, 0.4, count) * top
+    if family == "constant_speed":
+        return CONTROLLERS[family](scenario, speed=rng.uniform(0.05, 0.9, count) * top)
+    if family == "soft_start":
+        rate = np.exp(rng.uniform(np.log(0.04), np.log(0.7), count)) * top
+        speed = rng.uniform(0.2, 0.95, count) * top
+        return CONTROLLERS[family](scenario, acceleration=rate, speed=speed)
+    if family == "slip":
+        settings = {
+            "slip": rng.uniform(0.05, 0.7, count),
+            "start": start,
+            "acceleration": AT_ONCE,
+            "speed": np.maximum(rng.uniform(0.3, 0.95, count) * top, start),
+        }
+        return CONTROLLERS["slip_limiter"](scenario, **settings)
+    if family == "best_slip":
+        settings = {"start": 0.1 * top, "acceleration": AT_ONCE, "speed": 0.4 * top}
+        return CONTROLLERS["best_slip_identified"](scenario, **settings)
+    if family == "full_throttle":
+        return CONTROLLERS[family](scenario)
+    return Random(scenario, rng, count, family == "random_throttle")
+
+
+@dataclass(frozen=True)
+class Drives:
+    """Courses driven side by side; arrays [periods, courses] unless stated otherwise."""
+
+    period: float  # [s]
+    inputs: np.ndarray  # [periods, courses, inputs] float32
+    alive: np.ndarray  # bool
+    driving: np.ndarray  # bool: alive, and not at a halt
+    best: np.ndarray  # [m] furthest point
+    cause: np.ndarray  # [courses] `Cause`
+    least: float  # [m] of progress in a period at the least mean speed that the task asks for
+    stretch: float  # [m] that the wheel has to get further within the limit of no progress
+
+    def since(self, period: np.ndarray) -> np.ndarray:
+        """Time spent driving [s] from the periods `period` [courses] to each period."""
+        clock = np.cumsum(self.driving, axis=0) * self.period
+        return clock - np.take_along_axis(clock, period[None], axis=0)
+
+    @property
+    def ahead(self) -> np.ndarray:
+        """Seconds of driving until the wheel stops for good; +inf where it never does."""
+        mobile = self.driving & (np.diff(self.best, axis=0, prepend=0.0) >= self.least)
+        last = np.where(mobile.any(axis=0), len(mobile) - 1 - np.argmax(mobile[::-1], axis=0), 0)
+        return np.where(np.isin(self.cause, _STUCK), -self.since(last), np.inf)
+
+    @property
+    def known(self) -> np.ndarray:
+        """Periods whose outcome is known: not the last of a course that the time limit cut."""
+        near = np.argmax(self.driving & (self.best >= self.best[-1] - self.stretch), axis=0)
+        cut = self.cause == Cause.TIME_LIMIT.value
+        return self.alive & ~(cut & (self.since(near) > -UNKNOWN))
+
+    def false(self, probability: np.ndarray, threshold: float) -> tuple[float, float]:
+        """(time under alarm [s], time driven [s]) on finished courses."""
+        passed = self.cause == Cause.FINISHED.value
+        alarms = Alarms(len(passed), self.period, threshold)
+        under = 0
+        for p, driving in zip(probability, self.driving, strict=True):
+            alarms.step(p, driving)
+            under += int((alarms.on & driving & passed).sum())
+        return under * self.period, float(self.driving[:, passed].sum()) * self.period
+
+
+def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Drives:
+    """Drive courses `first` ... `first + count - 1` of set `seed` by torque."""
+    task = load_scenario(scenario, {"control": {"action": "torque"}})
+    warning = ImmobilisationWarning(task)
+    rows = np.arange(count)
+    kept = []
+    driver = make_driver(family, task, [seed, first], count)
+    for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
+        worlds = sim.worlds
+        inputs = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        driving = alive & (worlds.state["halt_left"] == 0.0)
+        best = worlds.state["best_x"].copy()
+        kept.append((inputs.astype(np.float32), alive.copy(), driving, best))
+        cause = worlds.cause.copy()
+    limits = task.limits
+    period = task.control.period
+    least = limits.no_progress_distance / limits.no_progress_time * period
+    arrays = (np.array(column) for column in zip(*kept, strict=True))
+    return Drives(period, *arrays, cause, least, limits.no_progress_distance)
+
+
+def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Network:
+    """Weights of highest likelihood, with weight decay; each output is the log-odds of one hazard.
+
+    `inputs` [n, inputs] and seconds `ahead` [n]. The first hazard is learnt from all rows, the
+    second from those that are not immobilised within the first horizon.
+    """
+    torch.manual_seed(seed)
+    mean = inputs.mean(axis=0)
+    scale = 1.0 / (inputs.std(axis=0) + 1e-6)
+    x = torch.from_numpy(np.clip((inputs - mean) * scale, -LARGEST, LARGEST).astype(np.float32))
+    early, late = (torch.from_numpy((ahead <= h).astype(np.float32)) for h in HORIZONS)
+    sizes = (x.shape[1], *HIDDEN, len(HORIZONS))
+    layers = [torch.nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
+    model = torch.nn.Sequential(layers[0], torch.nn.Tanh(), layers[1], torch.nn.Tanh(), layers[2])
+    optimizer = torch.optim.AdamW(model.parameters(), lr=RATE, weight_decay=DECAY)
+    steps = epochs * -(-len(x) // BATCH)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps + 1)
+    loss_of = torch.nn.functional.binary_cross_entropy_with_logits
+    for _ in range(epochs):
+        for batch in torch.randperm(len(x)).split(BATCH):
+            out = model(x[batch])
+            y = early[batch]
+            later = loss_of(out[:, 1], late[batch], reduction="none") * (1.0 - y)
+            loss = (loss_of(out[:, 0], y, reduction="none") + later).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    arrays = [
+        a
+        for layer in layers
+        for a in (layer.weight.detach().numpy().T, layer.bias.detach().numpy())
+    ]
+    return Network(*(np.ascontiguousarray(a, dtype=np.float64) for a in (mean, scale, *arrays)))
+
+
+def probabilities(network: Network, found: Drives) -> np.ndarray:
+    """Probability within the longer horizon [periods, courses]; 0 where a course has ended."""
+    x = found.inputs[found.alive].astype(np.float64)
+    x = np.clip((x - network.mean) * network.scale, -LARGEST, LARGEST)
+    x = np.tanh(x @ network.first + network.first_bias)
+    x = np.tanh(x @ network.second + network.second_bias)
+    early, late = (1.0 / (1.0 + np.exp(-(x @ network.last + network.last_bias)))).T
+    out = np.zeros(found.alive.shape)
+    out[found.alive] = early + (1.0 - early) * late
+    return out
+
+
+def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
+    """The lowest threshold, to a thousandth, of an alarm that is false for at most `FALSE`."""
+    low = 0.0
+    high = 1.0
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        times = [d.false(s, middle) for s, d in zip(scores, found, strict=True)]
+        under, driven = np.sum(times, axis=0)
+        low, high = (middle, high) if under > FALSE * driven else (low, middle)
+    return high
+
+
+def train(sizes: Sizes) -> dict[str, Any]:
+    """Content of immobilisation.json: drive, learn a share of the control periods, set the alarm."""
+    rng = np.random.default_rng(SETS["training"])
+    inputs = []
+    ahead = []
+    jobs = [(s, f) for s in SCENARIOS for f in FAMILIES]
+    with Bar("Drives", len(jobs), "of a scenario and a family") as bar:
+        for done, (scenario, family) in enumerate(jobs):
+            count = sizes.training if family in DRIVERS else max(1, sizes.training // 3)
+            for first in range(0, count, BLOCK):
+                found = drives(scenario, family, SETS["training"], first, min(BLOCK, count - first))
+                chosen = found.known & (rng.random(found.known.shape) < sizes.share)
+                inputs.append(found.inputs[chosen])
+                ahead.append(found.ahead[chosen].astype(np.float32))
+            bar.update(done + 1)
+    rows = np.concatenate(inputs)
+    seconds = np.concatenate(ahead)
+    order = rng.permutation(len(seconds))
+    show(f"fit of {len(seconds):,} rows")
+    network = fit(rows[order], seconds[order], sizes.epochs)
+    tests = [drives(s, f, SETS["tuning"], 0, sizes.tuning) for s in SCENARIOS for f in DRIVERS]
+    alarm = round(threshold([probabilities(network, found) for found in tests], tests), 4)
+    card = {
+        "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and "
+        f"{HORIZONS[1]:g} s of driving",
+        "command": f"python -m {__package__}.warning",
+        "scales": list(SCALES),
+        "version": soil_env.__version__,
+        "scenarios": list(SCENARIOS),
+        "families": list(FAMILIES),
+        "sets": SETS,
+        "sizes": vars(sizes),
+        "rows_of_training": len(seconds),
+        "alarm": "probability within 5 s at which the alarm is false for 5 % of the driving time "
+        "on finished courses",
+    }
+    rounded = np.vectorize(lambda x: float(f"{x:.7g}"))
+    arrays = {name: rounded(array) for name, array in network._asdict().items()}
+    return {"card": card, "alarm": alarm, "inputs": list(INPUTS), **arrays}
+
+
+@click.command()
+@click.option("--out", type=PATH, required=True, metavar="FILE", help="The weights, .json.")
+@click.option("--courses", type=click.IntRange(4), default=None, help="Of each (default 900).")
+def command(out: Path, courses: int | None) -> None:
+    """Train the probability of immobilisation."""
+    sizes = Sizes() if courses is None else Sizes(courses, courses, 0.5, 2)
+    write_json(out, train(sizes), indent=None)
+    show(f"Written: {out}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(run(command, None, "warning"))
