@@ -255,7 +255,7 @@ def threshold(scores: Sequence[np.ndarray], found: Sequence[Drives]) -> float:
 
 
 def train(sizes: Sizes) -> dict[str, Any]:
-    """Content of immobilisation.json: drive, learn a share of the control periods, set the alarm."""
+    """Content of immobilisation.json: drive, learn a share of the periods, set the alarm."""
     rng = np.random.default_rng(SETS["training"])
     inputs = []
     ahead = []
