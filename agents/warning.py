@@ -108,26 +108,26 @@ def make_driver(family: str, scenario: Scenario, seed: Sequence[int], count: int
     rng = np.random.default_rng([*seed, FAMILIES.index(family)])
     top = Controller(scenario).top_speed
     start = rng.uniform(0.05, 0.4, count) * top
+    names = {"slip": "slip_limiter", "best_slip": "best_slip_identified"}
+    settings: dict[str, Any] = {}
     if family == "constant_speed":
-        return CONTROLLERS[family](scenario, speed=rng.uniform(0.05, 0.9, count) * top)
-    if family == "soft_start":
+        settings = {"speed": rng.uniform(0.05, 0.9, count) * top}
+    elif family == "soft_start":
         rate = np.exp(rng.uniform(np.log(0.04), np.log(0.7), count)) * top
-        speed = rng.uniform(0.2, 0.95, count) * top
-        return CONTROLLERS[family](scenario, acceleration=rate, speed=speed)
-    if family == "slip":
+        settings = {"acceleration": rate, "speed": rng.uniform(0.2, 0.95, count) * top}
+    elif family == "slip":
         settings = {
             "slip": rng.uniform(0.05, 0.7, count),
             "start": start,
             "acceleration": AT_ONCE,
             "speed": np.maximum(rng.uniform(0.3, 0.95, count) * top, start),
         }
-        return CONTROLLERS["slip_limiter"](scenario, **settings)
-    if family == "best_slip":
+    elif family == "best_slip":
         settings = {"start": 0.1 * top, "acceleration": AT_ONCE, "speed": 0.4 * top}
-        return CONTROLLERS["best_slip_identified"](scenario, **settings)
-    if family == "full_throttle":
-        return CONTROLLERS[family](scenario)
-    return Random(scenario, rng, count, family == "random_throttle")
+    elif family != "full_throttle":
+        return Random(scenario, rng, count, family == "random_throttle")
+    driver: Controller = CONTROLLERS[names.get(family, family)](scenario, **settings)
+    return driver
 
 
 @dataclass(frozen=True)
@@ -182,16 +182,16 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
     driver = make_driver(family, task, [seed, first], count)
     for sim, alive in drive(driver, task, seed, first, count, threads=1, warnings=True):
         worlds = sim.worlds
-        inputs = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
-        driving = alive & (worlds.state["halt_left"] == 0.0)
-        best = worlds.state["best_x"].copy()
-        kept.append((inputs.astype(np.float32), alive.copy(), driving, best))
+        read = warning.inputs(rows, worlds.recent, worlds.ids.estimate, worlds.ids.sd)
+        drives_on = alive & (worlds.state["halt_left"] == 0.0)
+        furthest = worlds.state["best_x"].copy()
+        kept.append((read.astype(np.float32), alive.copy(), drives_on, furthest))
         cause = worlds.cause.copy()
     limits = task.limits
     period = task.control.period
     least = limits.no_progress_distance / limits.no_progress_time * period
-    arrays = (np.array(column) for column in zip(*kept, strict=True))
-    return Drives(period, *arrays, cause, least, limits.no_progress_distance)
+    inputs, alive, driving, best = (np.array(column) for column in zip(*kept, strict=True))
+    return Drives(period, inputs, alive, driving, best, cause, least, limits.no_progress_distance)
 
 
 def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Network:
@@ -279,7 +279,7 @@ def train(sizes: Sizes) -> dict[str, Any]:
     card = {
         "what": f"Probability that the wheel stops for good within {HORIZONS[0]:g} and "
         f"{HORIZONS[1]:g} s of driving",
-        "command": f"python -m {__package__}.warning",
+        "command": "python -m soil_env_agents.warning",
         "scales": list(SCALES),
         "version": soil_env.__version__,
         "scenarios": list(SCENARIOS),

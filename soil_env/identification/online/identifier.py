@@ -17,6 +17,7 @@ from soil_env.identification.online.borders import (
     end_border,
     feel_border,
     put_on_border,
+    see_border,
 )
 from soil_env.identification.online.cells import remember
 from soil_env.identification.online.fit import CONTRADICTS, renew, weigh_instruments
@@ -338,6 +339,17 @@ def observe(memory, reading, alone, setting, work):
         if memory.place > memory.border + 0.5 * setting.border:
             end_border(memory)
     return outcome
+
+
+@njit(**EXACT)
+def observe_image(memory, image, camera_sd, setting, work):
+    """Take an `Image`: where another class of ground begins, so does another soil.
+
+    `camera_sd` [m]: of the place of a border in it.
+    """
+    if setting.off == 0 and see_border(memory, image, camera_sd, setting, work):
+        clear(memory.open[0])
+        begin_pull(memory, setting, work)
 
 
 @kept

@@ -24,7 +24,6 @@ from soil_env.identification.online.board import (
     write_estimate,
     write_moments,
 )
-from soil_env.identification.online.borders import see_border
 from soil_env.identification.online.class_memory import (
     BEST_PULL,
     CLASS_SETTING,
@@ -38,9 +37,9 @@ from soil_env.identification.online.identifier import (
     HELD,
     RENEWED,
     WorkSpaces,
-    begin_pull,
     forget,
     observe,
+    observe_image,
     prior_pull,
 )
 from soil_env.identification.online.immobilisation import (
@@ -52,7 +51,6 @@ from soil_env.identification.online.immobilisation import (
     warning_setting,
 )
 from soil_env.identification.online.memory import MEMORY
-from soil_env.identification.online.points import clear
 from soil_env.parameters import Scenario
 from soil_env.parameters.readings import RESTART, STEP, Shown
 
@@ -134,9 +132,8 @@ def _after_period(wheel, note, vehicle, period, setting, work):
         follow(wheel.recent, note, note.halted, setting.warning[0])
     paid = board.information > 0.0
     before = knowledge(memory, numbers) if paid and period == 0 else 0.0
-    if board.classes > 0 and see_border(memory, note, board.border_sd, numbers, work):
-        clear(memory.open[0])
-        begin_pull(memory, numbers, work)
+    if board.classes > 0:
+        observe_image(memory, note, board.border_sd, numbers, work)
     outcome = observe(memory, note, True, numbers, work)
     if outcome != HELD:
         wheel.changed = 1

@@ -1,0 +1,94 @@
+"""Training of the warning: what is learnt of drives, the threshold of its alarm, a small one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from agents import warning
+from agents.warning import DRIVERS, FAMILIES, Drives
+from soil_env.cli.running import run
+from soil_env.identification.online.immobilisation import (
+    INPUTS,
+    ImmobilisationWarning,
+    Network,
+    shipped_network,
+)
+from soil_env.parameters import load_scenario
+from soil_env.simulation.task import Cause
+
+
+def made(best, cause, driving=None, period=0.1):
+    """One course with these furthest points [m], driven all the time."""
+    best = np.array(best, dtype=float)[:, None]
+    alive = np.ones(best.shape, dtype=bool)
+    driving = alive if driving is None else np.array(driving)[:, None]
+    inputs = np.zeros((*best.shape, 1), dtype=np.float32)
+    return Drives(period, inputs, alive, driving, best, np.array([cause.value]), 0.005, 0.1)
+
+
+def test_seconds_ahead_end_where_the_wheel_stopped_for_good():
+    """Halts do not count; nothing is ahead on a finished course."""
+    best = [0.1, 0.2, 0.2, 0.3, 0.3, 0.3]
+    stuck = made(best, Cause.ENTRAPPED)
+    np.testing.assert_allclose(stuck.ahead[:, 0], [0.3, 0.2, 0.1, 0.0, -0.1, -0.2])
+    halted = made(best, Cause.ENTRAPPED, [True, True, False, True, True, True])
+    np.testing.assert_allclose(halted.ahead[:, 0], [0.2, 0.1, 0.1, 0.0, -0.1, -0.2])
+    assert np.all(np.isinf(made(best, Cause.FINISHED).ahead))
+
+
+def test_the_end_of_a_course_that_the_time_limit_cut_is_not_learnt():
+    best = np.minimum(np.arange(200) * 0.01, 1.0)
+    assert made(best, Cause.FINISHED).known.all()
+    known = made(best, Cause.TIME_LIMIT).known[:, 0]
+    last = np.flatnonzero(known)[-1]
+    # 5 s before the wheel was within 0.1 m of where it stayed
+    assert abs(last - (np.argmax(best >= 0.9) - 50)) <= 1
+
+
+def test_the_threshold_is_the_lowest_with_so_few_false_alarms():
+    drives = made(np.arange(2000) * 0.01, Cause.FINISHED)
+    score = np.zeros((2000, 1))
+    score[:400, 0] = np.linspace(0.9, 0.1, 400)
+    found = warning.threshold([score], [drives])
+    under, driven = drives.false(score, found)
+    assert under <= warning.FALSE * driven < drives.false(score, found - 0.02)[0]
+
+
+def test_probabilities_are_those_of_the_environment(monkeypatch):
+    """Of the same network in compiled code."""
+    told = []
+    assess = ImmobilisationWarning.assess
+
+    def kept(self, rows, *known):
+        inputs, out = assess(self, rows, *known)
+        told.append(out[:, 1].copy())
+        return inputs, out
+
+    monkeypatch.setattr(ImmobilisationWarning, "assess", kept)
+    found = warning.drives("two_lines", "soft_start", 5, 0, 3)
+    again = warning.probabilities(shipped_network(), found)
+    assert np.all(again[~found.alive] == 0.0) and np.ptp(again[found.alive]) > 0.01
+    np.testing.assert_allclose(again[found.alive], np.array(told)[found.alive], atol=1e-5)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_each_driver_has_settings_of_its_own_and_repeats(family):
+    scenario = load_scenario("mixed", {"control": {"action": "torque"}})
+    one, same, other = (warning.make_driver(family, scenario, [7, k], 4) for k in (0, 0, 1))
+    for name, value in one.settings.items():
+        np.testing.assert_array_equal(value, same.settings[name])
+    if family in DRIVERS[:3]:
+        assert any(np.any(v != other.settings[name]) for name, v in one.settings.items())
+
+
+def test_a_small_training_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(warning, "SCENARIOS", ("mixed",))
+    monkeypatch.setattr(warning, "FAMILIES", ("constant_speed", "full_throttle"))
+    monkeypatch.setattr(warning, "DRIVERS", ("constant_speed",))
+    out = tmp_path / "weights.json"
+    assert run(warning.command, ["--courses", "6", "--out", str(out)], "") == 0
+    content = json.loads(out.read_text())
+    assert content["inputs"] == list(INPUTS) and 0.0 < content["alarm"] <= 1.0
+    assert np.shape(content["first"])[0] == len(INPUTS)
+    assert set(Network._fields) < set(content)
