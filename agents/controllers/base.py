@@ -101,7 +101,7 @@ class Controller:
     def beside(self, batch: np.ndarray) -> np.ndarray:
         """Mask [n] of the rows where the line beside is better than the one ahead.
 
-        The better line has the higher margin, or is less steep if the observation has no margin.
+        The better line has the higher margin, or looks less steep if the observation has no margin.
         """
         if "choice" not in self.column:
             return np.zeros(len(batch), dtype=bool)

@@ -140,16 +140,18 @@ def table(result: Mapping) -> tuple[Table, str]:
     entries = {name + seeds[name]: row for name, row in result["controllers"].items()} | limit_rows(
         result
     )
-    return metric_table(entries, columns, title), legend(columns, MEANINGS) + _left(result)
+    return metric_table(entries, columns, title), legend(columns, MEANINGS)
 
 
-def _left(result: Mapping) -> str:
-    """A sentence on the courses that nobody finished; empty where the oracle has not driven."""
+def nobody(result: Mapping) -> list[str]:
+    """A line on the courses that nobody finished; none where the oracle has not driven."""
     entry = result.get("limit")
     if not entry:
-        return ""
-    numbers = ", ".join(map(str, entry["nobody"])) or "none"
-    return f"\nOf the first {entry['courses']} courses nobody finished: {numbers}"
+        return []
+    first = f"Of the first {entry['courses']} courses, which the oracle drove too,"
+    if not entry["nobody"]:
+        return [f"{first} each was finished by somebody."]
+    return [f"{first} nobody finished {', '.join(map(str, entry['nobody']))}."]
 
 
 def limit_rows(result: Mapping) -> dict[str, Mapping]:

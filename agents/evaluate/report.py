@@ -36,7 +36,7 @@ _CHOSEN = {
 def print_table(result: Mapping) -> None:
     """Print the main metrics of all controllers."""
     rows = result["controllers"]
-    show(*comparing.table(result), *settings(result))
+    show(*comparing.table(result), *comparing.nobody(result), *settings(result))
     if "foreseen" not in result["metrics"]:
         return
     foreseen = (
@@ -129,6 +129,7 @@ def page(result: Mapping) -> str:
         *settings(result),
         "![Metrics](metrics.png)",
         Table(["metric", "meaning", *names, *limits], metrics).markdown(),
+        *comparing.nobody(result),
         (
             "Differences on the same courses, of rates in percentage points, and the probability "
             "of the higher return:"

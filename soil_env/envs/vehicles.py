@@ -123,8 +123,8 @@ class Vehicles:
             if vehicles["reward"][0] < 0.0:
                 raise ParameterError(
                     f"scenario {self.scenario.name!r}: no soil leaves this {self._vehicle} a "
-                    "drawbar pull of course.least_pull; expected firmer soils, more stall torque "
-                    "or a lower course.least_pull"
+                    f"drawbar pull of course.least_pull = {self.scenario.course.least_pull:g} of "
+                    "its weight; expected firmer soils, more stall torque or less"
                 )
 
     def seed(self, k: int, rng: np.random.Generator) -> None:

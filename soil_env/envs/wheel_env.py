@@ -227,7 +227,7 @@ class SoilWheelEnv(CourseEnv):
     Knowledge is the sum of ln(prior standard deviation / standard deviation) over what the
     identifier estimates, each at least 0, and 0 once the episode has terminated. The discount,
     `information_discount` (0.999), should be that of the agent. This is potential-based shaping, so
-    the optimal policy stays the same. `agents.evaluate` drives without this term.
+    the optimal policy stays the same. `soil-env evaluate` drives without this term.
 
     ## Starting state
     At rest at the start of a new random course, settled under its load with a random payload.

@@ -13,7 +13,8 @@ class CourseSpec(Checked):
 
     Soils and slopes are drawn apart: patches have lengths and soils, slopes lengths and grades of
     their own. So a grade tells nothing of the soil, and some slopes are too steep for theirs. Only
-    a soil that leaves this wheel less than `least_pull` on level ground is drawn again.
+    a soil that leaves this wheel less than `least_pull` on level ground is drawn again; with
+    `classes` that of a class, about which its patches scatter.
 
     A border may not be longer than the shortest patch or slope, so that it lies between two only.
 
@@ -69,8 +70,6 @@ class CourseSpec(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.lines > 1:
-            self._check_lines()
         for piece, shortest in (("patch", self.patch_length[0]), ("slope", self.slope_length[0])):
             if self.border > shortest:
                 raise FieldError(
@@ -78,6 +77,8 @@ class CourseSpec(Checked):
                     "border",
                     f" = {self.border}: expected at most the shortest {piece}, {shortest} m",
                 )
+        if self.lines > 1:
+            self._check_lines()
 
     def _check_lines(self) -> None:
         if self.classes < 2:
@@ -93,7 +94,7 @@ class CourseSpec(Checked):
         if low < self.border or high > most:
             expected = (
                 f"expected between the border, {self.border} m, "
-                f"and the shortest patch less the border, {most:g} m"
+                f"and the shortest patch less the border, {most:g} m; a shorter border leaves more"
             )
             raise FieldError(self, "halt_before", f" = {self.halt_before}: {expected}")
 

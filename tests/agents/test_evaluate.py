@@ -229,6 +229,7 @@ def test_effects_of_a_world_and_the_limit_of_the_oracle(tmp_path):
     limit = there["limit"]
     assert set(limit["nobody"]) <= {k for k in (0, 1) if not finished[k]}
     assert len(limit["nobody"]) <= 2.0 - 2.0 * limit["metrics"]["finished"]["value"]
+    assert "Of the first 2 courses" in (tmp_path / "with" / "evaluation.md").read_text()
     assert (
         "oracle (first 2 courses)" in (tmp_path / "with" / "evaluation.md").read_text()
         and "limit" not in plain

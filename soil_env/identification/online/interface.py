@@ -239,7 +239,9 @@ class OnlineIdentifier:
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> "OnlineIdentifier":
-        """The identifier that an environment of this scenario runs."""
+        """The identifier that an environment of this scenario runs, but for borders that the camera
+        of a scenario with terrain classes sees.
+        """
         if not isinstance(scenario, Scenario):
             raise TypeError(
                 f"scenario = {scenario!r}: expected a Scenario, as of "

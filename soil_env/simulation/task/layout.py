@@ -103,8 +103,8 @@ def check_version(found: object, where: object) -> None:
     """ParameterError if a policy from `where` was trained on another version of the layout."""
     if found != VERSION:
         raise ParameterError(
-            f"{where}: trained on observations of version {found}: expected version {VERSION}, "
-            "which a training with this release has"
+            f"{where}: trained on observations of version {found!r}: expected version {VERSION!r}; "
+            "train it with this release, or take `default`"
         )
 
 
