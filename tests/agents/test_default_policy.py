@@ -137,6 +137,10 @@ def test_weights_are_small_arrays_without_pickles(tmp_path):
         DefaultPolicy("mixed", tmp_path / "none.npz")
     with np.load(WEIGHTS, allow_pickle=False) as archive:
         arrays = dict(archive)
+    older = {k: v for k, v in made.items() if k != "observation_version"}
+    np.savez(bad, **arrays | {"made": np.array(json.dumps(older))})
+    with pytest.raises(ParameterError, match="observations of version 1: expected version 2"):
+        DefaultPolicy("mixed", bad)
     wrong = [(f"{name}_weight", arrays[f"{name}_weight"][:-1]) for name in LAYERS]
     for name, value in [*wrong, ("sd", arrays["sd"][:5]), ("sd", 0.0 * arrays["sd"])]:
         np.savez(bad, **arrays | {name: value})

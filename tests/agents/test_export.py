@@ -224,8 +224,10 @@ def test_files_that_are_not_known_are_named(tmp_path, scenario):
     model = onnx.load(tmp_path / "policy.onnx")
     file = tmp_path / "other.onnx"
     content = json.loads(model.metadata_props[0].value)
+    older = {k: v for k, v in content.items() if k != "observation_version"}
     content["inputs"][0]["high"] = 2.0
     for description, said in (
+        (older, "observations of version 1: expected version 2"),
         (content, "another observation layout"),
         ({}, "not written by `soil-env export`"),
     ):

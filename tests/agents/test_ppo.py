@@ -155,6 +155,9 @@ def test_another_layout_is_refused_and_the_difference_named(saved):
     for found, said in ((names[:-1] + ["wheel_torque"], "wheel_torque"), (names[::-1], "order")):
         edit(saved, observation_names=found)
         refused(lambda: load_agent(saved), "another observation layout", said)
+    # before anything else of it is read, as keys of its scenario may be gone
+    edit(saved, observation_version=1, scenario={"course": {"margin": [0.0, 0.1]}})
+    refused(lambda: load_agent(saved), "observations of version 1", "expected version 2")
 
 
 @pytest.mark.parametrize(
