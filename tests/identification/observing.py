@@ -299,21 +299,24 @@ def reactions(soil, sinkage, slip, load, wheel):
     return react(np.stack(columns, axis=-1).reshape(-1, 9))[:, :, 0].T
 
 
-def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20):
+def driven(soil, slips, scenario, speed=0.2, load=None, substeps=20, sunk=None):
     """Noise-free `SensorReading`s of a steady rim speed [m/s] at the `slips` [T] of its periods, by
     the laws of the identifier: forces at slip and sinkage, sinkage by the law of slip-sinkage.
+
+    The wheel comes `sunk` [m] from other ground, or has been driving at the first slip.
     """
     wheel = scenario.wheel
     load = scenario.weight if load is None else load
     length = scenario.relaxation * wheel.radius
     step = scenario.control.period / substeps
-    sinkage = 0.1 * wheel.radius
+    sinkage = 0.1 * wheel.radius if sunk is None else sunk
+    settling = 200 * substeps if sunk is None else substeps
     ln_S = math.log(soil.sinkage_coefficient)
     rows = []
     for slip in slips:
         travel = speed * (1.0 - slip) if slip >= 0.0 else speed / (1.0 + slip)
         slide = abs(speed - travel)
-        for _ in range(substeps if rows else 200 * substeps):
+        for _ in range(substeps if rows else settling):
             (ln_s,) = reactions(soil, sinkage, slip, load, wheel)[2]
             bearing = sinkage * math.exp((ln_s - ln_S) / soil.sinkage_exponent)
             a = travel + soil.dig_recovery * slide
