@@ -35,7 +35,7 @@ from soil_env.simulation.task import Cause
 
 from .controllers import CONTROLLERS, Controller
 from .evaluate.driving import drive
-from .evaluate.warning import Alarms
+from .evaluate.warning import Alarms, least_progress
 from .progress import Bar, show
 
 #: Course sets, disjoint from each other and from those of `agents.evaluate`.
@@ -188,11 +188,17 @@ def drives(scenario: str, family: str, seed: int, first: int, count: int) -> Dri
         furthest = worlds.state["best_x"].copy()
         kept.append((read.astype(np.float32), alive.copy(), drives_on, furthest))
         cause = worlds.cause.copy()
-    limits = task.limits
-    period = task.control.period
-    least = limits.no_progress_distance / limits.no_progress_time * period
     inputs, alive, driving, best = (np.array(column) for column in zip(*kept, strict=True))
-    return Drives(period, inputs, alive, driving, best, cause, least, limits.no_progress_distance)
+    return Drives(
+        task.control.period,
+        inputs,
+        alive,
+        driving,
+        best,
+        cause,
+        least_progress(task),
+        task.limits.no_progress_distance,
+    )
 
 
 def fit(inputs: np.ndarray, ahead: np.ndarray, epochs: int, seed: int = 0) -> Network:

@@ -25,6 +25,14 @@ RELEASE = 1.0  # [s]
 KEPT = 0.5  # of the threshold: an alarm that is on stays on over that
 
 
+def least_progress(scenario: Scenario) -> float:
+    """Way [m] of a control period in which a wheel is mobile: at the least mean speed that the task
+    asks for.
+    """
+    limits = scenario.limits
+    return limits.no_progress_distance / limits.no_progress_time * scenario.control.period
+
+
 class Alarms:
     """Alarms of `count` wheels, on and off with a `threshold` of the probability."""
 
@@ -59,10 +67,7 @@ class Foresight:
         # [s] under alarm, of all driving, of all.
         self.under, self.driven, self.time = np.zeros((3, count))
         self.start_time, self.start_x = np.zeros((2, count))
-        # [m] of a control period in which a wheel is mobile.
-        self.least = (
-            scenario.limits.no_progress_distance / scenario.limits.no_progress_time * self.period
-        )
+        self.least = least_progress(scenario)
         self.furthest = np.zeros(count)  # [m] a control period ago
         # [m], [s] from the alarm to the last mobile moment.
         self.mobile_lead = np.full((count, 2), np.nan)
