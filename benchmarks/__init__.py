@@ -2,5 +2,5 @@
 docs/results.
 
 `identification`: calibration by drive. `discovery`: blind naming of hidden mechanisms.
-`throughput`: speed.
+`rigs`: the model beside measured wheels. `throughput`: speed.
 """

@@ -1,0 +1,277 @@
+"""Base model against wheels that it was not made from, driving and braking.
+
+    python -m benchmarks.rigs                minutes; writes docs/results/rigs.json and .md
+    python -m benchmarks.rigs --data DIR     folder of the measurements, else $SOIL_ENV_DATA
+    python -m benchmarks.rigs --smoke --out X   every part in seconds, numbers without meaning
+
+The wheels: the smooth and the lugged one of the Carnegie Mellon rig (Pavlov & Johnson; one load, no
+torque), a smooth one on a three-dimensional continuum (material point method; five loads) and a
+lugged one on particles (discrete elements after Nakanishi 2020; one load). A lugged wheel counts as
+a smooth one on a soil of its own.
+
+A soil is fitted to rows by least squares with Gaussian priors and predicts rows that it was not
+fitted to. Sinkage weighs 1 % of the radius, pull 2 % of the load, torque 2 % of the load times the
+radius. Locked wheels (slip -1) are left out.
+"""
+
+import csv
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy.optimize import least_squares
+
+from benchmarks.common import ready, short, study_options, write
+from soil_env._io.document import Table
+from soil_env._io.files import write_json
+from soil_env._io.loading import ParameterError
+from soil_env.cli.running import PATH, leave, run
+from soil_env.parameters import SoilState
+from soil_env.terramechanics.steady import steady_state
+
+NAME = "rigs"
+#: Folder of the measurements where the environment names none, as for the tests.
+BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+DATA = Path(os.environ.get("SOIL_ENV_DATA") or BESIDE)
+LOCKED = -0.9  # [-] slip below which a wheel counts as locked
+BRAKED = -0.05  # [-] slip below which a wheel counts as braked
+TRAINING_LOADS = (40.0, 80.0, 150.0)  # [N] of the continuum; the others are predicted
+SINKAGE_SD = 0.01  # [radii] weight of sinkage
+FORCE_SD = 0.02  # [loads], [loads x radius] weight of pull and torque
+DEPTH = 0.1  # [radii] at which the pressure, not S, is fitted: its unit depends on n
+RECOVERY = 0.5  # [-] of slip-sinkage, as in the shipped soils
+#: Prior mean and standard deviation, bounds, and starting values of what is fitted.
+FRICTION = (33.0, 6.0, 5.0, 60.0)  # [deg] sand
+LN_MODULUS = (math.log(0.1), 1.0, math.log(2e-3), math.log(3.0))  # ln of K over the radius
+EXPONENT = (1.0, 0.4, 0.2, 2.5)  # [-]
+DIGGING = (1.0, 1.5, 0.0, 8.0)  # [-] gain of slip-sinkage
+LN_COHESION = (math.log(300.0), 1.0, 0.0, 9.0)  # ln of c [Pa], where it is not known to be 0
+LN_PRESSURE = (8.0, 1e3, 3.0, 18.0)  # ln of the pressure [Pa] at DEPTH: free
+TEXT = (
+    "The base model with slip-sinkage, a soil fitted to some rows and others predicted. Rows that "
+    "were fitted are among the predicted ones where driving rows were fitted on a rig of one load."
+)
+STARTS = tuple((phi, math.log(k)) for phi in (28.0, 38.0) for k in (0.05, 0.2))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Measured steady points of a wheel, by slip; columns [N]."""
+
+    radius: float  # [m]
+    width: float  # [m]
+    zero: float  # [m] standard deviation of the zero of its sinkage
+    cohesive: bool  # False: the material has no cohesion
+    slip: np.ndarray
+    load: np.ndarray  # [N]
+    measured: np.ndarray  # [N, 3] sinkage [m], pull [N], torque [N m], NaN where not measured
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Weights [N, 3] of the channels."""
+        force = FORCE_SD * self.load
+        return np.stack(
+            [np.full(self.load.size, SINKAGE_SD * self.radius), force, force * self.radius], axis=1
+        )
+
+
+def read_rigs(folder: Path) -> dict[str, Rig]:
+    """Rigs by name from a folder of measurements. Raises `ParameterError` where one is missing."""
+    cmu = _rows(folder / "cmu_single_wheel" / "cmu_wheel_means_of_3.csv")
+    straight = [r for r in cmu if float(r["slip_angle_deg"]) == 0.0]
+    rigs = {}
+    for name, label in (("smooth", "CMU smooth"), ("grouser", "CMU lugged")):
+        rows = [r for r in straight if r["wheel"] == name]
+        rigs[label] = Rig(
+            0.058,
+            0.05,
+            0.0025,
+            True,
+            *_columns(
+                rows,
+                ("slip_mean", 1.0),
+                ("Fz_load_N_mean", 1.0),
+                ("sinkage_mm_mean", 1e-3),
+                ("Fx_drawbar_N_mean", 1.0),
+            ),
+        )
+    plain = tuple((n, 1.0) for n in ("slip", "load", "sinkage", "drawbar_pull", "torque"))
+    continuum = _rows(folder / "continuum_3d" / "smooth_wheel.csv")
+    rigs["continuum"] = Rig(0.15, 0.1, 0.0, False, *_columns(continuum, *plain))
+    particles = _rows(folder / "dem_kyoto" / "lugged_wheel.csv")
+    rigs["particles"] = Rig(0.11, 0.1, 0.00125, False, *_columns(particles, *plain))
+    return rigs
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.is_file():
+        raise ParameterError(f"{path}: no such file: expected a folder of measurements, --data DIR")
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def _columns(rows: list[dict[str, str]], *columns: tuple[str, float]) -> tuple[np.ndarray, ...]:
+    """(slip, load, measured [N, 3]) in SI units from (name, factor) of each column."""
+    values = np.array([[float(r[name]) * factor for name, factor in columns] for r in rows])
+    values = values[values[:, 0] > LOCKED]
+    measured = np.full((len(values), 3), math.nan)
+    measured[:, : values.shape[1] - 2] = values[:, 2:]
+    return values[:, 0], values[:, 1], measured
+
+
+def priors(rig: Rig) -> np.ndarray:
+    """Prior mean, standard deviation and bounds [7, 4] of the unknowns of `predict`."""
+    zero = max(rig.zero, 1e-9)
+    return np.array(
+        [
+            FRICTION,
+            LN_MODULUS,
+            LN_PRESSURE,
+            EXPONENT,
+            DIGGING,
+            LN_COHESION,
+            (0.0, zero, -2.0 * zero, 2.0 * zero),
+        ]
+    )
+
+
+def soil_of(x: np.ndarray, rig: Rig) -> SoilState:
+    """Soil of the unknowns: phi [deg], ln K/r, ln of the pressure, n, gain, ln c, zero [m]."""
+    n = float(x[3])
+    return SoilState(
+        math.tan(math.radians(x[0])),
+        math.exp(x[5]) if rig.cohesive else 0.0,
+        math.exp(x[1]) * rig.radius,
+        math.exp(x[2]) / (DEPTH * rig.radius) ** n,
+        n,
+        float(x[4]),
+        RECOVERY,
+    )
+
+
+def predict(x: np.ndarray, rig: Rig, rows: np.ndarray) -> np.ndarray:
+    """Sinkage, pull and torque [N, 3] of rows by the unknowns."""
+    soil = soil_of(x, rig)
+    out = np.empty((rows.size, 3))
+    for k, row in enumerate(rows):
+        s = steady_state(rig.slip[row], rig.load[row], soil, rig.radius, rig.width)
+        out[k] = s.sinkage + x[6], s.drawbar_pull, s.torque
+    return out
+
+
+def fit(rig: Rig, rows: np.ndarray, starts: int = len(STARTS)) -> np.ndarray:
+    """Unknowns [7] that fit rows best, from several starting values."""
+    mean, sd, low, high = priors(rig).T
+    scale = rig.scale[rows]
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        misfit = (predict(x, rig, rows) - rig.measured[rows]) / scale
+        return np.concatenate([misfit[np.isfinite(misfit)], (x - mean) / sd])
+
+    pressure = math.log(np.median(rig.load) / (rig.width * rig.radius))
+    best = None
+    for phi, ln_modulus in STARTS[:starts]:
+        start = mean.copy()
+        start[:3] = phi, ln_modulus, pressure
+        found = least_squares(residuals, start, bounds=(low, high), x_scale=sd.clip(max=1.0))
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    return best.x
+
+
+def splits(rig: Rig) -> list[tuple[str, list[tuple[np.ndarray, np.ndarray]]]]:
+    """(label, folds) of a rig; a fold is the rows that are fitted and those that are predicted."""
+    every = np.arange(rig.slip.size)
+    driving = rig.slip > BRAKED
+    trained = np.isin(rig.load, TRAINING_LOADS)
+    if trained.any():
+        others = every[~trained]
+        return [
+            ("driving rows of other loads", [(every[trained & driving], others)]),
+            ("rows of other loads", [(every[trained], others)]),
+        ]
+    slips = [(np.delete(every, k), every[k : k + 1]) for k in every]
+    if driving.all():
+        return [("rows of other slips", slips)]
+    return [("driving rows", [(every[driving], every)]), ("rows of other slips", slips)]
+
+
+def figures(name: str, rig: Rig, starts: int, folds: int | None) -> list[dict]:
+    """Rows of the table of a rig: rms of the predictions of each channel, driving and braked."""
+    out = []
+    for label, split in splits(rig):
+        off = np.full(rig.measured.shape, math.nan)
+        seen = np.zeros(rig.slip.size, dtype=bool)
+        for fitted, predicted in split[:folds]:
+            x = fit(rig, fitted, starts)
+            off[predicted] = predict(x, rig, predicted) - rig.measured[predicted]
+            seen[predicted] = True
+        for motion, part in (("driving", rig.slip > BRAKED), ("braked", rig.slip <= BRAKED)):
+            rows = np.flatnonzero(part & seen)
+            if rows.size:
+                out.append(_row(name, label, motion, off[rows], rig.load[rows]))
+    return out
+
+
+def _row(rig: str, fitted: str, predicted: str, off: np.ndarray, load: np.ndarray) -> dict:
+    """Row of the table from errors [N, 3] at loads [N]."""
+    sinkage, pull, torque = np.sqrt(np.mean(np.square(off), axis=0))
+    share = np.sqrt(np.mean(np.square(off[:, 1] / load)))
+    return {
+        "rig": rig,
+        "fitted": fitted,
+        "predicted": predicted,
+        "rows": len(off),
+        "sinkage_mm": 1e3 * sinkage,
+        "pull_N": pull,
+        "pull_share_of_load": share,
+        "torque_Nm": torque,
+    }
+
+
+def table_of(rows: list[dict]) -> Table:
+    """The rows as a page shows them."""
+    cells = [
+        [
+            r["rig"],
+            r["fitted"],
+            r["predicted"],
+            f"{r['sinkage_mm']:.1f}",
+            f"{r['pull_N']:.1f}",
+            f"{100.0 * r['pull_share_of_load']:.0f}",
+            "-" if math.isnan(r["torque_Nm"]) else f"{r['torque_Nm']:.2f}",
+        ]
+        for r in rows
+    ]
+    head = [
+        "wheel",
+        "fitted to",
+        "predicted",
+        "sinkage [mm]",
+        "pull [N]",
+        "pull [% of load]",
+        "torque [N m]",
+    ]
+    return Table(head, cells)
+
+
+@click.command(NAME)
+@study_options(NAME)
+@click.option("--data", type=PATH, default=DATA, metavar="DIR", help="Folder of the measurements.")
+def command(data: Path, smoke: bool, out: Path) -> None:
+    """Errors of the base model on measured wheels, driving and braking."""
+    path = ready(out, NAME)
+    rows = []
+    for name, rig in read_rigs(data).items():
+        rows += figures(name, rig, *((1, 1) if smoke else (len(STARTS), None)))
+        print(f"{name}: done", flush=True)
+    write_json(path, short({"command": f"python -m benchmarks.{NAME}", "rows": rows}))
+    write(out, NAME, "Rigs", TEXT, {"Root mean square of predicted less measured": table_of(rows)})
+
+
+if __name__ == "__main__":
+    leave(run(command, None, f"benchmarks.{NAME}"))
