@@ -20,7 +20,7 @@ BAD_INPUT = 2  # exit status
 INTERRUPTED = 130  # exit status after SIGINT: 128 + 2
 TERMINATED = 143  # after SIGTERM: 128 + 15
 UNREAD = 141  # after SIGPIPE: 128 + 13
-_LATER = 0.02  # [s] after which a signal that arrived inside LLVM is sent again
+_LATER = 0.02  # [s] after which a signal that a callback has dropped is sent again
 
 
 def run(
@@ -38,7 +38,7 @@ def run(
     program = name
     name = _called(command, given, name)
     try:
-        with _stoppable(received, name):
+        with _stoppable(received):
             own = command if isinstance(command, click.Command) else command()
             with own.make_context(program, given) as context:
                 own.invoke(context)
@@ -105,14 +105,13 @@ def leave(status: int) -> NoReturn:
 
 
 @contextmanager
-def _stoppable(received: list[int], name: str) -> Iterator[None]:
+def _stoppable(received: list[int]) -> Iterator[None]:
     """Raise `KeyboardInterrupt` on SIGINT and SIGTERM inside the block; their numbers are appended
     to `received`.
 
-    The exception is not raised inside a callback from LLVM, where ctypes would swallow it, but
-    right after. During an import the process ends at once: a half initialised C extension may turn
-    the exception into another one. Handlers that somebody else has set stay, and outside the main
-    thread nothing changes.
+    A callback of ctypes, as LLVM makes them, drops the exception: the signal is then sent again.
+    An import that it stopped may end in an error of its own, which becomes the interrupt. Handlers
+    that somebody else has set stay, and outside the main thread nothing changes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -123,28 +122,35 @@ def _stoppable(received: list[int], name: str) -> Iterator[None]:
     }
     ours = [number for number, handler in usual.items() if signal.getsignal(number) is handler]
     again: list[threading.Timer] = []
+    report = sys.unraisablehook
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if _inside(frame, "importlib._bootstrap"):
-            os.write(2, f"\n{name}: interrupted\n".encode())
-            os._exit(128 + number)
-        if _inside(frame, "llvmlite.binding"):
-            again.append(threading.Timer(_LATER, _send, (number,)))
-            again[-1].start()
-            return
         received.append(number)
         raise KeyboardInterrupt
 
+    def dropped(unraisable: Any) -> None:
+        if received and unraisable.exc_type is KeyboardInterrupt:
+            again.append(threading.Timer(_LATER, _send, (received[-1],)))
+            again[-1].start()
+        else:
+            report(unraisable)
+
     for number in ours:
         signal.signal(number, stop)
+    sys.unraisablehook = dropped
     try:
         yield
+    except (ImportError, SystemError) as error:
+        if received:
+            raise KeyboardInterrupt from error
+        raise
     finally:
         for timer in again:
             timer.cancel()
             timer.join()
         for number in ours:
             signal.signal(number, usual[number])
+        sys.unraisablehook = report
 
 
 def _send(number: int) -> None:
@@ -154,15 +160,6 @@ def _send(number: int) -> None:
         signal.pthread_kill(thread, number)
     else:
         signal.raise_signal(number)
-
-
-def _inside(frame: FrameType | None, module: str) -> bool:
-    """True if a module, or one below it, is among the callers of a frame."""
-    while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith(module):
-            return True
-        frame = frame.f_back
-    return False
 
 
 class WholeNumber(click.ParamType):
