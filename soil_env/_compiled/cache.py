@@ -14,11 +14,12 @@ import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, update_wrapper
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,8 @@ FOLDER = "kernels"
 CHECKSUMS = "checksums.json"
 COMPILED = not config.DISABLE_JIT
 COMPILING = "compiling, at the first use only: up to a minute for each environment"
-PATIENCE = 3.0  # [s] that a first call may take before the line above explains it
+PATIENCE = 3.0  # [s] that a first call may take before a line explains it
+PACE = 0.5  # [s] between two counts of what is compiled, on a terminal
 
 
 @cache
@@ -108,8 +110,8 @@ class Kept:
             if self._opened:  # by another thread
                 return self._function(*arguments)
             with self._alone():
-                self._check()
-                with _explained():
+                patience = PATIENCE if self._check() else 0.0
+                with _explained(self.py_func, patience):
                     result = self._call(arguments)
                 self._opened = True
                 self._note()
@@ -133,23 +135,22 @@ class Kept:
                     try:
                         held.enter_context(FileLock(lock, timeout=0))
                     except Timeout:
-                        tell("another process compiles the same function; waiting for it")
+                        tell("waiting for another process, which compiles the same code")
                         held.enter_context(FileLock(lock))
             yield
 
-    def _check(self) -> None:
-        """Drop the function's files if one is damaged; say so, or that it will be compiled."""
+    def _check(self) -> bool:
+        """True if there is code to load; a damaged file is told, and the function's files dropped."""
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
-            return
+            return False
         known = self._checksums()
         if known is None or known != self._present():
             tell(f"compiled code in {self._folder} is damaged; it is dropped and compiled anew")
             shutil.rmtree(self._folder, ignore_errors=True)
             self._function = _compiled(self.py_func, self._folder)
-            known = {}
-        if not known:
-            tell(COMPILING)
+            return False
+        return bool(known)
 
     def _note(self) -> None:
         """Write the checksums of the files that numba has written."""
@@ -231,23 +232,62 @@ def tell(line: str) -> None:
     """Print a line on stderr, once; not in workers of `multiprocessing`, whose parent says it, and
     not in tests.
     """
-    if not COMPILED or line in _told or "PYTEST_CURRENT_TEST" in os.environ:
-        return
-    if multiprocessing.parent_process() is None:
+    if line not in _told and _speaks():
         _told.add(line)
         print(f"soil_env: {line}", file=sys.stderr, flush=True)
 
 
+def _speaks() -> bool:
+    """True in a process that tells the user what it compiles."""
+    testing = "PYTEST_CURRENT_TEST" in os.environ
+    return COMPILED and not testing and multiprocessing.parent_process() is None
+
+
 @contextmanager
-def _explained():
-    """Say what takes so long, if it does: other versions are kept, but not for these types."""
-    timer = threading.Timer(PATIENCE, tell, [COMPILING])
-    timer.daemon = True
-    timer.start()
+def _explained(function: Callable[..., Any], patience: float) -> Iterator[None]:
+    """Say what takes longer than `patience` [s]: on a terminal the count of what is compiled, else
+    once one line.
+    """
+    done = threading.Event()
+    watcher = threading.Thread(target=_count, args=(function, done, patience), daemon=True)
+    watcher.start()
     try:
         yield
     finally:
-        timer.cancel()
+        done.set()
+        watcher.join()
+
+
+def _count(function: Callable[..., Any], done: threading.Event, patience: float) -> None:
+    """Show how many of the functions that `function` calls are compiled, until it is done."""
+    if done.wait(patience):
+        return
+    if not (_speaks() and sys.stderr.isatty()):
+        tell(COMPILING)
+        return
+    called = called_by(function)
+    while not done.wait(PACE):
+        ready = sum(bool(f.overloads) for f in called)
+        text = f"compiling, at the first use only: {ready} of at most {len(called)} functions"
+        print(f"\rsoil_env: {text}\x1b[K", end="", file=sys.stderr, flush=True)
+    print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def called_by(function: Callable[..., Any]) -> set[Any]:
+    """Compiled functions that a Python function names, directly or through one that it names."""
+    found: set[Any] = set()
+    left = [function]
+    while left:
+        one = left.pop()
+        names = one.__code__.co_names
+        known = [one.__globals__[name] for name in names if name in one.__globals__]
+        for module in [thing for thing in known if isinstance(thing, ModuleType)]:
+            known += [getattr(module, name) for name in names if hasattr(module, name)]
+        for thing in known:
+            if hasattr(thing, "overloads") and thing not in found:
+                found.add(thing)
+                left.append(thing.py_func)
+    return found
 
 
 def place() -> str:

@@ -5,6 +5,11 @@ import subprocess
 import sys
 
 import pytest
+
+try:
+    import pty
+except ImportError:  # on Windows
+    pty = None
 from filelock import FileLock
 from numba import config
 
@@ -56,10 +61,9 @@ def start(tmp_path):
     }
     env = {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"} | own
 
-    def start(code=CALL):
+    def start(code=CALL, stderr=subprocess.PIPE):
         command = [sys.executable, "-c", code]
-        pipe = subprocess.PIPE
-        return subprocess.Popen(command, env=env, stdout=pipe, stderr=pipe, text=True)
+        return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=stderr, text=True)
 
     return start
 
@@ -132,3 +136,45 @@ def test_code_of_edited_sources_is_not_loaded(tmp_path, monkeypatch):
         (tmp_path / source).write_text("x = 2\n")
         names.add(cache._hash_of_sources())
     assert len(names) == 1 + len(set(sources))
+
+
+CALLS = """
+import math
+from numba import njit
+from soil_env._compiled import cache
+
+
+@njit
+def deep(x):
+    return math.exp(x)
+
+
+@njit
+def shallow(x):
+    return deep(x) + deep(x + 1.0)
+
+
+def outer(x):
+    return shallow(x) + cache.COMPILED
+"""
+
+
+SHOWN = "from soil_env._compiled import cache\ncache.PACE = 0.1\n"
+
+
+def test_functions_that_a_function_calls_are_counted_once():
+    module = {"__name__": "of_a_test"}
+    exec(CALLS, module)  # a module of its own: globals are what is followed
+    assert cache.called_by(module["outer"]) == {module["shallow"], module["deep"]}
+
+
+@pytest.mark.skipif(pty is None, reason="no pseudo-terminals")
+def test_on_a_terminal_the_count_is_shown_and_wiped(start, tmp_path):
+    own, other = pty.openpty()
+    process = start(SHOWN + CALL, stderr=other)
+    process.communicate(timeout=120)
+    os.close(other)
+    said = os.read(own, 10**5).decode()
+    os.close(own)
+    assert "compiling, at the first use only: 0 of at most 0 functions" in said
+    assert said.endswith("\r\x1b[K")
