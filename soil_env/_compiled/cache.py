@@ -140,7 +140,7 @@ class Kept:
             yield
 
     def _check(self) -> bool:
-        """True if there is code to load; a damaged file is told, and the function's files dropped."""
+        """True if there is code to load; all of the function is dropped if one file is damaged."""
         if self._folder is None:
             tell("compiling in each process anew: compiled code cannot be kept without a folder")
             return False
