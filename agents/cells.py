@@ -30,6 +30,7 @@ import yaml
 import soil_env
 from soil_env._io.files import is_unused, make_folder, replace_file
 from soil_env._io.loading import ParameterError, load, read_yaml, to_dict, unknown_value
+from soil_env.cli.running import end_with_parent
 
 from .progress import console
 
@@ -178,7 +179,7 @@ class _Worker:
 
 def _begin(work: Callable) -> None:
     """Begin a worker process: only its parent interrupts it, by SIGTERM, so that a training writes
-    its checkpoint.
+    its checkpoint. Where the parent was killed it ends too.
     """
 
     def interrupt(*_) -> None:
@@ -189,6 +190,7 @@ def _begin(work: Callable) -> None:
     _Worker.work = work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, interrupt)
+    end_with_parent()
 
 
 def _call(cell):

@@ -26,7 +26,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import partial, reduce
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import click
@@ -38,7 +38,7 @@ from benchmarks.discovery.cases import GROUPS, draw_case, generator, task_of, ta
 from benchmarks.discovery.entrants import ENTRANTS, Answer, entrant
 from soil_env._io.files import make_folder, write_json
 from soil_env._io.loading import ParameterError, read_json
-from soil_env.cli.running import PATH, WholeNumber, leave, run
+from soil_env.cli.running import PATH, WholeNumber, end_with_parent, leave, run
 
 NAME = "benchmarks.discovery"
 FIRST = 100000  # seed of development
@@ -109,9 +109,7 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
         return
     for name in THREADS:
         os.environ.setdefault(name, "1")  # of the workers, which take the cores
-    pool = ProcessPoolExecutor(
-        jobs, get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), _begin)
     try:
         waiting = {pool.submit(work, name): name for name in names}
         for done, future in enumerate(as_completed(waiting), start=1):
@@ -122,10 +120,16 @@ def each(work: Callable[[str], object], names: Iterable[str], jobs: int) -> None
             "a process died (memory?): expected fewer --jobs, with the same command"
         ) from None
     except BaseException:
-        for process in list((pool._processes or {}).values()):
+        for process in active_children():
             process.kill()  # answers are written whole or not at all
         raise
     pool.shutdown()
+
+
+def _begin() -> None:
+    """Begin a worker process, which only its parent interrupts."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
 
 
 def _names(limit: int | None, groups: tuple[str, ...], held_out: bool) -> list[str]:

@@ -2,12 +2,15 @@
 commands share.
 """
 
+import multiprocessing
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import connection
 from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
@@ -20,6 +23,7 @@ BAD_INPUT = 2  # exit status
 INTERRUPTED = 130  # exit status after SIGINT: 128 + 2
 TERMINATED = 143  # after SIGTERM: 128 + 15
 UNREAD = 141  # after SIGPIPE: 128 + 13
+GRACE = 5.0  # [s] that a worker whose parent has ended has for saving its work
 _LATER = 0.02  # [s] after which a signal that a callback has dropped is sent again
 
 
@@ -151,6 +155,24 @@ def _stoppable(received: list[int]) -> Iterator[None]:
         for number in ours:
             signal.signal(number, usual[number])
         sys.unraisablehook = report
+
+
+def end_with_parent() -> None:
+    """End this process of `multiprocessing` soon after its parent: by SIGTERM, which may save what
+    is being computed, and after `GRACE` [s] in any case.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        connection.wait([parent.sentinel])
+        with suppress(ProcessLookupError):
+            os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(GRACE)
+        os._exit(TERMINATED)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _send(number: int) -> None:

@@ -2,10 +2,12 @@
 file is named.
 """
 
+import subprocess
 import sys
 from functools import partial
 from types import ModuleType
 
+import psutil
 import pytest
 
 from agents import cells
@@ -33,6 +35,33 @@ def test_work_under_way_is_interrupted_when_the_study_is(importable, tmp_path, m
     assert next(done) == ("short", None)
     done.close()
     assert (tmp_path / "interrupted").exists()
+
+
+PARENT = """
+from agents import cells
+from tests.agents import tasks
+
+if __name__ == "__main__":
+    for done in cells.processes(tasks.waiting, ["long", "short"], workers=2):
+        print(done, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_workers_of_a_parent_that_was_killed_save_and_end(importable, tmp_path, monkeypatch):
+    """One is at work and one is idle."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "parent.py").write_text(PARENT)
+    parent = subprocess.Popen(
+        [sys.executable, "parent.py"], stdout=subprocess.PIPE, start_new_session=True
+    )
+    assert parent.stdout.readline() == b"('short', None)\n"
+    workers = [p for p in psutil.Process(parent.pid).children(recursive=True)]
+    assert len(workers) >= 2
+    parent.kill()
+    parent.wait()
+    alive = psutil.wait_procs(workers, timeout=60.0)[1]
+    assert alive == [] and (tmp_path / "interrupted").exists()
 
 
 def test_bad_input_found_by_a_worker_comes_back(engine):
