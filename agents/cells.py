@@ -105,6 +105,13 @@ def load_study(cls, folder: Path):
     return study
 
 
+def clear(folder: Path) -> None:
+    """Forget the study of a folder and its finished cells; other files stay."""
+    for path in (Path(folder) / "cells").glob("*.json"):
+        path.unlink()
+    (Path(folder) / STUDY).unlink()
+
+
 def cell_file(folder: Path, cell: Hashable) -> Path:
     """File of a finished cell."""
     return Path(folder) / "cells" / f"{str(cell).replace('/', '-')}.json"

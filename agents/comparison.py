@@ -2,7 +2,6 @@
 courses.
 """
 
-import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -55,8 +54,7 @@ def compare(
     except ParameterError:
         if not (folder / cells.STUDY).is_file():
             raise
-        shutil.rmtree(folder)  # of other code, or of a model that was trained again
-        folder.mkdir()
+        cells.clear(folder)  # of other code, or of a model that was trained again
     result = carry_out(asked, folder)
     show(verdict(result, agent.name))
 

@@ -1,6 +1,9 @@
 """`soil-env drive`: one course under a controller or an agent, as numbers, a picture or a video."""
 
+import errno
 import importlib.util
+import io
+import tempfile
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +14,7 @@ import gymnasium
 import numpy as np
 from click.core import ParameterSource
 
-from soil_env._io.files import check_outputs
+from soil_env._io.files import check_own, write_own
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber, seed_option
 from soil_env.parameters import DEFAULT_SCENARIO, load_rover, load_scenario
@@ -85,7 +88,7 @@ def command(
             raise ParameterError(
                 f'--out {out}: needs moviepy, pip install "soil_env[video]"; or a .gif'
             )
-        check_outputs(out.parent, [out.name])
+        check_own(out.parent, [out.name])
     if (
         rover is not None
         and click.get_current_context().get_parameter_source("scenario") != ParameterSource.DEFAULT
@@ -181,12 +184,25 @@ def _drive(
 
 def _save(path: Path, frames: list[np.ndarray]) -> None:
     """Save one frame as a picture, several as a video of ten frames a second."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".mp4":
-        from moviepy import ImageSequenceClip
+    content = _video(frames) if path.suffix == ".mp4" else _picture(frames, path.suffix)
+    write_own(path.parent, {path.name: content})
 
-        ImageSequenceClip(frames, fps=10).write_videofile(str(path), logger=None)
-        return
+
+def _video(frames: list[np.ndarray]) -> bytes:
+    """Frames as MP4, which ffmpeg writes into a folder of its own."""
+    from imageio_ffmpeg import count_frames_and_secs
+    from moviepy import ImageSequenceClip
+
+    with tempfile.TemporaryDirectory() as there:
+        file = Path(there) / "drive.mp4"
+        ImageSequenceClip(frames, fps=10).write_videofile(str(file), logger=None)
+        if count_frames_and_secs(file)[0] < len(frames):  # as where that disk is full
+            raise OSError(errno.EIO, "the video is not whole: is the disk full?", there)
+        return file.read_bytes()
+
+
+def _picture(frames: list[np.ndarray], suffix: str) -> bytes:
+    """Frames as GIF, or one as PNG."""
     from PIL import Image
 
     images = [Image.fromarray(frame) for frame in frames]
@@ -194,4 +210,6 @@ def _save(path: Path, frames: list[np.ndarray]) -> None:
         # Keeps colours of small areas.
         images = [image.quantize(64, Image.Quantize.FASTOCTREE) for image in images]
     more = {"save_all": True, "append_images": images[1:], "duration": 100, "loop": 0}
-    images[0].save(path, **(more if path.suffix == ".gif" else {}))
+    stream = io.BytesIO()
+    images[0].save(stream, suffix[1:].upper(), **(more if suffix == ".gif" else {}))
+    return stream.getvalue()

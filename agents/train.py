@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from soil_env._io.files import alone
 from soil_env._io.loading import ParameterError, merge
 from soil_env.cli.running import PATH
 
@@ -74,7 +75,7 @@ def command(config: Path | None, resume: Path | None, keys: tuple[str, ...]) -> 
         except ParameterError as error:
             raise ParameterError(f"{where}: {error}" if config else str(error)) from None
         folder = training.make_run_folder(settings, scenario)
-    with continued_by(f"soil-env train --resume {folder}"):
+    with alone(folder), continued_by(f"soil-env train --resume {folder}"):
         show(f"Run folder: {folder}")
         if all((folder / name).is_file() for name in (training.MODEL, comparison.DONE)):
             show(f"Already finished. Delete its {comparison.DONE} to compare again.")

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 
-from soil_env._io.files import replace_file
+from soil_env._io.files import is_unused, replace_file
 from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.envs.wheel_env import IMMOBILISED
 from soil_env.parameters import RoverScenario, Scenario, load_rover, load_scenario
@@ -175,8 +175,11 @@ def _learn(folder: Path, config: TrainConfig, scenario) -> None:
 def trained(config: TrainConfig, scenario: Scenario | RoverScenario) -> Path:
     """The model.zip of the run folder of a config, which is begun, resumed, or done already."""
     run = Path(config.runs) / config.name
-    if run.is_dir() and not (run / "scenario.yaml").is_file():
-        shutil.rmtree(run)  # its start was interrupted
+    if run.is_dir() and not (run / "scenario.yaml").is_file():  # its start was interrupted
+        (run / "config.yaml").unlink(missing_ok=True)
+        if not is_unused(run):
+            raise ParameterError(f"{run}: holds other files: expected a run folder, or none")
+        shutil.rmtree(run)
     if not run.is_dir():
         make_run_folder(config, scenario)
     train(run, config, scenario)

@@ -6,7 +6,7 @@ from typing import get_args, get_type_hints
 import click
 import yaml
 
-from soil_env._io.files import make_folder, replace_file
+from soil_env._io.files import alone, check_own, write_own
 from soil_env._io.loading import unknown_value
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, Control, load_scenario, scenario_names
@@ -53,9 +53,9 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     for action in actions.split(","):
         if action not in ACTIONS:
             raise unknown_value(action, ACTIONS, "--actions")
-    make_folder(out)
     settings = {}
-    with continued_by("the same command"):
+    check_own(out, (f"{scenario}.yaml",))
+    with alone(out), continued_by("the same command"):
         for action in actions.split(","):
             task = load_scenario(scenario, {"control": {"action": action}})
             chosen = tuned_settings(task, courses, log=out / f"trials-{action}.log", anew=True)
@@ -71,5 +71,5 @@ def command(out: Path, scenario: str, actions: str, courses: int) -> None:
     }
     typed = f"soil-env tune --scenario {scenario} --courses {courses} --actions {actions}"
     made = f"# Settings of the classical controllers, found by {typed}\n"
-    replace_file(out / f"{scenario}.yaml", made + yaml.safe_dump(content, sort_keys=False))
+    write_own(out, {f"{scenario}.yaml": made + yaml.safe_dump(content, sort_keys=False)})
     show(f"Written: {out / scenario}.yaml")

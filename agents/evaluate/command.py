@@ -8,6 +8,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from soil_env._io.files import alone
 from soil_env._io.loading import ParameterError, to_dict
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, load_scenario
@@ -128,7 +129,7 @@ def command(
         folder = resume
         asked = cells.load_study(Evaluation, resume)
     evaluation.check_controllers(asked)
-    with continued_by(f"soil-env evaluate --resume {folder}"):
+    with alone(folder), continued_by(f"soil-env evaluate --resume {folder}"):
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
             asked = cells.load_study(Evaluation, folder)
         carry_out(asked, folder, chosen, ship=engine == "ray")

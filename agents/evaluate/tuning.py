@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soil_env._io.files import drop_torn_line
 from soil_env._io.loading import ParameterError, config_dir, read_yaml, to_dict
 from soil_env.parameters import RoverScenario, Scenario, load_scenario, scenario_names
 from soil_env.terramechanics.model import WheelSoilModel
@@ -110,6 +111,7 @@ def tried(name, space, trials, scenario, courses, model, log, progress) -> list[
     )
     storage = None
     if log is not None:
+        drop_torn_line(log)
         journal = optuna.storages.journal
         lock = journal.JournalFileSymlinkLock(str(log), grace_period=_LOCKED)
         storage = optuna.storages.JournalStorage(

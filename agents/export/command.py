@@ -11,7 +11,7 @@ import click
 import numpy as np
 import yaml
 
-from soil_env._io.files import check_outputs, plain, replace_files
+from soil_env._io.files import check_own, plain, write_own
 from soil_env._io.loading import ParameterError, nearest
 from soil_env.cli.running import PATH, WholeNumber
 from soil_env.parameters import DEFAULT_SCENARIO, RoverScenario, Scenario, load_scenario
@@ -73,7 +73,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     from . import policy
 
     path, task, world = _asked(run, scenario)
-    check_outputs(out, (POLICY, DESCRIPTION, COURSE, RUNNER))
+    check_own(out, (POLICY, DESCRIPTION, COURSE, RUNNER), (path,))
     try:
         agent = DefaultPolicy(task) if str(run) in SHIPPED else load_model(path, task)
     except ParameterError as error:
@@ -102,7 +102,7 @@ def command(run: Path, out: Path, scenario: str | None, steps: int) -> None:
     stream = io.BytesIO()
     stored: dict[str, Any] = {**course}
     np.savez_compressed(stream, **stored)
-    replace_files(
+    write_own(
         out,
         {
             POLICY: content,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from soil_env._io.files import alone
 from soil_env._io.loading import ParameterError
 from soil_env.cli.running import PATH, WholeNumber
 
@@ -78,7 +79,7 @@ def command(
         with needing_training():
             from .. import training  # noqa: F401
     if not report:
-        with continued_by(f"soil-env study --out {out}"):
+        with alone(out), continued_by(f"soil-env study --out {out}"):
             work.begin(asked, out)
             work.fill(asked, out, chosen, elsewhere=engine == "ray")
     content = results.result(asked, out)

@@ -1,19 +1,28 @@
 """Atomic file writes: a file is whole, or as it was; a failed write leaves nothing beside it.
 
-Text is UTF-8.
+Text is UTF-8. Commands write their results with `write_own`, which never replaces a file of the
+user's.
 
 Errors are `OSError` whose `filename` and `strerror` make a sentence.
 """
 
 import errno
+import hashlib
 import io
 import json
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+#: In a folder of results: the digests of the files that commands wrote there, by name.
+MANIFEST = ".soil_env.json"
+LOCK = ".soil_env.lock"
 
 
 def replace_file(path: str | Path, content: bytes | str) -> None:
@@ -30,19 +39,116 @@ def replace_files(folder: str | Path, contents: Mapping[str, bytes | str]) -> No
 
 
 def _replace(contents: Mapping[Path, bytes | str]) -> None:
-    partial = {path: path.with_name(f".{path.name}.partial") for path in contents}
+    """Write files beside those that they replace, or that a symbolic link names, then rename."""
+    places = {path: Path(os.path.realpath(path)) for path in contents}
+    stamp = uuid.uuid4().hex[:8]  # no other process writes to the same partial file
+    partial = {
+        path: place.with_name(f".{place.name}.{stamp}.partial") for path, place in places.items()
+    }
     path = None
     try:
         for path, content in contents.items():
-            partial[path].write_bytes(content.encode() if isinstance(content, str) else content)
-        for path in contents:
-            os.replace(partial[path], path)
+            with partial[path].open("xb") as stream:
+                stream.write(content.encode() if isinstance(content, str) else content)
+        for path, place in places.items():
+            os.replace(partial[path], place)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         for rest in partial.values():
             with suppress(OSError):  # the first failure is the one that is reported
                 rest.unlink(missing_ok=True)
+
+
+def check_own(folder: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()) -> None:
+    """`check_outputs` of files that a command is to write with `write_own`.
+
+    Raises FileExistsError for a file that no command wrote, or that was changed since, and for one
+    of the `inputs` of the command.
+    """
+    folder = Path(folder)
+    names = tuple(names)
+    check_outputs(folder, names)
+    there = [name for name in names if (folder / name).exists()]
+    for source in inputs:
+        if Path(source).exists() and any((folder / name).samefile(source) for name in there):
+            raise _in_the_way(source, "is read by this command and would be overwritten")
+    known = _manifest(folder)
+    for name in there:
+        if _digest((folder / name).read_bytes()) not in known.get(name, ()):
+            raise _in_the_way(folder / name, "was not written by soil-env, or was changed since")
+
+
+def _in_the_way(path: str | Path, said: str) -> FileExistsError:
+    text = f"{said}: expected another --out, or the file moved away"
+    return FileExistsError(errno.EEXIST, text, str(path))
+
+
+def write_own(folder: str | Path, contents: Mapping[str, bytes | str]) -> None:
+    """`replace_files` that remembers in `MANIFEST` what it wrote, and replaces nothing else.
+
+    Raises FileExistsError as `check_own`.
+    """
+    folder = Path(folder)
+    check_own(folder, contents)
+    known = _manifest(folder)
+    for name, content in contents.items():
+        new = _digest(content.encode() if isinstance(content, str) else content)
+        known[name] = [new, *known.get(name, ())[:1]]  # the old file stays until all are written
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    replace_files(folder, {MANIFEST: json.dumps(known, indent=1) + "\n", **contents})
+
+
+def drop_own(folder: str | Path, names: Iterable[str]) -> None:
+    """Delete those files of a folder that `write_own` wrote and nobody changed since."""
+    folder = Path(folder)
+    known = _manifest(folder)
+    for name in names:
+        place = folder / name
+        if place.is_file() and _digest(place.read_bytes()) in known.get(name, ()):
+            place.unlink()
+
+
+def _manifest(folder: Path) -> dict[str, list[str]]:
+    """Digests of each file that `write_own` wrote into a folder; none if the list is damaged."""
+    try:
+        known = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        return {str(name): [str(d) for d in digests] for name, digests in known.items()}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def drop_torn_line(path: str | Path) -> None:
+    """Cut off the last line of a record, one line an entry, if a kill or a full disk tore it."""
+    path = Path(path)
+    if path.is_file():
+        content = path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole != content:
+            replace_file(path, whole)
+
+
+@contextmanager
+def alone(folder: str | Path) -> Iterator[None]:
+    """Make a folder and hold its lock. Raises FileExistsError while another process holds it."""
+    make_folder(folder)
+    lock = FileLock(Path(folder) / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        said = "another command is at work in this folder: expected another --out, or its end"
+        raise FileExistsError(errno.EEXIST, said, str(folder)) from None
+    except NotImplementedError:  # a disk without locks
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def write_json(path: str | Path, content, indent: int | None = 1) -> None:
@@ -68,10 +174,11 @@ def plain(value):
 
 
 def is_unused(folder: str | Path) -> bool:
-    """True if the folder is missing or holds only a partial write."""
+    """True if the folder is missing or holds only a partial write or a lock."""
     folder = Path(folder)
     return not folder.is_dir() or all(
-        p.name.startswith(".") and p.suffix == ".partial" for p in folder.iterdir()
+        p.name == LOCK or (p.name.startswith(".") and p.suffix == ".partial")
+        for p in folder.iterdir()
     )
 
 

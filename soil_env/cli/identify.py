@@ -8,7 +8,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
-from soil_env._io.files import check_outputs, replace_files
+from soil_env._io.files import check_own, write_own
 from soil_env.cli.running import out_option
 from soil_env.cli.table_files import table_arguments
 from soil_env.identification.table.fit import identify_table
@@ -32,14 +32,14 @@ def command(data: Path, setup: Path, out: Path | None) -> None:
     known = read_setup(setup)
     table = read_table(data, known.wheel, known.ignore_columns)
     if out is not None:
-        check_outputs(out, FILES)
+        check_own(out, FILES, (data, setup))
     estimate = identify_table(table, known)
     if out is not None:
         contents = (
             json.dumps(report_of(estimate), indent=2, allow_nan=False) + "\n",
             picture(estimate),
         )
-        replace_files(out, dict(zip(FILES, contents, strict=True)))
+        write_own(out, dict(zip(FILES, contents, strict=True)))
     Console(width=None if sys.stdout.isatty() else 110).print(Text(text_of(estimate)))
     if out is not None:
         for name in FILES:

@@ -9,7 +9,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
-from soil_env._io.files import check_outputs, replace_files
+from soil_env._io.files import check_own, drop_own, write_own
 from soil_env.cli.running import PATH, out_option
 from soil_env.logs.mapping import read_map
 from soil_env.logs.recordings import read_recording
@@ -46,17 +46,16 @@ def command(recording: Path, map_file: Path, out: Path) -> None:
     field, and `time: {column: t, unit: s}` at the top. All keys: docs/guide/logs.md.
     """
     log_map = read_map(map_file)
-    check_outputs(out, (*ALWAYS, "steady.csv", "setup.yaml"))
+    check_own(out, (*ALWAYS, "steady.csv", "setup.yaml"), (recording, map_file))
     with _progress() as progress:
         log = read_recording(recording, log_map, progress)
     found = replay(log, log_map)
     steady = steady_windows(log, log_map, found.ground)
     report = report_of(recording.name, log, log_map, found, steady, out)
-    replace_files(out, report.files)
-    for place in out.iterdir():
-        # Of an earlier run.
-        if FILES.fullmatch(place.name) and place.name not in report.files and place.is_file():
-            place.unlink()
+    check_own(out, report.files, (recording, map_file))
+    write_own(out, report.files)
+    earlier = [p.name for p in out.iterdir() if FILES.fullmatch(p.name)]
+    drop_own(out, set(earlier) - set(report.files))
     print(report.text, end="")
 
 

@@ -7,7 +7,7 @@ import click
 from rich.console import Console
 from rich.markdown import Markdown
 
-from soil_env._io.files import check_outputs, make_folder
+from soil_env._io.files import check_own
 from soil_env.cli.running import WholeNumber, out_option, seed_option
 from soil_env.paper import page
 from soil_env.paper.compare import compute
@@ -30,8 +30,7 @@ def command(out: Path | None, draws: int, seed: int) -> None:
     and 9, by the equations as printed and with the angle of maximum stress of Wong & Reece (1967).
     """
     if out is not None:
-        check_outputs(out, ["paper.md", *(f"paper/{name}.png" for name in page.FIGURES)])
-        make_folder(out)
+        check_own(out, ["paper.md", *(f"paper/{name}.png" for name in page.FIGURES)])
     results = compute(seed, draws)
     asked = f"soil-env paper --draws {draws} --seed {seed}"
     if out is not None:

@@ -56,7 +56,8 @@ def run(
     if out is not None:
         if not os.fspath(out):
             raise ParameterError("out is empty: expected a folder")
-        check_folder(Path(out))
+        files = [Path(given) for given in (table, setup) if isinstance(given, (str, Path))]
+        check_folder(Path(out), files)
     say("reading")
     read = setup if isinstance(setup, Setup) else read_setup(setup)
     exact(read)  # refuses wrong names before any work

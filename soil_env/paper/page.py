@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from soil_env._io.document import Table, render
-from soil_env._io.files import picture_of, replace_file
+from soil_env._io.files import picture_of, write_own
 from soil_env.paper import compare
 from soil_env.paper.compare import MEASURED, NAMES, P, Results, Row
 
@@ -19,13 +19,12 @@ READINGS = "equations as printed", "with Wong & Reece's peak"
 
 def write(results: Results, folder: Path, command: str) -> None:
     """Write `folder`/paper.md and the figures in `folder`/paper."""
-    (folder / "paper").mkdir(parents=True, exist_ok=True)
+    files: dict[str, bytes | str] = {}
     for name, draw in zip(FIGURES, (_predictions, _torques), strict=True):
         figure = Figure(figsize=(6.4 if draw is _torques else 11.0, 4.2), layout="constrained")
         draw(figure, results)
-        picture = picture_of(figure, dpi=110, metadata={"Software": None})
-        replace_file(folder / "paper" / f"{name}.png", picture)
-    replace_file(folder / "paper.md", markdown(results, command))
+        files[f"paper/{name}.png"] = picture_of(figure, dpi=110, metadata={"Software": None})
+    write_own(folder, {**files, "paper.md": markdown(results, command)})
 
 
 def markdown(results: Results, command: str) -> str:

@@ -8,7 +8,19 @@ import os
 import numpy as np
 import pytest
 
-from soil_env._io.files import check_outputs, replace_file, replace_files, write_json
+from soil_env._io.files import (
+    MANIFEST,
+    alone,
+    check_outputs,
+    check_own,
+    drop_own,
+    drop_torn_line,
+    is_unused,
+    replace_file,
+    replace_files,
+    write_json,
+    write_own,
+)
 
 resource = pytest.importorskip("resource")
 
@@ -73,3 +85,62 @@ def test_json_has_no_numpy_and_no_nan(tmp_path):
         "x": [1.0, None],
         "2": [0.5, None, None, True],
     }
+
+
+def test_a_partial_file_is_no_way_to_another_and_a_link_stays_one(tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("mine")
+    (tmp_path / ".a.partial").symlink_to(elsewhere)
+    replace_file(tmp_path / "a", "new")
+    assert elsewhere.read_text() == "mine" and (tmp_path / "a").read_text() == "new"
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    replace_file(tmp_path / "link", "newer")
+    assert (tmp_path / "link").is_symlink() and (tmp_path / "a").read_text() == "newer"
+
+
+def test_only_own_files_are_replaced_and_dropped(tmp_path):
+    write_own(tmp_path, {"a.csv": "1", "plots/b.png": b"2", "c.csv": "3"})
+    write_own(tmp_path, {"a.csv": "4", "plots/b.png": b"5"})
+    assert (tmp_path / "a.csv").read_text() == "4"
+    (tmp_path / "a.csv").write_text("edited")
+    (tmp_path / "d.csv").write_text("mine")
+    for name in ("a.csv", "d.csv"):
+        with pytest.raises(FileExistsError, match="was not written by soil-env, or was changed"):
+            write_own(tmp_path, {"plots/b.png": b"6", name: "7"})
+    assert (tmp_path / "plots" / "b.png").read_bytes() == b"5"
+    drop_own(tmp_path, ("a.csv", "c.csv", "d.csv"))
+    assert {p.name for p in tmp_path.glob("*.csv")} == {"a.csv", "d.csv"}
+    (tmp_path / MANIFEST).write_text("{")  # nothing is known to be own
+    with pytest.raises(FileExistsError):
+        write_own(tmp_path, {"plots/b.png": b"6"})
+
+
+def test_an_input_is_no_output_even_where_it_is_own(tmp_path):
+    write_own(tmp_path, {"a.csv": "1"})
+    (tmp_path / "link.csv").symlink_to(tmp_path / "a.csv")
+    with pytest.raises(FileExistsError, match="is read by this command"):
+        check_own(tmp_path, ("a.csv",), (tmp_path / "link.csv",))
+
+
+def test_a_full_disk_leaves_own_files_own(tmp_path):
+    write_own(tmp_path, {"a": "one"})
+    with full(), pytest.raises(OSError, match="File too large"):
+        write_own(tmp_path, {"a": "x" * 5000})
+    write_own(tmp_path, {"a": "two"})
+    assert (tmp_path / "a").read_text() == "two"
+
+
+def test_a_folder_is_held_by_one(tmp_path):
+    with alone(tmp_path), pytest.raises(FileExistsError, match="another command"), alone(tmp_path):
+        pass
+    with alone(tmp_path):
+        assert is_unused(tmp_path)
+
+
+def test_a_torn_last_line_is_cut_off(tmp_path):
+    path = tmp_path / "record"
+    for content, kept in (("1\n2\n", "1\n2\n"), ("1\n2", "1\n"), ("1", ""), ("", "")):
+        path.write_text(content)
+        drop_torn_line(path)
+        assert path.read_text() == kept
+    drop_torn_line(tmp_path / "none")

@@ -2,6 +2,7 @@
 
 import json
 import platform
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from rich.text import Text
 
 from soil_env import __version__
 from soil_env._io.document import html_image, html_page, render
-from soil_env._io.files import check_outputs, plain, replace_files
+from soil_env._io.files import check_own, plain, write_own
 from soil_env._io.loading import ParameterError
 from soil_env.discrepancy.data import CHANNELS
 from soil_env.discrepancy.instrument import LISTED
@@ -31,12 +32,12 @@ _SHOWN = 8  # candidates of the ranking on the terminal
 LEAST = 1e-3  # probability below which a hypothesis is not listed
 
 
-def check_folder(folder: Path) -> None:
-    """Raise `ParameterError` where report files could not be written into `folder`; creates
-    nothing.
+def check_folder(folder: Path, inputs: Iterable[Path] = ()) -> None:
+    """Raise `ParameterError` where report files could not be written into `folder`, or would
+    replace one of the user's; creates nothing.
     """
     try:
-        check_outputs(folder, FILES)
+        check_own(folder, FILES, inputs)
     except OSError as error:
         raise ParameterError(f"{error.filename}: {error.strerror}") from None
 
@@ -52,9 +53,9 @@ def write(report: Report, folder: Path) -> None:
         "model.yaml": yaml.safe_dump(report.model.content(), sort_keys=False),
     }
     try:
-        replace_files(folder, {name: text.encode() for name, text in files.items()})
+        write_own(folder, files)
     except OSError as error:
-        raise ParameterError(f"{folder}: {error.strerror}") from None
+        raise ParameterError(f"{error.filename}: {error.strerror}") from None
 
 
 def page(report: Report, values: dict[str, Any]) -> str:
