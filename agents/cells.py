@@ -87,16 +87,19 @@ def save_study(study, folder: Path) -> None:
     replace_file(Path(folder) / STUDY, yaml.safe_dump(to_dict(study), sort_keys=False))
 
 
-def load_study(cls, folder: Path):
+def load_study(cls, folder: Path, check: Callable[[dict, str], None] | None = None):
     """The study of a folder, of dataclass `cls`; ParameterError where its `version` is that of
-    other code.
+    other code. `check` receives the content and the path of its file before anything is made of it.
     """
     path = Path(folder) / STUDY
     if not Path(folder).is_dir():
         raise ParameterError(
             f"{path}: no such folder; expected that of a begun {cls.__name__.lower()}"
         )
-    study = load(cls, read_yaml(path), str(path))
+    content = read_yaml(path)
+    if check is not None:
+        check(content, str(path))
+    study = load(cls, content, str(path))
     if study.version != code_version():
         here = code_version()
         raise ParameterError(

@@ -34,6 +34,13 @@ def keys_argument(command: Callable) -> Callable:
     )
 
 
+def allow_code_option(command: Callable) -> Callable:
+    """Add --allow-code."""
+    return click.option(
+        "--allow-code", is_flag=True, help="Import the modules that the study's file names."
+    )(command)
+
+
 def engine_options(command: Callable) -> Callable:
     """Add --engine, --workers and --address."""
     for option in (

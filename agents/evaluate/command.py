@@ -17,6 +17,7 @@ from soil_env.terramechanics.model import WheelSoilModel
 from .. import cells
 from ..cli import (
     WITH_KEYS,
+    allow_code_option,
     as_options,
     continued_by,
     controllers_as,
@@ -91,6 +92,7 @@ _TUNING = "tuning.log"  # trials of a tuning that is not finished
     metavar="N",
     help="Bootstrap redraws (default 2000).",
 )
+@allow_code_option
 @engine_options
 @keys_argument
 @controllers_as("--controllers")
@@ -99,6 +101,7 @@ def command(
     engine: str,
     workers: int | None,
     address: str | None,
+    allow_code: bool,
     keys: tuple,
     **given: Any,
 ) -> None:
@@ -127,12 +130,27 @@ def command(
         if keys or any(source(name) is not ParameterSource.DEFAULT for name in given):
             raise ParameterError(f"--resume takes only the engine; {resume} has the rest")
         folder = resume
-        asked = cells.load_study(Evaluation, resume)
+        asked = cells.load_study(Evaluation, resume, None if allow_code else _refuse_code)
     evaluation.check_controllers(asked)
-    with alone(folder), continued_by(f"soil-env evaluate --resume {folder}"):
+    code = " --allow-code" if contestants.code_in(to_dict(asked)) else ""
+    with alone(folder), continued_by(f"soil-env evaluate --resume {folder}{code}"):
         if resume is None and cells.is_begun(asked, folder, ignored=("tuned",)):
             asked = cells.load_study(Evaluation, folder)
         carry_out(asked, folder, chosen, ship=engine == "ray")
+
+
+def _refuse_code(content: dict, where: str) -> None:
+    """ParameterError where the study of a folder would run code of others."""
+    contestants.refuse_code(content, where)
+    for contestant in content.get("controllers", {}).values():
+        if contestant.get("kind") == "model" and str(contestant.get("source")).endswith(".zip"):
+            from ..agent import INFO, read_member  # with torch
+
+            if read_member(Path(contestant["source"]), INFO) is None:
+                raise ParameterError(
+                    f"{where}: {contestant['source']}: a model of another program, which is "
+                    "unpickled: expected --allow-code too, if you trust it"
+                )
 
 
 def carry_out(

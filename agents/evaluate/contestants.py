@@ -49,6 +49,33 @@ SHIPPED_CLASS = f"{__package__.split('.')[0]}.default_policy:DefaultPolicy"
 _CLASS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 
 
+def code_in(content: object) -> list[str]:
+    """Modules, as module:Class, that the content of a YAML file names as controllers."""
+    found = []
+    if isinstance(content, dict):
+        for key, value in content.items():
+            if key in ("controller", "source") and isinstance(value, str) and ":" in value:
+                found.append(value)
+            else:
+                found += code_in(value)
+    elif isinstance(content, list):
+        for value in content:
+            found += code_in(value)
+    return [spec for spec in found if spec != SHIPPED_CLASS]
+
+
+def refuse_code(content: object, where: str, allowed: Collection[str] = ()) -> None:
+    """ParameterError where a file names a module that would be imported, but for those `allowed`,
+    which the command line names.
+    """
+    for spec in code_in(content):
+        if spec not in allowed:
+            raise ParameterError(
+                f"{where}: names {spec!r}, which would be imported and run: expected --allow-code "
+                "too, if you trust this file"
+            )
+
+
 def parse(
     text: str, settings: dict[str, dict] | None = None, known: Collection[str] = CONTROLLERS
 ) -> dict[str, Contestant]:

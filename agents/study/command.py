@@ -6,12 +6,13 @@ from pathlib import Path
 import click
 
 from soil_env._io.files import alone
-from soil_env._io.loading import ParameterError
+from soil_env._io.loading import ParameterError, read_yaml, to_dict
 from soil_env.cli.running import PATH, WholeNumber
 
 from .. import cells
 from ..cli import (
     WITH_KEYS,
+    allow_code_option,
     as_options,
     config_file,
     continued_by,
@@ -21,6 +22,7 @@ from ..cli import (
     overrides,
     unknown_option,
 )
+from ..evaluate.contestants import code_in, refuse_code
 from ..progress import show
 from . import config, results, work
 
@@ -36,6 +38,7 @@ from . import config, results, work
     "--seeds", type=WholeNumber(1), metavar="N", help="Trainings of each agent on each scenario."
 )
 @click.option("--report", is_flag=True, help="Write only the results of the finished cells.")
+@allow_code_option
 @engine_options
 @keys_argument
 def command(
@@ -43,6 +46,7 @@ def command(
     file: Path | None,
     seeds: int | None,
     report: bool,
+    allow_code: bool,
     engine: str,
     workers: int | None,
     address: str | None,
@@ -69,9 +73,12 @@ def command(
     if file is None:
         if keys:
             raise ParameterError(f"{keys[0]}: only with --config")
-        asked = cells.load_study(config.Study, out)
+        asked = cells.load_study(config.Study, out, None if allow_code else refuse_code)
     else:
-        asked = config.read_config(config_file(file), changes)
+        path = config_file(file)
+        if not allow_code:
+            refuse_code(read_yaml(path), str(path), code_in(changes))
+        asked = config.read_config(path, changes)
     if seeds is not None:
         with as_options():
             asked = dataclasses.replace(asked, seeds=seeds)
@@ -79,7 +86,8 @@ def command(
         with needing_training():
             from .. import training  # noqa: F401
     if not report:
-        with alone(out), continued_by(f"soil-env study --out {out}"):
+        code = " --allow-code" if code_in(to_dict(asked)) else ""
+        with alone(out), continued_by(f"soil-env study --out {out}{code}"):
             work.begin(asked, out)
             work.fill(asked, out, chosen, elsewhere=engine == "ray")
     content = results.result(asked, out)

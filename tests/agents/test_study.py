@@ -57,8 +57,8 @@ def config(folder, **changes):
 
 
 def main(arguments):
-    """Exit status of `soil-env study`."""
-    return soil_env(["study", *map(str, arguments)])
+    """Exit status of `soil-env study`, which may import what the file names."""
+    return soil_env(["study", "--allow-code", *map(str, arguments)])
 
 
 def refused(capsys, *arguments):
@@ -86,6 +86,19 @@ def read(folder):
 def copied(finished, tmp_path):
     """A copy of the finished study."""
     return shutil.copytree(finished, tmp_path / "out")
+
+
+def test_a_module_that_only_a_file_names_is_not_imported(capsys, tmp_path, copied):
+    path = config(tmp_path, arms={"mine": {"controller": "a_module_of_others:Thing"}})
+    out = tmp_path / "new"
+    for given in (["--config", str(path), "--out", str(out)], ["--out", str(copied)]):
+        assert soil_env(["study", *given]) == 2
+        err = capsys.readouterr().err
+        assert "which would be imported and run: expected --allow-code" in err, err
+        assert err.count("\n") == 1 and not out.exists()
+    named = ["--arms.mine.controller", "a_module_of_others:Thing"]
+    assert soil_env(["study", "--config", str(path), "--out", str(out), *named]) == 2
+    assert "cannot be imported" in capsys.readouterr().err  # the command line may name it
 
 
 def test_every_arm_is_compared_on_every_scenario(finished):
